@@ -1,23 +1,23 @@
-# Everything from a bare machine: Python 3.11 or newer with pip, make, git. `make` lists what there is.
-# PYTHON=python3.12 takes another interpreter; LIMIT=../shared/limit adds the yardstick kept there to `make bench`,
-# PART="own force" measures that part of its page alone.
+# Builds everything from Python 3.11 or newer with pip, make and git. `make` lists the targets.
+# PYTHON=python3.12 selects another interpreter. LIMIT=../shared/limit adds the yardstick in that folder to `make bench`.
+# PART="own force" measures only that part of the page.
 
 PYTHON ?= python3
 UV := .tools/bin/uv
 VENV := .venv
 BIN := $(VENV)/bin
 
-# Another environment must not leak into this one, and what Python compiles is kept.
+# Another environment must not leak into this one. Python keeps its compiled files.
 unexport VIRTUAL_ENV PYTHONPATH PYTHONHOME PYTHONDONTWRITEBYTECODE
 export UV_PYTHON_DOWNLOADS ?= automatic
 ifdef PIP_INDEX_URL
 export UV_DEFAULT_INDEX ?= $(PIP_INDEX_URL)
 endif
-# uv asks for no certificates of its own where the machine has some: what pip trusts, it trusts.
+# uv uses the certificates of the machine, like pip, if there are any.
 ifneq ($(wildcard /etc/ssl/certs/*),)
 export UV_SYSTEM_CERTS ?= true
 endif
-# Without a home to write to, caches stay in here.
+# Without a writable home folder the caches are in this folder.
 ifneq ($(shell test -n "$$HOME" && test -w "$$HOME" && echo yes),yes)
 export UV_CACHE_DIR ?= $(CURDIR)/.tools/cache
 export MPLCONFIGDIR ?= $(CURDIR)/.tools/matplotlib
@@ -25,7 +25,7 @@ endif
 
 INSTALL := $(UV) pip install --quiet --python $(BIN)/python
 LOCKED := --require-hashes --no-build
-# Two at a time: most of a test is compiling, on one core.
+# Two workers: most of the time of a test is compilation, which uses one core.
 PYTEST := $(BIN)/python -m pytest -n 2 --dist worksteal
 THIS := $(INSTALL) --no-deps --no-build-isolation --editable .
 COMPILE := $(UV) pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-annotate \
@@ -40,34 +40,34 @@ help: ## list the targets
 run: $(VENV)/.run ## compute figure 4 and its attractors into out/
 	$(BIN)/jaxvibro run scenes/fig4.toml --out out --force
 
-paper: $(VENV)/.run ## recompute the paper's figures and judge its claims, into out/paper/
+paper: $(VENV)/.run ## recompute the paper's figures and check its claims, into out/paper/
 	$(BIN)/jaxvibro paper --out out/paper
 
-test: $(VENV)/.dev ## lint, types and the tests that take seconds
+test: $(VENV)/.dev ## run the linter, the type checker and the tests that take seconds
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(PYTEST) -m "not slow and not long and not browser"
 
-test-slow: $(VENV)/.dev ## the tests that take minutes
+test-slow: $(VENV)/.dev ## run the tests that take minutes in all
 	$(PYTEST) -m "(slow and not long and not browser) or smoke"
 
-test-long: $(VENV)/.dev ## what takes minutes a test
+test-long: $(VENV)/.dev ## run the tests that take minutes each
 	$(PYTEST) -m "long and not browser"
 
-test-browser: $(VENV)/.dev ## the explorer in a real headless Chromium
+test-browser: $(VENV)/.dev ## test the explorer in a headless Chromium
 	$(BIN)/python -m pytest -m browser tests/browser
 
-mutate: $(VENV)/.dev ## break guards one by one, each against a fast test that ought to notice
+mutate: $(VENV)/.dev ## break the code in one place at a time and check that a fast test fails
 	$(BIN)/python -m tests.mutate
 
-bench: $(VENV)/.dev ## what answers cost, ours and others', into docs/benchmarks.md
+bench: $(VENV)/.dev ## measure costs of jaxvibro and of other programs, into docs/benchmarks.md
 	$(BIN)/python -m benchmarks.run $(if $(LIMIT),--limit "$(LIMIT)") $(if $(PART),--part "$(PART)")
 
-reliability: $(VENV)/.dev ## where methods fail, ours and others', into docs/reliability.md
+reliability: $(VENV)/.dev ## measure failure rates of jaxvibro and of other programs, into docs/reliability.md
 	$(BIN)/python -m reliability.run $(if $(PART),--part "$(PART)")
 
-notebooks: $(VENV)/.dev ## run the notebooks, keep what they print and draw for the site, write them as .ipynb
+notebooks: $(VENV)/.dev ## run the notebooks, store their output for the site and write them as .ipynb
 	for script in notebooks/*.py; do $(BIN)/python -m docs.site.notebooks "$$script" || exit 1; done
 	$(BIN)/jupytext --quiet --to ipynb notebooks/*.py
 
@@ -78,17 +78,17 @@ docs: $(VENV)/.dev ## build the site into out/docs/html, without a network
 		out/docs/pages out/docs/html
 	@echo "the site: out/docs/html/index.html"
 
-format: $(VENV)/.dev ## put the source into its standard form
+format: $(VENV)/.dev ## format the source
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
-lock: $(UV) ## resolve the dependencies anew, hashes for every platform
+lock: $(UV) ## resolve the dependencies again, with hashes for every platform
 	$(COMPILE) --upgrade pyproject.toml --group build --output-file requirements.lock
 	$(COMPILE) --upgrade pyproject.toml --group build --group dev --group docs --constraints requirements.lock \
 		--output-file requirements-dev.lock
 	echo "uv==$$($(UV) --version | cut -d' ' -f2)" | $(COMPILE) - --output-file requirements-uv.lock
 
-clean: ## remove all that make made, results included
+clean: ## remove everything that make created, results included
 	rm -rf $(VENV) .tools out .pytest_cache .ruff_cache .mypy_cache .hypothesis
 
 $(UV): requirements-uv.lock
@@ -103,14 +103,14 @@ $(BIN)/python: | $(UV)
 	$(UV) venv --quiet --clear --python "$$interpreter" $(VENV)
 
 $(VENV)/.run: requirements.lock pyproject.toml | $(BIN)/python
-	@echo "installing what a run needs into $(VENV)"
+	@echo "installing the run dependencies into $(VENV)"
 	$(INSTALL) $(LOCKED) --requirement requirements.lock
 	$(THIS)
 	@touch $@
 
-# Holds all of requirements.lock as well, hence both stamps.
+# requirements-dev.lock includes requirements.lock, hence both stamps.
 $(VENV)/.dev: requirements-dev.lock pyproject.toml | $(BIN)/python
-	@echo "installing what the tests need into $(VENV)"
+	@echo "installing the development dependencies into $(VENV)"
 	$(INSTALL) $(LOCKED) --requirement requirements-dev.lock
 	$(THIS)
 	@touch $(VENV)/.run $@

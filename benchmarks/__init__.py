@@ -1,1 +1,1 @@
-"""Error against cost of the strobe: ours and its rivals on the same work, timed in turn on one core."""
+"""Error against cost of the stroboscopic map: this package and other methods, timed in turn on one core."""

@@ -1,4 +1,4 @@
-"""What a branch costs: a point of P111 with multipliers and all monitors, one by one and under vmap; and SciPy's."""
+"""Measure the cost of a branch point of P111 with multipliers and all monitors, single, under vmap, and with SciPy."""
 
 from functools import partial
 
@@ -17,17 +17,18 @@ from jaxvibro.problem.equations import IMPACT_PROBLEM
 from jaxvibro.problem.grazing_contact import arclength_weights
 
 LANES, STEPS, POINTS, ROUNDS = 1_000, 32, 8, 9
-LARGEST = (0.1, 0.05, 0.02, 0.01, 0.005)  # steps
-POINT = {0.02: 30, 0.005: 20}  # microseconds asked of a point, at largest steps
+LARGEST = (0.1, 0.05, 0.02, 0.01, 0.005)  # largest steps
+POINT = {0.02: 30, 0.005: 20}  # required microseconds per point, by largest step
 NOTES = (
-    "All of P111 from A = 2 to 6 at figure 4's values by `follow`, multipliers, all monitors and special points "
-    "included, over its points; warm, everything compiled, processor time. SciPy's: DOP853 at 1e-9, central "
-    f"differences, pseudo-arclength, {POINTS} points, each timed in turn with ours at the finest steps.",
+    "`follow` computes all of P111 from A = 2 to 6 at the values of figure 4. The time includes multipliers, all "
+    "monitors and special points, and is divided by the number of points; warm, everything compiled, processor "
+    f"time. SciPy: DOP853 at 1e-9, central differences, pseudo-arclength, {POINTS} points, each timed in turn with "
+    "jaxvibro at the smallest steps.",
 )
 
 
 def measure(size):
-    """The `Topic`."""
+    """Measure this part and return its `Topic`."""
     rounds, orbit = size.rounds(ROUNDS), jaxvibro.find_orbit(ours.scene(2.0), jaxvibro.State(0.9, -1.1))
     rows, curve = [], []
     for step in LARGEST:
@@ -40,28 +41,32 @@ def measure(size):
         if step == LARGEST[0]:
             rows.append(Row(f"whole branch, steps of {step}", "milliseconds", 10).of(1e3 * spent, f"{points} points"))
         elif step in POINT:
-            row = Row(f"a point, steps of {step}", "microseconds", POINT[step])
+            row = Row(f"one point, steps of {step}", "microseconds", POINT[step])
             rows.append(row.of(per, f"{points} points"))
     scipy, ratios = harness.in_turn(call, partial(scipy_arclength.branch, POINTS), size.rounds(5))
     together = many(orbit, size.states(LANES), rounds)
-    rows.append(Row(f"{LANES:,} branches under vmap, with monitors", "microseconds a point", 6).of(together))
-    rows.append(Row("SciPy's arclength shooting, a point", "over ours", 500, least=True).of(ratios * points / POINTS))
-    levels = {"SciPy's arclength shooting": 1e6 / POINTS * float(np.median(scipy))}
-    levels[f"{LANES:,} branches of ours under vmap"] = float(np.median(together))
-    panel = pictures.Panel("largest step (arclength)", "time per point of a branch (µs)", {"ours": curve}, levels)
+    rows.append(Row(f"{LANES:,} branches under vmap, with monitors", "microseconds per point", 6).of(together))
+    rows.append(
+        Row("SciPy arclength shooting, one point", "relative to jaxvibro", 500, least=True).of(ratios * points / POINTS)
+    )
+    levels = {"SciPy arclength shooting": 1e6 / POINTS * float(np.median(scipy))}
+    levels[f"{LANES:,} branches of jaxvibro under vmap"] = float(np.median(together))
+    panel = pictures.Panel("largest step (arclength)", "time per point of a branch (µs)", {"jaxvibro": curve}, levels)
     drawn = partial(pictures.curves, panels=[panel], title="P111 of figure 4, from A = 2 to 6; one core")
-    what = "Microseconds a point of a branch against the largest step"
+    what = "Microseconds per point of a branch over the largest step"
     return Topic("branches", rows, notes=NOTES, pictures={"branch_points.png": (what, drawn)})
 
 
 def followed(orbit, step):
-    """P111 to A = 6."""
+    """Follow P111 up to A = 6."""
     return jaxvibro.follow(orbit, "amplitude", (0.6, 6.0), "forward", step, step)
 
 
 def many(orbit, lanes, rounds):
-    """Microseconds a point, one number a round, of branches under vmap that start at so many amplitudes: tracked,
-    then every point looked at."""
+    """Measure branches under vmap that start at many amplitudes, tracked and then diagnosed at every point.
+
+    Returns microseconds per point, one number per round.
+    """
     along, z = polish_orbit(orbit, "amplitude")
     scale = arclength_weights(along, 1.0)
     numbers = (jnp.asarray(each) for each in (1e-8, 0.1, 1e-10, 0.0, 1e3))

@@ -1,4 +1,4 @@
-"""Error against cost: one marker a method, one point a setting, those with wrong itineraries ringed."""
+"""Draw error against cost: one marker per method, one point per setting, wrong itineraries ringed."""
 
 import os
 import pathlib
@@ -12,8 +12,8 @@ from matplotlib import pyplot as plt
 from benchmarks.sides import BY_SOLVER, OURS, PLAIN, VMAP, YARDSTICK
 from benchmarks.work import words
 
-# Okabe and Ito's colours, told apart by colour-blind readers; markers tell them apart in grey. Each picture draws those
-# of its walls. An explicit and an implicit method of one package share a hue, never a marker.
+# Okabe and Ito's colours are distinct to colour-blind readers; markers distinguish the curves in grey. Each picture
+# draws those of its walls. An explicit and an implicit method of one package share a hue, never a marker.
 STYLES = {
     OURS: ("#D55E00", "*"),
     VMAP: ("#CC79A7", "P"),
@@ -31,9 +31,9 @@ STYLES = {
     PLAIN: ("#7F7F7F", "X"),
     "SciPy Radau": ("#000000", "p"),
 }
-# an error of 0 has no place on a logarithmic axis; this is below the rounding of 1
+# This value, below the rounding error of 1, stands for an error of 0 on a logarithmic axis.
 LEAST = 1e-17
-SPAN = 1e-16, 1e-1  # of the errors in panels
+SPAN = 1e-16, 1e-1  # range of the errors in panels
 TIME = "time per map on one core (ns)"
 ERROR = "error of x and x' after one period (dimensionless)\nmedian; line up to the 99th percentile"
 
@@ -44,7 +44,7 @@ def draw(axes, rows):
         points = [(timing.cost[0], verdict) for side, timing, verdict in rows if side.method == method]
         if points:
             draw_method(axes, method, points, colour, marker)
-    axes.scatter([], [], s=190, facecolors="none", edgecolors="k", label="ringed: the share of wrong itineraries")
+    axes.scatter([], [], s=190, facecolors="none", edgecolors="k", label="ring: fraction of wrong itineraries")
     axes.set(xscale="log", yscale="log")
     axes.grid(True, which="major", alpha=0.3)
 
@@ -92,7 +92,7 @@ def save_panels(path, panels, title):
 
 
 def write(figure, path):
-    """Write a figure to a PNG: beside it first, then renamed."""
+    """Write a figure to a PNG under a temporary name and rename it."""
     beside = pathlib.Path(path).with_suffix(".part.png")
     figure.savefig(beside, dpi=150)
     plt.close(figure)

@@ -1,4 +1,4 @@
-"""What derivatives cost: over the plain strobe of the same batch, in turn with it."""
+"""Measure the cost of derivatives relative to the plain stroboscopic map of the same batch, timed in turn."""
 
 from functools import partial
 
@@ -12,16 +12,17 @@ from benchmarks.work import draw
 
 STATES, ROUNDS = 32_768, 9
 OTHERS = ("restitution", "damping", "frequency")  # besides x, v and A
-OVER, COMPILING = "over the strobe", "seconds, tracing and compiling"
+OVER, COMPILING = "relative to the strobe", "seconds for tracing and compilation"
 NOTES = (
-    f"{STATES:,} random states of figure 4's kind, of which nothing is recorded; each under vmap and jit, in turn with "
-    "their strobe from the host, which is called before and after. 2x2: x and v by x and v; 2x6: by A, R, gamma and "
-    "omega too. The gradient is one of x + 0.3 v by x, v, A in reverse mode; the Hessian one of x by x, v, A, R.",
+    f"{STATES:,} random states like those of figure 4, without recorded impacts. Each derivative runs under vmap and "
+    "jit, in turn with the strobe, which is called from the host before and after it. 2x2: x and v with respect to "
+    "x and v; 2x6: also with respect to A, R, gamma and omega. The gradient is that of x + 0.3 v with respect to x, "
+    "v and A in reverse mode; the Hessian is that of x with respect to x, v, A and R.",
 )
 
 
 def measure(size):
-    """The `Topic`."""
+    """Measure this part and return its `Topic`."""
     states = draw(size.states(STATES))
     x, v, amplitude = (jnp.asarray(each) for each in states.T)
     base = ours.scene(1.0)
@@ -50,10 +51,10 @@ def measure(size):
 
     asked = {
         Row("2x2 by jacfwd", OVER, 1.6): (of_state, numbers),
-        Row("gradient by 3 numbers, reverse mode", OVER, 2.2): (weighed, numbers),
+        Row("gradient in 3 numbers, reverse mode", OVER, 2.2): (weighed, numbers),
         Row("2x6 by jacfwd", OVER, 3): (jax.jacfwd(end), widened(OTHERS)),
-        Row("Hessian by 4 numbers", OVER, 6): (bent, widened(OTHERS[:1])),
-        Row("M = P Q, a route of its own", OVER): (matrix, numbers),
+        Row("Hessian in 4 numbers", OVER, 6): (bent, widened(OTHERS[:1])),
+        Row("monodromy matrix as a product of P and Q", OVER): (matrix, numbers),
     }
     plain = ours.prepare_batch(states, slots=0)
     over, compiling = [], []
@@ -63,14 +64,12 @@ def measure(size):
         compiling.append(Row(row.what, COMPILING).of(seconds))
         print(f"  {row.what}: {over[-1].found[0]:.2f}, {seconds:.1f} s")
     title = f"Derivatives of the strobe of {STATES:,} states"
-    drawn = partial(
-        pictures.bars, groups={"derivative": over}, unit="time over the strobe, nothing recorded", title=title
-    )
-    what = "What derivatives cost, over the strobe"
+    drawn = partial(pictures.bars, groups={"derivative": over}, unit="time relative to the strobe", title=title)
+    what = "Time of derivatives relative to the strobe"
     return Topic("derivatives", over + compiling, notes=NOTES, pictures={"derivatives.png": (what, drawn)})
 
 
 def compared(function, given, plain, rounds):
-    """A function's time over the plain strobe's, one number a round; and the seconds to trace and compile it."""
+    """Measure a function's time over the plain map's, one number per round, and the seconds to trace and compile it."""
     seconds, call = harness.clock(lambda: jax.jit(function).lower(given).compile())
     return harness.in_turn(plain, lambda: jax.block_until_ready(call(given)), rounds)[1], seconds

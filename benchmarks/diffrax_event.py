@@ -1,4 +1,4 @@
-"""diffrax with Event and a root finder, which end each flight and each contact inside one loop; vmapped and jitted."""
+"""Map states with diffrax's Event and a root finder: flights and contacts in one loop, vmapped and jitted."""
 
 import functools
 
@@ -11,12 +11,15 @@ import optimistix
 from benchmarks.work import CAP, GAMMA, OMEGA, PERIOD, RESTITUTION, Strobes, held
 
 SOLVERS = {"Tsit5": diffrax.Tsit5, "Dopri8": diffrax.Dopri8, "Kvaerno5": diffrax.Kvaerno5}
-STEPS = 4096  # of one flight or contact: diffrax's own default
+STEPS = 4096  # largest number of steps of one flight or contact, diffrax's default
 
 
 def field(t, y, given):
-    """Right-hand side; given: A; of soft walls (stiffness, damping, side of the one it is within or 0), or None; a
-    cubic term, or None."""
+    """Compute the right-hand side.
+
+    `given` contains A; for soft walls (stiffness, damping, side of the one in contact or 0), or None; a cubic term, or
+    None.
+    """
     amplitude, press, cubic = given
     force = amplitude * jnp.cos(OMEGA * t) - y[0]
     force = force if cubic is None else force - cubic * y[0] * y[0] * y[0]
@@ -28,7 +31,7 @@ def field(t, y, given):
 
 
 def passes(side):
-    """The event that rises through 0 where the mass comes to the wall on a side, from within if it is there."""
+    """Make the event function that rises through 0 at the wall on a side, from within if in contact."""
 
     def event(t, y, args, **_):
         depth, (_, press, _) = side * y[0] - 1.0, args
@@ -38,7 +41,7 @@ def passes(side):
 
 
 def go(time, y, given, solver, tolerance):
-    """On to the next wall or the period's end: time, state, the side met (0 for none), whether that went well."""
+    """Integrate to the next wall or the end of the period; returns time, state, side hit (0 for none) and success."""
     piece = diffrax.diffeqsolve(
         diffrax.ODETerm(field),
         SOLVERS[solver](),
@@ -60,8 +63,10 @@ def go(time, y, given, solver, tolerance):
 
 
 def strobe_one(state, walls, cubic, solver, tolerance):
-    """Map one state through a period; its end is nan where the integrator gives up. walls: (stiffness, damping) of
-    soft ones, None for rigid ones."""
+    """Map one state over a period; the end is nan if the integrator fails.
+
+    `walls` are (stiffness, damping) of soft walls, None for rigid ones.
+    """
 
     def going(carry):
         time, _, _, count, _, _, well = carry
@@ -87,14 +92,14 @@ def strobe_one(state, walls, cubic, solver, tolerance):
 
 @functools.partial(jax.jit, static_argnames="solver")
 def strobe_batch(states, walls, cubic, solver, tolerance):
-    """Map (n, 3) states at once."""
+    """Map (n, 3) states in one call."""
     return jax.vmap(lambda state: strobe_one(state, walls, cubic, solver, tolerance))(states)
 
 
 def strobe(states, tolerance=1e-9, stiffness=None, solver="Tsit5", block=None, cubic=None):
-    """Map (n, 3) states x, x', A through one period with rtol = atol = tolerance; returns Strobes.
+    """Map (n, 3) states x, x', A over one period with rtol = atol = tolerance; returns Strobes.
 
-    block: so many at once, None: all. Lanes wait for the slowest of them.
+    `block` is the number of states in one call, None for all. Lanes wait for the slowest of them.
     """
     walls, block = None if stiffness is None else (stiffness, held(stiffness)), block or len(states)
     parts = [

@@ -1,4 +1,4 @@
-"""Measures first answers: of a process in which nothing is compiled, and of one with a filled compile cache."""
+"""Measure the time to first results of a process without compiled code, and of one with a filled compilation cache."""
 
 import json
 import tempfile
@@ -8,9 +8,9 @@ from benchmarks import fresh, pictures
 from benchmarks.rows import Row, Topic
 
 ROUNDS = 3
-COLD, FILLING, WARM = "nothing compiled, no cache set", "nothing compiled, cache being filled", "cache filled"
+COLD, FILLING, WARM = "nothing compiled, no cache", "nothing compiled, filling the cache", "filled cache"
 README = "readme"
-# what is asked, one after the other in one process, and the most that is asked: at first, and with a filled cache
+# Requests in the order in which one process runs them, and required seconds: without and with a filled cache.
 ASKED = {
     README: (
         ("strobe", 1, 0.4),
@@ -23,16 +23,16 @@ ASKED = {
     "soft": (("soft walls: branch table", 8, None), ("soft walls: locus", 15, None)),
 }
 NOTES = (
-    "Each of a process of its own: processor seconds since `import jax` was done, loading jaxvibro included. README's "
-    "lines are summed up, in this order; `find_attractors` has one process, the lines between soft walls (k2 = 400, "
-    "gamma2 = 2) another. Python's own compiled files are there.",
-    "A cache that is being filled is jax's, in a new folder; writing is what it costs. The filled one is what "
-    "`jaxvibro warm` leaves, and, for what that does not ask, one process that asked the same.",
+    "Processor time of separate processes after `import jax`, including the import of jaxvibro. The README lines are "
+    "cumulative, in this order. `find_attractors` has one process, the lines between soft walls (k2 = 400, gamma2 = 2) "
+    "another. Python's own compiled files exist.",
+    "The cache that is filled is that of jax, in a new folder; the additional cost is writing. The filled cache is the "
+    "one that `jaxvibro warm` creates. Lines that `warm` does not cover were run once before.",
 )
 
 
 def measure(size):
-    """The `Topic`."""
+    """Measure this part and return its `Topic`."""
     rounds = 1 if size.quick else ROUNDS
     asked = {README: ASKED[README]} if size.quick else ASKED
     found = {COLD: [], FILLING: [], WARM: []}
@@ -46,9 +46,9 @@ def measure(size):
             for name, most, less in answers:
                 bound = {COLD: most, WARM: less}.get(state)
                 found[state].append(Row(name, f"seconds; {state}", bound).of([run[name] for run in runs]))
-    title = "First answers, each with all before it: README's lines, and two other processes"
-    drawn = partial(pictures.bars, groups=found, unit="processor time since import jax was done (s)", title=title)
-    what = "Seconds to the first answers of a fresh process, with nothing compiled and with a filled compile cache"
+    title = "First results, cumulative: the README lines, and two other processes"
+    drawn = partial(pictures.bars, groups=found, unit="processor time after import jax (s)", title=title)
+    what = "Seconds to the first results of a fresh process, with nothing compiled and with a filled compile cache"
     return Topic(
         "first answers",
         [row for rows in found.values() for row in rows],
@@ -58,20 +58,20 @@ def measure(size):
 
 
 def told(what, **environment):
-    """{what was asked: seconds} of a process."""
+    """Run a process and return {request: seconds}."""
     seconds = dict(json.loads(fresh.ask("benchmarks.fresh", what, **environment)))
     print(f"  {what}: {', '.join(f'{name} {spent:.2f}' for name, spent in seconds.items())}")
     return seconds
 
 
 def of_empty_cache(what):
-    """What a process tells that fills a cache."""
+    """Return the seconds of a process that fills a cache."""
     with tempfile.TemporaryDirectory() as folder:
         return told(what, JAX_COMPILATION_CACHE_DIR=folder)
 
 
 def of_full_cache(what, rounds, size):
-    """What processes tell that find a filled cache."""
+    """Return the seconds of processes that use a filled cache."""
     with tempfile.TemporaryDirectory() as folder:
         settings = {"JAX_COMPILATION_CACHE_DIR": folder}
         if what == README and not size.quick:

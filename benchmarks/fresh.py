@@ -1,7 +1,7 @@
-"""Questions asked in a process of its own: `python -m benchmarks.fresh WHAT`.
+"""Run requests in a process of their own: `python -m benchmarks.fresh WHAT`.
 
-As a script it answers one question after the other and prints, as JSON, pairs of what was asked and the processor
-seconds since `import jax` was done.
+As a script it runs one request after the other and prints, as JSON, pairs of the request and the processor seconds
+since `import jax` finished.
 """
 
 import json
@@ -14,13 +14,15 @@ from pathlib import Path
 import jax
 
 ROOT = Path(__file__).parents[1]
-ALONG = (0.0, 6.0)  # the amplitude of branches
+ALONG = (0.0, 6.0)  # bounds of the amplitude of branches
 BOUNDS = {"amplitude": (0.0, 12.0), "frequency": (1.5, 3.0)}
 
 
 def ask(module, *given, **environment):
-    """What a fresh process prints, `python -m MODULE GIVEN`. Of jax's settings it gets those that are given alone; it
-    keeps what Python compiles."""
+    """Run `python -m MODULE GIVEN` in a new process and return its output.
+
+    Of JAX's settings it receives only the given ones; it keeps Python's byte code.
+    """
     kept = {name: text for name, text in os.environ.items() if not name.startswith("JAX_")}
     kept.pop("PYTHONDONTWRITEBYTECODE", None)
     words = [sys.executable, "-m", module, *given]
@@ -32,7 +34,7 @@ def ask(module, *given, **environment):
 
 
 def readme(jv, said):
-    """The README's lines."""
+    """Run the README's lines."""
     scene = jv.make_scene(amplitude=2.0, frequency=2.1, damping=0.05, restitution=0.7, walls=(-1.0, 1.0))
     state, _ = jv.strobe(scene, jv.State(x=0.9, v=-1.1))
     said("strobe")
@@ -49,13 +51,13 @@ def readme(jv, said):
 
 
 def attractors(jv, said):
-    """What the README's scene settles on at A = 3."""
+    """Find the attractors of the README's scene at A = 3."""
     jv.find_attractors(jv.make_scene(3.0, 2.1, 0.05, 0.7, (-1.0, 1.0)))
     said("find_attractors")
 
 
 def soft(jv, said):
-    """The first branch between soft walls, and its first locus."""
+    """Follow a first branch between soft walls and a first locus."""
     walls = tuple(jv.Wall(place, stiffness=400.0, damping=2.0) for place in (-1.0, 1.0))
     scene = jv.make_scene(2.0, 2.1, 0.05, 0.7, walls)
     state, _ = jv.strobe(scene, jv.State(0.9, -1.1))
@@ -70,9 +72,9 @@ QUESTIONS = {"readme": readme, "attractors": attractors, "soft": soft}
 
 
 def main(what):
-    """Answer, and print."""
+    """Run the requests and print the seconds."""
     begun, told = time.process_time(), []
-    import jaxvibro as jv  # noqa: PLC0415  # loading it is part of the time
+    import jaxvibro as jv  # noqa: PLC0415  # the time includes the import
 
     jax.config.update("jax_enable_x64", True)
     QUESTIONS[what](jv, lambda name: told.append((name, time.process_time() - begun)))

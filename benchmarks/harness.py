@@ -1,4 +1,4 @@
-"""Times every side in turn with ours, round after round, so that a change of the machine's pace meets both."""
+"""Time methods in turn with this package, round after round: changes of the machine's speed affect both."""
 
 import gc
 import time
@@ -15,8 +15,9 @@ from continuation import numpy_evaluation
 class Side(NamedTuple):
     """One method at one setting.
 
-    prepare makes, from (n, 3) states, a call without arguments that does the work and waits for its end; read turns
-    what that call returns into (ends, sides), sides None where there are none. states: how many it is given.
+    `prepare` makes, from (n, 3) states, a call without arguments that does the work and waits for its end; `read`
+    converts the result of that call into (ends, sides), sides None if there are none. `states` is the number of states
+    it maps.
     """
 
     method: str
@@ -27,9 +28,9 @@ class Side(NamedTuple):
 
 
 class Timing(NamedTuple):
-    """Nanoseconds per map of each round, and of ours timed just before it; first: seconds of the first call of all.
+    """Nanoseconds per map of each round for a method, and for this package timed just before it.
 
-    ends and sides are the answer of the last round.
+    `first` is the seconds of the very first call; `ends` and `sides` are the results of the last round.
     """
 
     own: np.ndarray
@@ -45,14 +46,14 @@ class Timing(NamedTuple):
 
     @property
     def ratio(self):
-        """Its time over ours: median and quartiles of the rounds."""
+        """Time relative to this package: median and quartiles of the rounds."""
         return spread(self.own / self.ours)
 
 
 def clock(call):
-    """Seconds of processor time that a call takes, and its answer.
+    """Return the seconds of processor time of a call, and its result.
 
-    On one core that is the time on the wall, less what other programs took of the core meanwhile.
+    On one core this is the wall-clock time without that of other programs.
     """
     start = time.process_time()
     answer = call()
@@ -60,7 +61,7 @@ def clock(call):
 
 
 def measure(ours, rivals, states, rounds, tell=print):
-    """Time each rival Side in turn with ours; returns {Side: Timing}, ours among them."""
+    """Time each rival Side in turn with this package; returns {Side: Timing} for all."""
     calls, firsts = {}, {}
     for side in (ours, *rivals):
         calls[side] = side.prepare(states[: side.states])
@@ -84,7 +85,7 @@ def measure(ours, rivals, states, rounds, tell=print):
 
 
 def in_turn(base, call, rounds):
-    """Seconds of a call, and its time over that of a base before and after it: arrays, one number a round."""
+    """Return the seconds of a call and its time over that of a base around it: arrays, one number per round."""
     call()
     base()
     spent, ratios = [], []
@@ -99,14 +100,14 @@ def in_turn(base, call, rounds):
 
 
 def alone(call, rounds):
-    """Seconds of a warm call: an array, one number a round."""
+    """Return the seconds of a warm call: an array, one number per round."""
     call()
     with undisturbed():
         return np.array([clock(call)[0] for _ in range(rounds)])
 
 
 def repeated(call, times):
-    """A call that makes so many of them."""
+    """Make a call that repeats a call."""
 
     def several():
         for _ in range(times):
@@ -117,7 +118,7 @@ def repeated(call, times):
 
 @contextmanager
 def undisturbed():
-    """Python's collector waits."""
+    """Pause Python's garbage collector."""
     gc.collect()
     gc.disable()
     try:
@@ -128,7 +129,7 @@ def undisturbed():
 
 @contextmanager
 def compiled():
-    """What the host calls is compiled at once, as it is after some thousand calls or by `jaxvibro warm`."""
+    """Compile functions that the host calls at once, as after some thousand calls or by `jaxvibro warm`."""
     before, numpy_evaluation.MAX_EVALUATIONS = numpy_evaluation.MAX_EVALUATIONS, 0
     try:
         yield
@@ -137,7 +138,7 @@ def compiled():
 
 
 def latency(call, repeats):
-    """Microseconds on the wall of a warm call: one number a call."""
+    """Return the wall-clock microseconds of a warm call: one number per call."""
     marks = []
     with undisturbed():
         for _ in range(repeats):

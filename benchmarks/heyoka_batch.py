@@ -1,4 +1,4 @@
-"""heyoka's batch integrator with one terminal event a wall; the callbacks are those of `heyoka_scalar`, for a lane."""
+"""Map states with heyoka's batch integrator and one terminal event per wall; callbacks as in `heyoka_scalar`."""
 
 import functools
 
@@ -12,26 +12,26 @@ LANES = 2 * heyoka.recommended_simd_size()
 
 
 class Told:
-    """What the callbacks note: (lane, side, time) of each impact or entry, and how many each lane had."""
+    """Record of the callbacks: (lane, side, time) of each impact or entry, and the number of each lane."""
 
     def __init__(self):
         self.impacts, self.counts = [], [0] * LANES
 
     def clear(self):
-        """Forget them."""
+        """Clear the record."""
         self.impacts.clear()
         self.counts[:] = [0] * LANES
 
     def note(self, integrator, side, lane):
-        """One more in a lane."""
+        """Add an event of a lane."""
         self.impacts.append((lane, side, integrator.time[lane]))
         self.counts[lane] += 1
         if self.counts[lane] == CAP:
-            # a lane cannot leave its batch: at rest, without force, it meets no wall again
+            # A lane cannot leave its batch; at rest and without force it hits no further wall.
             integrator.state[:, lane] = integrator.pars[:, lane] = 0.0
 
     def write(self, sides, times):
-        """Fill in the itineraries of the lanes, (LANES, CAP)."""
+        """Write the itineraries of the lanes, (LANES, CAP)."""
         slots = [0] * LANES
         for lane, side, time in self.impacts:
             sides[lane, slots[lane]], times[lane, slots[lane]] = side, time
@@ -39,7 +39,7 @@ class Told:
 
 
 def rebounds(told):
-    """The callbacks at rigid walls."""
+    """Make the callbacks at rigid walls."""
 
     def meet(side):
         def rebound(integrator, _, lane):
@@ -55,7 +55,7 @@ def rebounds(told):
 
 
 def switches(told, stiffness):
-    """The callbacks at soft walls, which note entries."""
+    """Make the callbacks at soft walls, which record entries."""
 
     def meet(side):
         within = (held(stiffness), stiffness, side)
@@ -74,7 +74,7 @@ def switches(told, stiffness):
 
 @functools.cache
 def build(tolerance, stiffness, cubic):
-    """Compile an integrator: itself, and what its callbacks note."""
+    """Compile an integrator; returns it and the record of its callbacks."""
     told = Told()
     position, equations = rigid_system(cubic) if stiffness is None else soft_system()
     meet = rebounds(told) if stiffness is None else switches(told, stiffness)
@@ -83,7 +83,7 @@ def build(tolerance, stiffness, cubic):
 
 
 def strobe(states, tolerance=1e-15, stiffness=None, cubic=None):
-    """Map (n, 3) states x, x', A, n a multiple of LANES, through one period; returns Strobes."""
+    """Map (n, 3) states x, x', A, n a multiple of LANES, over one period; returns Strobes."""
     integrator, told = build(tolerance, stiffness, cubic)
     y, parameters = integrator.state, integrator.pars
     zero, until = np.zeros(LANES), np.full(LANES, PERIOD)

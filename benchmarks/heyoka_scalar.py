@@ -1,6 +1,6 @@
-"""heyoka's Taylor integrator with one terminal event a wall, one state at a time.
+"""Map states with heyoka's Taylor integrator and one terminal event per wall, one state at a time.
 
-A Python callback turns the mass round at a rigid wall, and switches the parameters of the force at a soft one.
+A Python callback reverses the velocity at a rigid wall, and switches the parameters of the force at a soft one.
 """
 
 import functools
@@ -10,14 +10,14 @@ import numpy as np
 
 from benchmarks.work import CAP, GAMMA, OMEGA, PERIOD, RESTITUTION, blank, held
 
-# heyoka derives a longer dead time after an event by default, and misses impacts that follow within it. This one only
-# keeps it from finding the impact that it has just handled.
+# heyoka's default dead time after an event is longer, and misses impacts that follow within it. This one only prevents
+# repeated detection of the same impact.
 COOLDOWN = 1e-12
-FREE = (GAMMA, 0.0, 0.0)  # damping, stiffness, position of the wall that presses: none does
+FREE = (GAMMA, 0.0, 0.0)  # damping, stiffness and position of the wall in contact: no contact
 
 
 def rigid_system(cubic):
-    """The position's symbol and equation 3, with A as parameter 0, and perhaps a cubic term."""
+    """Return the symbol of the position and equation 3, with A as parameter 0 and an optional cubic term."""
     x, v = heyoka.make_vars("x", "v")
     force = heyoka.par[0] * heyoka.cos(OMEGA * heyoka.time)
     pull = force - x - 2 * GAMMA * v
@@ -25,7 +25,7 @@ def rigid_system(cubic):
 
 
 def soft_system():
-    """The position's symbol and the equation, with A and what FREE names as parameters."""
+    """Return the symbol of the position and the equation, with A and the entries of FREE as parameters."""
     x, v = heyoka.make_vars("x", "v")
     amplitude, damping, stiffness, place = (heyoka.par[k] for k in range(4))
     force = amplitude * heyoka.cos(OMEGA * heyoka.time)
@@ -33,9 +33,9 @@ def soft_system():
 
 
 def events(make, position, meet, stiffness):
-    """The events of the walls, made by one of heyoka's classes, that call meet(side).
+    """Make the events of the walls, of one of heyoka's classes, that call meet(side).
 
-    Between soft walls one event is for both ways: of two, the one for the way out misses some that follow an entry
+    Between soft walls one event serves both directions: a separate event for the exit misses some that follow an entry
     within heyoka's step.
     """
     way = heyoka.event_direction.positive if stiffness is None else heyoka.event_direction.any
@@ -43,7 +43,7 @@ def events(make, position, meet, stiffness):
 
 
 def rebounds(told):
-    """The callbacks at rigid walls, which note (side, time)."""
+    """Make the callbacks at rigid walls, which record (side, time)."""
 
     def meet(side):
         def rebound(integrator, _):
@@ -59,7 +59,7 @@ def rebounds(told):
 
 
 def switches(told, stiffness):
-    """The callbacks at soft walls, which note (side, time) of entries."""
+    """Make the callbacks at soft walls, which record (side, time) of entries."""
 
     def meet(side):
         within = (held(stiffness), stiffness, side)
@@ -78,7 +78,7 @@ def switches(told, stiffness):
 
 @functools.cache
 def build(tolerance, stiffness, cubic):
-    """Compile an integrator: itself, and the list of (side, time) that its callbacks fill."""
+    """Compile an integrator; returns it and the list of (side, time) that its callbacks fill."""
     told = []
     position, equations = rigid_system(cubic) if stiffness is None else soft_system()
     meet = rebounds(told) if stiffness is None else switches(told, stiffness)
@@ -87,7 +87,7 @@ def build(tolerance, stiffness, cubic):
 
 
 def strobe(states, tolerance=1e-15, stiffness=None, cubic=None):
-    """Map (n, 3) states x, x', A through one period at heyoka's tolerance; returns Strobes."""
+    """Map (n, 3) states x, x', A over one period at heyoka's tolerance; returns Strobes."""
     integrator, told = build(tolerance, stiffness, cubic)
     y, parameters = integrator.state, integrator.pars
     result = blank(states)

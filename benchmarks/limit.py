@@ -1,7 +1,7 @@
-"""The yardstick: a kernel outside this project, DIR/limit.py with load() -> strobe(states (n, 3)) -> ends (n, 2).
+"""Load a hand-written kernel outside this project, DIR/limit.py with load() -> strobe(states (n, 3)) -> ends (n, 2).
 
-It is tried in a process of its own first: built for other processors it may not compile, or die by a signal.
-Run as a script on DIR it makes that trial.
+It is tried in a process of its own first: built for other processors it may not compile, or crash. Run as a script on
+DIR this module makes that trial.
 """
 
 import importlib.util
@@ -18,7 +18,7 @@ UNSET = "skipped: no LIMIT=DIR was given"
 
 
 def load(directory):
-    """The yardstick's strobe, and which of its kernels that is and the first line of what its file says of itself."""
+    """Return the kernel's map, and a line with its kind and the first line of its description."""
     path = pathlib.Path(directory) / "limit.py"
     spec = importlib.util.spec_from_file_location("yardstick", path)
     module = importlib.util.module_from_spec(spec)
@@ -28,17 +28,17 @@ def load(directory):
 
 
 def found(directory):
-    """Its strobe, None where it cannot be measured here; and a line on it."""
+    """Return the kernel's map, None if it cannot run on this machine, and a line on it."""
     why = refusal(directory)
     return (None, why) if why else load(directory)
 
 
 def refusal(directory):
-    """Why the yardstick cannot be measured here, in one line; None where it can."""
+    """Explain in one line why the kernel cannot run on this machine; None if it can."""
     if not directory:
         return UNSET
     if not (pathlib.Path(directory) / "limit.py").is_file():
-        return "skipped: the folder that LIMIT names holds no limit.py"
+        return "skipped: the folder given by LIMIT contains no limit.py"
     trial = subprocess.run([sys.executable, "-m", "benchmarks.limit", directory], capture_output=True, text=True)
     if trial.returncode == 0:
         return None
@@ -46,9 +46,9 @@ def refusal(directory):
 
 
 def reason(trial):
-    """A failed trial's reason: what this machine lacks, else how the trial ended."""
+    """Explain a failed trial: missing processor features, or how the trial ended."""
     if not any(map(shutil.which, COMPILERS)):
-        return "it needs clang, and none is on the path"
+        return "it needs clang, which is not on the path"
     lacks = "" if "avx512dq" in flags() else "; this processor lacks AVX-512, which it may need"
     if trial.returncode < 0:
         return f"its trial was stopped by {signal.Signals(-trial.returncode).name}{lacks}"
@@ -58,7 +58,7 @@ def reason(trial):
 
 
 def flags():
-    """The processor's features, as Linux names them."""
+    """Return the processor's features, as Linux names them."""
     info = pathlib.Path("/proc/cpuinfo")
     lines = info.read_text().splitlines() if info.exists() else []
     return next((line.split(":")[1].split() for line in lines if line.startswith("flags")), [])

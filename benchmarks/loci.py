@@ -1,4 +1,4 @@
-"""What a point of a locus costs, amplitude and frequency: all of `jaxvibro.locus` over the number of its points."""
+"""Measure the cost of a point of a locus in amplitude and frequency: the time of `jaxvibro.locus` over its points."""
 
 from functools import partial
 
@@ -7,16 +7,17 @@ from benchmarks import harness, ours, pictures
 from benchmarks.rows import Row, Topic
 
 ROUNDS, STEP = 7, 0.005
-ASKED = {"SN": 60, "PD": 150, "SB": 150, "GR": 40}  # microseconds, at most, of a point
+ASKED = {"SN": 60, "PD": 150, "SB": 150, "GR": 40}  # largest microseconds per point
 BOUNDS = {"amplitude": (0.0, 12.0), "frequency": (1.2, 3.0)}
 NOTES = (
-    f"All of `locus` at steps of {STEP}, figure 4's values, A from 0 to 12 and omega from 1.2 to 3, codimension two "
-    "and ends included, over its points; warm, everything compiled, processor time.",
+    f"The time of `locus` at steps of {STEP}, at the values of figure 4, A from 0 to 12 and omega from 1.2 to 3, "
+    "includes points of codimension two and ends, and is divided by the number of points; warm, everything compiled, "
+    "processor time.",
 )
 
 
 def measure(size):
-    """The `Topic`."""
+    """Measure this part and return its `Topic`."""
     orbit = jaxvibro.find_orbit(ours.scene(2.0), jaxvibro.State(0.9, -1.1))
     branch = jaxvibro.follow(orbit, "amplitude", (0.0, 6.0))
     lopsided = jaxvibro.switch(branch.points("SB")[0])[1]
@@ -27,9 +28,9 @@ def measure(size):
         with harness.compiled():
             locus = call()
         per = 1e6 * harness.alone(call, size.rounds(ROUNDS)) / len(locus)
-        row = Row(f"{kind} of {locus.label}", "microseconds a point", ASKED[kind])
+        row = Row(f"{kind} of {locus.label}", "microseconds per point", ASKED[kind])
         rows.append(row.of(per, f"{len(locus)} points"))
-    title = f"Loci in amplitude and frequency, steps of {STEP}, with all that is looked for along them"
+    title = f"Loci in amplitude and frequency, steps of {STEP}, with all searches along them"
     drawn = partial(pictures.bars, groups={"locus": rows}, unit="time per point of a locus (µs)", title=title)
-    what = "Microseconds a point of a locus, by kind"
+    what = "Microseconds per point of a locus, by kind"
     return Topic("loci", rows, notes=NOTES, pictures={"loci.png": (what, drawn)})

@@ -1,4 +1,4 @@
-"""What the figures were measured on."""
+"""Describe the machine of the measurements."""
 
 import datetime
 import os
@@ -11,7 +11,7 @@ WIDTHS = {"avx512f": "AVX-512", "avx2": "AVX2", "avx": "AVX", "sse2": "SSE2"}
 
 
 def processor():
-    """The processor's model, family and widest vectors, and how many cores the machine shows."""
+    """Return the processor's model, family and widest vectors, and the number of cores of the machine."""
     info = pathlib.Path("/proc/cpuinfo")
     text = info.read_text() if info.exists() else ""
     facts = dict(reversed([tuple(map(str.strip, line.split(":", 1))) for line in text.splitlines() if ":" in line]))
@@ -24,7 +24,7 @@ def processor():
 
 
 def describe():
-    """Lines of text: machine, versions, date."""
+    """Return lines of text: machine, versions, date."""
     versions = ", ".join(f"{package} {metadata.version(package)}" for package in PACKAGES)
     return (
         f"Machine: {processor()}, {platform.system()}; load average at the end {os.getloadavg()[0]:.1f}.",

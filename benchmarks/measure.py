@@ -1,4 +1,4 @@
-"""Measures everything, and writes the page and its pictures at the end. `benchmarks.run` starts it on one core."""
+"""Measure everything and write the page and its pictures at the end; `benchmarks.run` starts it on one core."""
 
 import argparse
 import os
@@ -27,13 +27,15 @@ from benchmarks.rows import Size, Topic
 
 PAGE = "benchmarks.md"
 SMALL = (
-    "**Measured in small, to see that it runs**: a sixteenth of the states that rows name, two rounds, few questions."
+    "**Reduced measurement, to check that it runs**: a sixteenth of the states that rows name, two rounds, few rows."
 )
 
 
 def topics(yardstick, size, only):
-    """Each part of the page as it is measured, or one only. Those of fresh processes come first, while this one is
-    small."""
+    """Yield each part of the page as it is measured, or a single part.
+
+    Parts with processes of their own come first, while this process is small.
+    """
     parts = {
         "first answers": partial(first.measure, size),
         "scenes": partial(scenes.measure, size),
@@ -52,7 +54,7 @@ def topics(yardstick, size, only):
 
 
 def partly(part, measure):
-    """A part's `Topic`; what was compiled for it is let go."""
+    """Return a part's `Topic` and release its compiled code."""
     print(f"{part}:", flush=True)
     begun = time.monotonic()
     topic = measure()
@@ -62,13 +64,13 @@ def partly(part, measure):
 
 
 def main(directory, quick, out, only):
-    """Measure, then write the page and its pictures into a folder. only: a part, beside which the machine is told."""
+    """Measure and write the page and its pictures into a folder; `only` selects one part, with the machine."""
     yardstick, line = limit.found(directory)
     print(f"yardstick: {line}")
     found = list(topics(yardstick, Size(quick), only))
-    about = (*machine.describe(), f"Yardstick: {line}", *([SMALL] if quick else []))
+    about = (*machine.describe(), f"Hand-written kernel: {line}", *([SMALL] if quick else []))
     if only:
-        found = [topic._replace(notes=(*topic.notes, "Measured by itself.", *about[:3])) for topic in found]
+        found = [topic._replace(notes=(*topic.notes, "Measured separately.", *about[:3])) for topic in found]
     else:
         found = [Topic("machine", [], notes=about), *found]
     for topic in found:
@@ -80,12 +82,12 @@ def main(directory, quick, out, only):
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.run", description="What answers cost, ours and others'."
+        prog="python -m benchmarks.run", description="Measure the cost of results of jaxvibro and others."
     )
-    parser.add_argument("--limit", metavar="DIR", default=os.environ.get("LIMIT"), help="where the yardstick is kept")
+    parser.add_argument("--limit", metavar="DIR", default=os.environ.get("LIMIT"), help="folder of the kernel")
     parser.add_argument("--quick", action="store_true", help="fewer states and rounds, written to out/")
-    parser.add_argument("--out", metavar="DIR", help="where to write (docs, or out when quick)")
-    parser.add_argument("--part", choices=page.PARTS, help="measure this part of the page alone")
+    parser.add_argument("--out", metavar="DIR", help="output folder (docs, or out with --quick)")
+    parser.add_argument("--part", choices=page.PARTS, help="measure only this part of the page")
     given = parser.parse_args()
     folder = pathlib.Path(given.out or ("out" if given.quick else "docs"))
     folder.mkdir(parents=True, exist_ok=True)

@@ -1,4 +1,4 @@
-"""What orbits cost: by Newton's method, one and many, and all of `find_orbit`."""
+"""Measure the cost of orbits: by Newton's method, single and batched, and of all of `find_orbit`."""
 
 from functools import partial
 
@@ -14,13 +14,13 @@ from jaxvibro.orbits.orbit_from_impacts import padded_sequence
 
 MANY, REPEATS, ROUNDS = 10_000, 501, 7
 NOTES = (
-    "P111 at A = 2 of figure 4, from times of impact that are about 0.01 off; `find_orbit` from its own state, all "
-    "checks included. One orbit on the wall's clock, many in processor time.",
+    "P111 at A = 2 of figure 4, from impact times that are off by about 0.01. `find_orbit` starts from the state of "
+    "the orbit and includes all checks. One orbit is timed in wall-clock time, many orbits in processor time.",
 )
 
 
 def measure(size):
-    """The `Topic`."""
+    """Measure this part and return its `Topic`."""
     scene = ours.scene(2.0)
     orbit = jaxvibro.find_orbit(scene, jaxvibro.State(0.9, -1.1))
     guess = padded_sequence(scene, orbit.impacts.time + 0.01, orbit.impacts.speed, orbit.impacts.side, 0.0, 1)
@@ -34,25 +34,28 @@ def measure(size):
     many = [(n, *together(scene, guess, n, size.rounds(ROUNDS))) for n in counts]
     rows = [
         Row("one orbit by Newton's method", "microseconds", 200).of(newton),
-        Row("find_orbit, nothing to settle", "microseconds").of(whole),
-        Row(f"{MANY:,} orbits under vmap", "microseconds each", 5).of(many[-1][1]),
-        Row("one orbit", "seconds, tracing and compiling").of(seconds),
-        Row(f"{MANY:,} orbits", "seconds, tracing and compiling").of(many[-1][2]),
+        Row("find_orbit without a transient", "microseconds").of(whole),
+        Row(f"{MANY:,} orbits under vmap", "microseconds per orbit", 5).of(many[-1][1]),
+        Row("one orbit", "seconds for tracing and compilation").of(seconds),
+        Row(f"{MANY:,} orbits", "seconds for tracing and compilation").of(many[-1][2]),
     ]
     curve = [(1, spread(newton)), *((n, spread(each)) for n, each, _ in many)]
     panel = pictures.Panel(
-        "orbits at once",
+        "orbits solved together",
         "time per orbit (µs)",
-        {"ours, Newton's method on the impacts": curve},
-        {"find_orbit, one, with its checks": spread(whole)[0], f"asked of {MANY:,}: at most 5": 5.0},
+        {"jaxvibro, Newton's method on the impacts": curve},
+        {"find_orbit, one orbit with all checks": spread(whole)[0], f"target for {MANY:,}: at most 5": 5.0},
     )
     drawn = partial(pictures.curves, panels=[panel], title="P111 of figure 4, A = 2; one core")
-    picture = "Microseconds an orbit against how many are solved at once", drawn
+    picture = "Microseconds per orbit over the number of orbits solved together", drawn
     return Topic("orbits", rows, notes=NOTES, pictures={"orbits.png": picture})
 
 
 def together(scene, guess, count, rounds):
-    """Microseconds an orbit, one number a round, and seconds to compile: so many orbits at once from nearby guesses."""
+    """Measure `count` orbits in one batch from nearby guesses.
+
+    Returns microseconds per orbit, one number per round, and the seconds to compile.
+    """
     off = 0.01 * np.random.default_rng(0).normal(size=(count, 2))
     guesses = jax.tree.map(lambda each: np.broadcast_to(each, (count, *np.shape(each))).copy(), guess)
     guesses = guesses._replace(times=guesses.times + off)

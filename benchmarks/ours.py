@@ -1,4 +1,4 @@
-"""Our own strobe on the same work: a batch given to it, and a user's own vmap of it."""
+"""Map the states with this package: as a batch, and with a user's own vmap."""
 
 import jax
 import jax.numpy as jnp
@@ -9,20 +9,20 @@ from benchmarks.work import CAP, CUBIC, GAMMA, OMEGA, RESTITUTION
 
 
 def scene(amplitude, stiffness=None, damping=None):
-    """The scene at an amplitude, or at an array of them; both walls of that stiffness and damping, or rigid."""
+    """Make the scene at an amplitude, or at an array of them; both walls with the stiffness and damping, or rigid."""
     walls = (jaxvibro.Wall(place, stiffness=stiffness, damping=damping) for place in (-1.0, 1.0))
     return jaxvibro.make_scene(amplitude, OMEGA, GAMMA, RESTITUTION, tuple(walls))
 
 
 def prepare_batch(states, stiffness=None, damping=None, slots=CAP):
-    """A call without arguments that maps (n, 3) states x, x', A given to strobe in a batch; slots: to record."""
+    """Make a call that maps (n, 3) states x, x', A as a batch; `slots` is the number of recorded impacts."""
     x, v, amplitude = jnp.asarray(states.T)
     many, start = scene(amplitude, stiffness, damping), jaxvibro.State(x, v)
     return lambda: jax.block_until_ready(jaxvibro.strobe(many, start, slots=slots))
 
 
 def prepare_duffing(states, tolerance, solver=None, slots=CAP):
-    """The same of Duffing's oscillator, whose force is one of the user's own, at a tolerance; solver: of diffrax's."""
+    """Make such a call for Duffing's oscillator, a user-defined force, at a tolerance and with a solver of diffrax."""
     x, v, amplitude = jnp.asarray(states.T)
     force = jaxvibro.Force("duffing", {"cubic": CUBIC, "damping": GAMMA}, tolerance, solver)
     many = jaxvibro.make_scene(amplitude, OMEGA, restitution=RESTITUTION, walls=(-1.0, 1.0), force=force)
@@ -30,8 +30,7 @@ def prepare_duffing(states, tolerance, solver=None, slots=CAP):
 
 
 def prepare_vmap(states):
-    """A call without arguments that maps the same states by the user's own jit of a vmap of a single strobe,
-    nothing recorded."""
+    """Make a call that maps the states by the user's own jit of a vmap of a single map, without record."""
     x, v, amplitude = jnp.asarray(states.T)
     base = scene(1.0)
 
@@ -43,7 +42,7 @@ def prepare_vmap(states):
 
 
 def read(answer):
-    """What strobe returned: ends, and sides where it recorded as many impacts as the rivals may have, else None."""
+    """Return the ends of a result, and the sides if it records as many impacts as the rivals, else None."""
     state, impacts = answer
     ends = np.stack([np.asarray(state.x), np.asarray(state.v)], axis=1)
     full = impacts.side.shape[1] >= CAP

@@ -1,4 +1,4 @@
-"""Pictures of rows as bars with what is asked beside them, and of curves."""
+"""Draw rows as bars beside their requirements, and curves."""
 
 from typing import Any, NamedTuple
 
@@ -7,13 +7,13 @@ from matplotlib import pyplot as plt
 
 from benchmarks.chart import STYLES, write
 
-# Okabe and Ito's colours, told apart by colour-blind readers; markers and hatches tell them apart in grey
+# Okabe and Ito's colours are distinct to colour-blind readers; markers and hatches distinguish them in grey.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00")
 MARKERS, HATCHES = "osD^v", ("", "//", "..")
 
 
 class Panel(NamedTuple):
-    """Curves {name: [(x, median and quartiles)]}; levels: {name: a value drawn across}; scale: of both axes."""
+    """Curves {name: [(x, median and quartiles)]}, horizontal lines `levels` {name: value}, `scale` of both axes."""
 
     across: str
     up: str
@@ -23,7 +23,7 @@ class Panel(NamedTuple):
 
 
 def bars(path, groups, unit, title):
-    """Bars of rows, groups {name: rows} side by side, whiskers to the quartiles; a mark where what is asked ends."""
+    """Draw groups {name: rows} of bars side by side, with whiskers at the quartiles and a mark at the requirement."""
     names = list(dict.fromkeys(row.what for rows in groups.values() for row in rows if row.found))
     figure, axes = plt.subplots(figsize=(9.0, 1.5 + 0.22 * len(names) * (len(groups) + 0.6)), layout="constrained")
     high, ends = 0.8 / len(groups), []
@@ -39,9 +39,9 @@ def bars(path, groups, unit, title):
         axes.barh([0], [0], 0, color=COLOURS[k], hatch=HATCHES[k], label=group)
     longest = max(max(top, asked) for top, asked, _, _ in ends)
     for top, asked, y, words in ends:
-        beside = asked if -0.01 < (asked - top) / longest < 0.08 else top  # so that the mark crosses no words
+        beside = asked if -0.01 < (asked - top) / longest < 0.08 else top  # keeps the mark clear of the text
         axes.text(beside + 0.012 * longest, y, words, va="center", fontsize=8)
-    axes.plot([], [], color="k", linewidth=2.5, label="asked: at most")
+    axes.plot([], [], color="k", linewidth=2.5, label="target: at most")
     axes.plot([], [], color="k", linewidth=1.2, label="lower to upper quartile")
     axes.set(yticks=range(len(names)), yticklabels=names, xlabel=unit, xlim=(0, 1.12 * longest))
     axes.set_title(title, fontsize=10)
@@ -53,12 +53,12 @@ def bars(path, groups, unit, title):
 
 
 def curves(path, panels, title):
-    """Panels of curves side by side, whiskers to the quartiles."""
+    """Draw panels of curves side by side, with whiskers at the quartiles."""
     wide = max(7.0, 4.6 * len(panels))
     figure, places = plt.subplots(1, len(panels), figsize=(wide, 4.4), layout="constrained", squeeze=False)
     for axes, panel in zip(places[0], panels, strict=True):
         for (name, points), colour, marker in zip(panel.curves.items(), COLOURS, MARKERS, strict=False):
-            colour, marker = STYLES.get(name, (colour, marker))  # the yardstick looks alike in all pictures
+            colour, marker = STYLES.get(name, (colour, marker))  # the hand-written kernel has one style in all pictures
             x = [each for each, _ in points]
             median, low, high = np.array([found for _, found in points]).T
             whiskers = np.maximum(0.0, [median - low, high - median])

@@ -1,4 +1,4 @@
-"""What is measured, as rows: each is described once, in the file that measures it."""
+"""Define the rows of measured numbers; the file that measures a row describes it."""
 
 from typing import Any, NamedTuple
 
@@ -8,9 +8,12 @@ Spread = tuple[float, float, float]  # median, lower and upper quartile
 
 
 class Row(NamedTuple):
-    """One measured number. what: in words; unit: what the number is, as "over the yardstick"; asked: the bound that it
-    is to keep, None where it is printed alone; least: whether it is to be that at least; found: median and quartiles,
-    None where it could not be measured; remark: said beside the number."""
+    """One measured number.
+
+    `what` describes it; `unit` is its unit, as "over the yardstick"; `asked` is the required bound, None without
+    requirement; `least` makes it a lower bound; `found` contains median and quartiles, None if it could not be
+    measured; `remark` is printed beside the number.
+    """
 
     what: str
     unit: str
@@ -20,30 +23,33 @@ class Row(NamedTuple):
     remark: str = ""
 
     def of(self, values, remark=""):
-        """The row with what was found in each round, or in one."""
+        """Return the row with the values of the rounds, or of one."""
         return self._replace(found=spread(values), remark=remark)
 
     @property
     def kept(self):
-        """Whether what is asked is kept; None where nothing is asked or measured."""
+        """Return True if the requirement is met; None without requirement or measurement."""
         if self.asked is None or self.found is None:
             return None
         return self.found[0] >= self.asked if self.least else self.found[0] <= self.asked
 
 
 class Topic(NamedTuple):
-    """A part of the page. part: its name; rows; tables: in Markdown; notes: lines; pictures: {file: (what it shows,
-    function of a path that draws it)}."""
+    """Part of the page.
+
+    `part` is its name, `tables` are Markdown, `notes` are lines, `pictures` are {file: (description, function of a path
+    that draws it)}.
+    """
 
     part: str
     rows: list[Row]
     tables: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
-    pictures: dict[str, tuple[str, Any]] = {}  # noqa: RUF012  # never changed
+    pictures: dict[str, tuple[str, Any]] = {}  # noqa: RUF012  # not modified
 
 
 class Size(NamedTuple):
-    """How much is measured: all, or where quick the whole in small, to see that it runs."""
+    """Amount of work: all, or a small version (`quick`) that checks that everything runs."""
 
     quick: bool
 
@@ -51,7 +57,7 @@ class Size(NamedTuple):
         return max(4, usual // 16) if self.quick else usual
 
     def few(self, usual):
-        """All of a list, or its first and last."""
+        """Return all of a list, or its first and last entry."""
         return [usual[0], usual[-1]] if self.quick else list(usual)
 
     def rounds(self, usual):
@@ -59,5 +65,5 @@ class Size(NamedTuple):
 
 
 def spread(values):
-    """Median and quartiles."""
+    """Compute median and quartiles."""
     return tuple(float(q) for q in np.quantile(np.atleast_1d(values), [0.5, 0.25, 0.75]))

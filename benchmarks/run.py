@@ -1,4 +1,4 @@
-"""`python -m benchmarks.run [--limit DIR] [--quick] [--part NAME]`: takes one core, then measures there.
+"""Reserve one core and measure on it: `python -m benchmarks.run [--limit DIR] [--quick] [--part NAME]`.
 
 The core and the number of threads must be set before jax and numpy are loaded, so this file loads neither.
 """

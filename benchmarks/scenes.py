@@ -1,7 +1,6 @@
-"""What a scene needs: nanoseconds a map, and seconds to compile, by its walls and its force, each kind in a process of
-its own.
+"""Measure nanoseconds per map and seconds to compile by walls and force, each kind of scene in its own process.
 
-`python -m benchmarks.scenes WALLS MOVING SOFT FORCE STATES ROUNDS` measures one and prints JSON.
+`python -m benchmarks.scenes WALLS MOVING SOFT FORCE STATES ROUNDS` measures one kind and prints JSON.
 """
 
 import json
@@ -17,7 +16,11 @@ from benchmarks.work import GAMMA, OMEGA, RESTITUTION, draw, held
 
 STATES, ROUNDS = 32_768, 9
 STIFFNESS = 1e4  # of soft walls, with the damping that leaves as much of a speed as the rigid ones do
-ASKED = {"nothing recorded": (0, False), "4 impacts": (4, False), "4 impacts and least clearance": (4, True)}
+ASKED = {
+    "no impacts recorded": (0, False),
+    "4 impacts recorded": (4, False),
+    "4 impacts and minimum clearance": (4, True),
+}
 FORCES = [  # in place of spring and damper, and the tolerance; None: these
     (None, None),
     *(("duffing", tolerance) for tolerance in (1e-13, 1e-9, 1e-6)),
@@ -34,23 +37,23 @@ KINDS = [
     *((walls, moving, soft, 0) for soft in (0, 1) for walls in (1, 2) for moving in (0, 1)),
     *((2, 0, 0, force) for force in range(1, len(FORCES))),
 ]
-WALLS = ("no wall", "one wall", "two walls")
-HEAD = ("scene", *(f"ns per map: {name}" for name in ASKED), "compiling, s: nothing recorded")
+WALLS = ("no walls", "one wall", "two walls")
+HEAD = ("scene", *(f"ns per map: {name}" for name in ASKED), "compile time (s), no impacts recorded")
 NOTES = (
-    f"{STATES:,} random states of figure 4's kind, those of walls that move drawn from 0.8 of the gap; one core, "
-    "medians and quartiles, warm. Walls that move swing by 0.1, once a period. Soft walls: k2 = 1e4, R = 0.7 "
-    "of a contact. A force of one's own is flown to the tolerance that is told.",
-    "Compiling: processor seconds of the first strobe of a fresh process, less those of a warm one; no compile cache.",
+    f"{STATES:,} random states like those of figure 4, between moving walls from 0.8 of the gap; one core, medians and "
+    "quartiles, warm. Moving walls have the amplitude 0.1 and the period of the drive. Soft walls have k2 = 1e4 and "
+    "the effective restitution 0.7.",
+    "Compile time: processor time of the first strobe of a fresh process, minus that of a warm one; no compile cache.",
 )
 
 
 def measure(size):
-    """The `Topic`."""
+    """Measure this part and return its `Topic`."""
     lines = []
     for walls, moving, soft, force in size.few(KINDS):
-        words = WALLS[walls] + (f", {'soft' if soft else 'rigid'}, {'moving' if moving else 'still'}" if walls else "")
+        words = WALLS[walls] + (f", {'soft' if soft else 'rigid'}, {'moving' if moving else 'fixed'}" if walls else "")
         name, tolerance = FORCES[force]
-        words += f", {name} to {tolerance:g}" if force else ""
+        words += f", {name}, tolerance {tolerance:g}" if force else ""
         given = map(str, (walls, moving, soft, force, size.states(STATES), size.rounds(ROUNDS)))
         seconds, *costs = json.loads(fresh.ask("benchmarks.scenes", *given))
         print(f"  {words}: {seconds:.2f} s, {', '.join(map(page.spread, costs))} ns")
@@ -59,7 +62,7 @@ def measure(size):
 
 
 def given(walls, moving, soft, force, states):
-    """The scene of a kind, and states."""
+    """Return the scene of a kind, and states."""
     swing = jaxvibro.Motion(0.1, 0.3, 1) if moving else None
     hard = {"stiffness": STIFFNESS, "damping": held(STIFFNESS)} if soft else {}
     left, right = (jaxvibro.Wall(place, motion=swing, **hard) for place in (-1.0, 1.0))
@@ -73,7 +76,7 @@ def given(walls, moving, soft, force, states):
 
 
 def main(walls, moving, soft, force, states, rounds):
-    """Measure a kind: seconds of compiling, then for all that may be asked for the nanoseconds."""
+    """Measure a kind: seconds to compile, then nanoseconds for all settings."""
     jax.config.update("jax_enable_x64", True)
     scene, state = given(walls, moving, soft, force, states)
     found = []

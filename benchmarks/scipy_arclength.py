@@ -1,4 +1,4 @@
-"""A branch of periodic orbits as a SciPy user follows it: DOP853, finite differences, pseudo-arclength in A."""
+"""Follow a branch of periodic orbits with SciPy: DOP853, finite differences, pseudo-arclength in A."""
 
 import math
 from collections.abc import Callable
@@ -11,18 +11,19 @@ from benchmarks.scipy_ivp import passes
 from benchmarks.work import CAP
 
 TOLERANCE = 1e-9  # rtol and atol of the integrator
-NEAR = 1e-8  # the last step of a corrector
-# The error of a central difference is least, about 1e-8, from 1e-6 to 1e-4. The longest of these does best where the
-# integrator refuses a step on one side only, and so its error jumps.
+NEAR = 1e-8  # tolerance of the corrector's last step
+# The error of a central difference is smallest, about 1e-8, for steps from 1e-6 to 1e-4. The longest of these is best
+# where the integrator rejects a step on one side only, so that its error jumps.
 PROBE = 1e-4
-TRIES, FEW = 8, 4  # maps that a corrector is given; with so few the step grows
-GROWTH, LONGEST, SHORTEST = 1.3, 4.0, 1e-4  # of the step; the limits are those of its first length
-SETTLED, MOST = 1e-3, 1000  # a return as near as this is left to the corrector; drive periods until then
+TRIES, FEW = 8, 4  # largest number of maps of the corrector; number up to which the step grows
+GROWTH, LONGEST, SHORTEST = 1.3, 4.0, 1e-4  # growth of the step; its limits relative to the first step
+# Distance of returns from which the corrector starts; largest number of drive periods before.
+SETTLED, MOST = 1e-3, 1000
 FREE = np.array([0.0, 0.0, 1.0])  # the direction of A
 
 
 class Point(NamedTuple):
-    """x, v, A on the branch; the (2, 3) derivatives of the map there; the branch's direction, of length 1."""
+    """Point (x, v, A) of the branch, the (2, 3) derivatives of the map, and the unit tangent of the branch."""
 
     place: np.ndarray
     slopes: np.ndarray
@@ -30,12 +31,13 @@ class Point(NamedTuple):
 
 
 def branch(points, amplitude=2.0, omega=2.1, gamma=0.05, restitution=0.7, step=0.05):
-    """Follow the orbit that (0.9, -1.1) settles on, P111 as given, to greater amplitudes, walls at -1 and 1.
+    """Follow the orbit that (0.9, -1.1) approaches, by default P111, to larger amplitudes, with walls at -1 and 1.
 
     Pseudo-arclength continuation (Keller 1977) of the fixed points of the map over one drive period.
-    points: how many, the first one included. step: arclength in (x, v, A) to the second point; it adapts from there.
-    Returns values (points,), the amplitudes; states (points, 2), x and v at phase 0; multipliers (points, 2), complex.
-    Raises RuntimeError where nothing settles or the step becomes too short: a grazing, an impact at phase 0.
+    points: number of points, including the first. step: arclength in (x, v, A) to the second point; it adapts from
+    there. Returns values (points,), the amplitudes; states (points, 2), x and v at phase 0; multipliers (points, 2),
+    complex. Raises RuntimeError if no orbit is approached or the step becomes too short: a grazing, an impact at phase
+    0.
     """
     strobe = stroboscopic(omega, gamma, restitution)
     found, length = [start(strobe, amplitude)], step
@@ -54,9 +56,9 @@ def branch(points, amplitude=2.0, omega=2.1, gamma=0.05, restitution=0.7, step=0
 
 
 def stroboscopic(omega, gamma, restitution, sides=(-1, 1), periods=1) -> Callable[[np.ndarray], np.ndarray]:
-    """The map of x, v, A to x and v some drive periods after phase 0, nan from beyond a wall or after CAP impacts.
+    """Make the map of x, v, A to x and v some drive periods after phase 0, nan beyond a wall or after CAP impacts.
 
-    sides: of the walls, at -1 and 1.
+    `sides` are those of the walls, at -1 and 1.
     """
     length, walls = 2 * math.pi * periods / omega, [passes(side, 1.0) for side in sides]
 
@@ -80,14 +82,14 @@ def stroboscopic(omega, gamma, restitution, sides=(-1, 1), periods=1) -> Callabl
 
 
 def start(strobe, amplitude):
-    """The Point that the state (0.9, -1.1) settles on."""
+    """Return the Point that the state (0.9, -1.1) approaches."""
     state = np.array([0.9, -1.1])
     for _ in range(MOST):
         last, state = state, strobe((*state, amplitude))
         if abs(state - last).max() < SETTLED:
             break
     settled = np.array([*state, amplitude])
-    # Along A the corrector's plane is that of the amplitude asked for, and no way is gone.
+    # In the direction of A the corrector's plane is that of the requested amplitude; the step length is 0.
     place, _ = correct(strobe, Point(settled, differences(strobe, settled), FREE), 0.0)
     if place is None:
         raise RuntimeError(f"no orbit of one period is settled on at A = {amplitude:g}")
@@ -95,10 +97,11 @@ def start(strobe, amplitude):
 
 
 def correct(strobe, base, length):
-    """The orbit in the plane across the tangent, a length from a Point: its place, None if not found; and the maps.
+    """Compute the orbit in the plane perpendicular to the tangent at a length from a Point.
 
-    Newton's method from the Jacobian at the base, brought up to date by Broyden's formula: with differences anew at
-    every iterate the whole branch takes nearly twice as many maps.
+    Returns its x, v, A, or None on failure, and the number of maps. Newton's method starts with the Jacobian at the
+    base and updates it by Broyden's formula: with new differences at every iterate the branch takes nearly twice as
+    many maps.
     """
     guess = base.place + length * base.tangent
     matrix, place = np.vstack([base.slopes - np.eye(2, 3), base.tangent]), guess
@@ -117,7 +120,7 @@ def correct(strobe, base, length):
 
 
 def survey(strobe, place, before):
-    """The Point at a place, its tangent within a right angle of the one before."""
+    """Return the Point at a solution, with a tangent within a right angle of the previous one."""
     slopes = differences(strobe, place)
     tangent = np.cross(*(slopes - np.eye(2, 3)))
     tangent *= math.copysign(1.0, tangent @ before) / np.linalg.norm(tangent)
@@ -125,12 +128,12 @@ def survey(strobe, place, before):
 
 
 def differences(strobe, place):
-    """The (2, 3) derivatives of the map by central differences."""
+    """Compute the (2, 3) derivatives of the map by central differences."""
     probes = PROBE * np.eye(3)
     return np.column_stack([strobe(place + probe) - strobe(place - probe) for probe in probes]) / (2 * PROBE)
 
 
 def eigenvalues(slopes):
-    """Floquet's multipliers, complex, the larger first."""
+    """Compute the Floquet multipliers, complex, in descending order."""
     values = np.linalg.eigvals(slopes[:, :2]).astype(complex)
     return values[np.argsort(-abs(values), kind="stable")]

@@ -1,4 +1,4 @@
-"""SciPy's solve_ivp, one state at a time: a terminal event ends each flight and each contact, or there are none."""
+"""Map states with SciPy's solve_ivp, one at a time, with a terminal event per flight and contact, or without events."""
 
 import math
 
@@ -9,12 +9,12 @@ from benchmarks.work import CAP, GAMMA, OMEGA, PERIOD, RESTITUTION, Strobes, bla
 
 
 def flight(t, y, amplitude):
-    """Right-hand side between the walls, equation 3."""
+    """Compute the right-hand side between the walls, equation 3."""
     return y[1], amplitude * math.cos(OMEGA * t) - y[0] - 2 * GAMMA * y[1]
 
 
 def duffing(cubic):
-    """The same with a cubic term."""
+    """Make the right-hand side with a cubic term."""
 
     def field(t, y, amplitude):
         x, v = y
@@ -24,7 +24,7 @@ def duffing(cubic):
 
 
 def passes(side, direction):
-    """The event that rises, or falls (direction -1), through 0 where the mass comes to the wall on a side."""
+    """Make the event function that rises, or falls (direction -1), through 0 at the wall on a side."""
 
     def event(t, y, amplitude):
         return side * y[0] - 1.0
@@ -37,7 +37,7 @@ WALLS = passes(-1, 1.0), passes(1, 1.0)
 
 
 def contact(side, stiffness):
-    """Right-hand side beyond the soft wall on a side."""
+    """Make the right-hand side beyond the soft wall on a side."""
     damping = held(stiffness)
 
     def field(t, y, amplitude):
@@ -47,7 +47,7 @@ def contact(side, stiffness):
 
 
 def pieces(stiffness, cubic):
-    """{the side of the wall that the mass is within, 0 for none: right-hand side, events}."""
+    """Return {side of the wall in contact, 0 for none: right-hand side, events}."""
     found = {0: (flight if cubic is None else duffing(cubic), WALLS)}
     if stiffness is not None:
         found |= {side: (contact(side, stiffness), (passes(side, -1.0),)) for side in (-1, 1)}
@@ -55,9 +55,9 @@ def pieces(stiffness, cubic):
 
 
 def strobe(states, tolerance, stiffness=None, method="DOP853", cubic=None):
-    """Map (n, 3) states x, x', A through one period with rtol = atol = tolerance; returns Strobes.
+    """Map (n, 3) states x, x', A over one period with rtol = atol = tolerance; returns Strobes.
 
-    An end is nan where the integrator gives up or meets a wall for the CAP-th time.
+    An end is nan if the integrator fails or at the CAP-th impact.
     """
     result, known = blank(states), pieces(stiffness, cubic)
     for (x, v, amplitude), end, sides, times in zip(states, *result, strict=True):
@@ -84,9 +84,9 @@ def strobe(states, tolerance, stiffness=None, method="DOP853", cubic=None):
 
 
 def plain(states, tolerance, stiffness, method):
-    """The same between soft walls with no event: one right-hand side, its kinks left to the control of the step.
+    """Map the states between soft walls without events: the step-size control handles the kinks.
 
-    It tells no itinerary: sides and times are None.
+    There is no itinerary: sides and times are None.
     """
     damping, ends = held(stiffness), np.full((len(states), 2), np.nan)
 

@@ -1,4 +1,4 @@
-"""Who takes part between rigid walls and between soft ones, at which settings and on how many states."""
+"""Define the methods between rigid and soft walls, their settings and numbers of states."""
 
 import functools
 from collections.abc import Callable
@@ -10,17 +10,17 @@ from benchmarks.work import CAP, CUBIC, held
 
 FINE, COARSE = (1e-6, 1e-9, 1e-12, 1e-15), (1e-4, 1e-6, 1e-8, 1e-10)
 OURS = "jaxvibro"
-VMAP = "jaxvibro, user's vmap"
-BY_SOLVER = "jaxvibro by Dopri8"
-YARDSTICK = "yardstick"
-PLAIN = "SciPy LSODA, no events"
+VMAP = "jaxvibro, jit(vmap)"
+BY_SOLVER = "jaxvibro with Dopri8"
+YARDSTICK = "hand-written kernel"
+PLAIN = "SciPy LSODA without events"
 STATES = 98_304
-SLOTS = (0, 4, CAP)  # recorded by ours; the first stands beside the rivals
-BESIDE = 32_768  # ours, beside the rivals between soft walls
+SLOTS = (0, 4, CAP)  # numbers of impacts that this package records; the first is compared with the rivals
+BESIDE = 32_768  # number of states of this package beside the rivals between soft walls
 
 
 class Rival(NamedTuple):
-    """A method: its strobe, how many states it is given, its settings and how one reads."""
+    """Method: its map, number of states, settings and how to print one."""
 
     strobe: Callable
     states: int
@@ -28,7 +28,7 @@ class Rival(NamedTuple):
     words: str = "tol {:g}"
 
 
-# On one core more lanes at once are no faster.
+# On one core larger batches are not faster.
 diffrax_in_blocks = functools.partial(diffrax_event.strobe, block=32)
 RIGID = {
     "heyoka, batch": Rival(heyoka_batch.strobe, 4096, FINE),
@@ -56,19 +56,22 @@ DUFFING = {
     "diffrax Dopri8": Rival(functools.partial(diffrax_in_blocks, solver="Dopri8"), 256, (1e-6, 1e-9, 1e-11)),
     "SciPy DOP853": Rival(scipy_ivp.strobe, 64, (1e-6, 1e-9, 1e-12)),
 }
-TOLERANCES = (1e-13, 1e-6, 1e-8, 1e-10, 1e-12, 1e-14)  # of ours under a force of one's own, the default first
-MANY = 10_000  # states of ours there
-BY_DOPRI8, FEW = (1e-6, 1e-9, 1e-12), 512  # tolerances and states of ours by a solver
+# Tolerances of this package under a user-defined force, the default first.
+TOLERANCES = (1e-13, 1e-6, 1e-8, 1e-10, 1e-12, 1e-14)
+MANY = 10_000  # number of states of this package under this force
+BY_DOPRI8, FEW = (1e-6, 1e-9, 1e-12), 512  # tolerances and number of states of this package with another solver
 
 
 def read(answer):
-    """Ends and sides of Strobes."""
+    """Return the ends and sides of Strobes."""
     return answer.ends, answer.sides
 
 
 def rivals(table, size, **more):
-    """The Sides of a table's rivals, each at its settings. size: a `Size`; more: the stiffness of soft walls, the cubic
-    of a spring."""
+    """Make the Sides of a table's rivals, one per setting.
+
+    `size` is a `Size`; further arguments are the stiffness of soft walls and the cubic term of a spring.
+    """
 
     def side(method, rival, setting):
         def prepare(rows):
@@ -80,17 +83,17 @@ def rivals(table, size, **more):
 
 
 def own(method, setting, prepare, states):
-    """A Side for a way to call our own strobe."""
+    """Make a Side for a way to call this package's map."""
     return Side(method, setting, states, prepare, ours.read)
 
 
 def recording(slots):
     """The setting with so many impacts recorded, in words."""
-    return f"{slots} impacts recorded" if slots else "nothing recorded"
+    return f"{slots} impacts recorded" if slots else "no impacts recorded"
 
 
 def rigid(yardstick, size):
-    """Ours with nothing recorded, and the others (a list), the yardstick's strobe among them unless it is None."""
+    """Return this package without record, and the others (a list) with the hand-written kernel unless it is None."""
     states = size.states(STATES)
     us, *more = (own(OURS, recording(s), functools.partial(ours.prepare_batch, slots=s), states) for s in SLOTS)
     others = [*more, own(VMAP, recording(0), ours.prepare_vmap, states)]
@@ -104,13 +107,13 @@ def rigid(yardstick, size):
 
 
 def soft(stiffness, size):
-    """Ours and the others (a list) at a stiffness."""
+    """Return this package and the others (a list) at a stiffness."""
     prepare = functools.partial(ours.prepare_batch, stiffness=stiffness, damping=held(stiffness))
     return own(OURS, "", prepare, size.states(BESIDE)), rivals(SOFT, size, stiffness=stiffness)
 
 
 def duffing(size):
-    """Ours at its default tolerance, and the others (a list), of Duffing's oscillator; nothing recorded by ours."""
+    """Return this package at its default tolerance, and the others, for Duffing's oscillator without record."""
     us, *more = (
         own(OURS, f"tol {each:g}", functools.partial(ours.prepare_duffing, tolerance=each, slots=0), size.states(MANY))
         for each in TOLERANCES

@@ -1,4 +1,4 @@
-"""Measures our strobe and the others between soft walls."""
+"""Measure this package and the others between soft walls."""
 
 from functools import partial
 
@@ -11,16 +11,16 @@ from benchmarks.work import CAP, GAMMA, OMEGA, RESTITUTION, SHARE, STIFFNESSES, 
 
 JUDGED = 1024
 ROUNDS = 3
-FAR = 1e-2  # An end this far off, where no itinerary is told, is a contact missed and not the error of a step.
+FAR = 1e-2  # without an itinerary, an error of the end beyond this is a missed contact, not the error of a step
 STIFF, LEVELS = STIFFNESSES[-1], (1e-6, 1e-11)
 TITLE = (
-    f"Strobe between soft walls at -1 and 1: omega {OMEGA}, gamma {GAMMA}, gamma2 such that a contact leaves "
-    f"R = {RESTITUTION}, A in [0, 6]"
+    f"Strobe between soft walls at -1 and 1: omega {OMEGA}, gamma {GAMMA}, gamma2 for an effective restitution "
+    f"of {RESTITUTION}, A in [0, 6]"
 )
 
 
 def compare(states, rounds, size):
-    """{stiffness: rows (side, timing, verdict)}, ours first."""
+    """Return {stiffness: rows (side, timing, verdict)}, this package first."""
     panels = {}
     for stiffness in STIFFNESSES:
         print(f"stiffness {stiffness:g}")
@@ -32,40 +32,40 @@ def compare(states, rounds, size):
 
 
 def fastest(rows, level, but=()):
-    """The fastest rival with every itinerary right and 99 % of ends within a level; None where there is none."""
+    """Return the fastest rival with every itinerary right and 99 % of ends within a level; None if there is none."""
     fair = [row for row in rows if row[0].method not in (OURS, *but) and not row[2].wrong and row[2].high <= level]
     return min(fair, key=lambda row: row[1].ratio[0], default=None)
 
 
 def rows(panels, ratios):
-    """What is asked."""
+    """Return the required rows."""
     most, (stiffness, damping) = soft_rigid.worst(ratios)
     where = f"at k2 = {words(stiffness)}, gamma2 = {damping:.3g}"
-    found = [Row("soft strobe, same batch, the slowest", "over rigid strobe", 2.5).of(most, where)]
+    found = [Row("slowest soft strobe, same batch", "relative to the rigid strobe", 2.5).of(most, where)]
     heyoka = [method for method in sides.SOFT if method.startswith("heyoka")]
     for level in LEVELS:
-        for but, beside, bound in (([], "", 100), (heyoka, " but heyoka", None)):
+        for but, beside, bound in (([], "", 100), (heyoka, " except heyoka", None)):
             rival = fastest(panels[STIFF], level, but)
-            what = f"k2 = {words(STIFF)}: fastest rival{beside} with 99 % of errors below {level:g}"
-            row = Row(what, "over ours", bound, least=True)
+            what = f"k2 = {words(STIFF)}: fastest other method{beside} with 99 % of errors below {level:g}"
+            row = Row(what, "relative to jaxvibro", bound, least=True)
             if rival:
                 row = row.of(rival[1].own / rival[1].ours, f"{rival[0].method} {rival[0].setting}")
-            found.append(row if rival else row._replace(remark="no rival is as exact"))
+            found.append(row if rival else row._replace(remark="no other method is as accurate"))
     for stiffness, judged in panels.items():
         (_, timing, verdict), *others = judged
         least = min(others, key=lambda row: row[2].median)
-        what = f"k2 = {words(stiffness)}: our median error"
-        said = f"the least of a rival {least[2].median:.1e}, {least[0].method}"
+        what = f"k2 = {words(stiffness)}: median error of jaxvibro"
+        said = f"smallest of other methods {least[2].median:.1e}, {least[0].method}"
         found.append(Row(what, "dimensionless").of(verdict.median, said))
-        found.append(Row(f"k2 = {words(stiffness)}: ours", "ns per map").of(timing.own))
+        found.append(Row(f"k2 = {words(stiffness)}: jaxvibro", "ns per map").of(timing.own))
     return found
 
 
 def table(panels):
-    """One line a method and setting: for each stiffness the time over ours, the error, and what went wrong."""
+    """Format one line per method and setting: relative time, error and wrong itineraries for each stiffness."""
     head = ["method", "setting", "states"]
     for name in map(words, panels):
-        head += [f"k2 = {name}: over ours", "error: median, 99 %", "wrong, no end"]
+        head += [f"k2 = {name}: relative to jaxvibro", "error: median, 99 %", "wrong, unfinished"]
     lines = []
     for one in zip(*panels.values(), strict=True):
         side = one[0][0]
@@ -74,7 +74,7 @@ def table(panels):
 
 
 def cells(row):
-    """The three cells of a row."""
+    """Format the three cells of a row."""
     _, timing, verdict = row
     lost = np.isnan(timing.ends[:JUDGED]).any(axis=1).sum()
     wrong = f"**{verdict.wrong}**, {lost}" if verdict.wrong or lost else "0"
@@ -82,23 +82,25 @@ def cells(row):
 
 
 def notes(rounds, panels):
-    """What a reader must know to read the table."""
+    """Return the notes to the table."""
     judged = ", ".join(f"{rows[0][2].judged:,}" for rows in panels.values())
     return (
-        f"gamma2 = z sqrt(1 + k2), z = {SHARE:.4f}: a contact leaves R = {RESTITUTION} of the speed. Every rival timed "
-        f"in turn with ours, {rounds} rounds on one core; medians and quartiles of the processor time; compiling is "
-        f"left out. Ours maps {sides.BESIDE:,} states beside them, and {soft_rigid.STATES:,} beside the rigid "
-        "strobe; all are given the first states of the same draw.",
-        f"Errors, of x and x' as they are, against ball arithmetic on the first {JUDGED:,} states or as many as the "
-        f"rival is given; judged are {judged} of them, the others have an entry slower than 1e-2.",
-        "Wrong: another itinerary (sides of the entries in order), or no end as the integrator gave up or had "
-        f"{CAP} entries; the second number counts those without an end, judged or not. {sides.PLAIN} tells "
-        f"no itinerary: an end off by more than {FAR:g} is wrong. What is wrong is left out of the errors.",
+        f"gamma2 = z sqrt(1 + k2) with z = {SHARE:.4f}, for an effective restitution of {RESTITUTION}. Every other "
+        f"method is timed in turn with jaxvibro, {rounds} rounds on one core; medians and quartiles of the processor "
+        f"time, without compilation. jaxvibro maps {sides.BESIDE:,} states in this comparison, and "
+        f"{soft_rigid.STATES:,} in that with the rigid strobe. All methods receive the first states of the same "
+        "sample.",
+        f"Errors of x and x', not scaled, are measured against ball arithmetic on the first {JUDGED:,} states, or as "
+        f"many as a method receives. Evaluated are {judged} of them; the others have an entry slower than 1e-2.",
+        "Wrong: a different itinerary (sides of the entries in order), or no end state because the integrator gave "
+        f"up or had {CAP} entries. The second number counts those without an end state, evaluated or not. "
+        f"{sides.PLAIN} reports no itinerary; there an end state off by more than {FAR:g} is wrong. Wrong results "
+        "are excluded from the errors.",
     )
 
 
 def measure(size):
-    """The `Topic`."""
+    """Measure this part and return its `Topic`."""
     rounds, states = size.rounds(ROUNDS), draw(size.states(soft_rigid.STATES))
     ratios = soft_rigid.compare(states, rounds)
     panels = compare(states, rounds, size)

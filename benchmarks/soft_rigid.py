@@ -1,4 +1,4 @@
-"""What softness costs: our strobe between soft walls over that between rigid ones, same batch, in turn."""
+"""Measure the cost of soft walls: this package's map between soft walls over that between rigid ones, in turn."""
 
 import numpy as np
 
@@ -10,11 +10,11 @@ from benchmarks.work import held, words
 STATES = 98_304
 STIFFNESSES = (1.0, 10.0, 1e2, 1e4, 1e6, 1e8, 1e10)
 DAMPING = 0.1  # gamma2 where R is not held
-HEAD = ("k2", "gamma2 at R = 0.7 held", "soft over rigid", "gamma2", "soft over rigid")
+HEAD = ("k2", "gamma2 for R = 0.7", "soft relative to rigid", "gamma2", "soft relative to rigid")
 
 
 def compare(states, rounds):
-    """{(k2, gamma2): soft over rigid in each round} of (n, 3) states x, x', A."""
+    """Return {(k2, gamma2): soft over rigid in each round} for (n, 3) states x, x', A."""
     rigid = ours.prepare_batch(states)
     given = [(stiffness, damping) for stiffness in STIFFNESSES for damping in (held(stiffness), DAMPING)]
     calls = {each: ours.prepare_batch(states, *each) for each in given}
@@ -31,7 +31,7 @@ def compare(states, rounds):
 
 
 def table(ratios):
-    """Those as Markdown, medians and quartiles."""
+    """Format the ratios as Markdown, medians and quartiles."""
     lines = []
     for stiffness in STIFFNESSES:
         damping = held(stiffness)
@@ -41,6 +41,6 @@ def table(ratios):
 
 
 def worst(ratios):
-    """The ratios whose median is the largest, and the stiffness and damping there."""
+    """Return the ratios with the largest median, and their stiffness and damping."""
     each = max(ratios, key=lambda one: np.median(ratios[one]))
     return ratios[each], each

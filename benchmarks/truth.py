@@ -1,5 +1,4 @@
-"""The true ends and itineraries, and how a side's answers compare with them: in ball arithmetic, under a force of one's
-own by Taylor series in many digits."""
+"""Compute true ends and itineraries in ball arithmetic or by high-precision Taylor series; judge results."""
 
 from typing import NamedTuple
 
@@ -11,12 +10,12 @@ from tests.reference import orbit, own_force, soft
 from tests.reference.scene import Scene, Soft, Wall
 from tests.reference.search import Discard
 
-# Without an itinerary to compare (the yardstick returns none) an end this far off counts as a wrong itinerary.
+# Without an itinerary (the hand-written kernel returns none) an error of the end beyond this is a wrong itinerary.
 FAR = 1e-6
 
 
 class Truth(NamedTuple):
-    """True ends (n, 2) and sides (n, CAP); judged (n,) is False for a lane that nobody is judged on."""
+    """True ends (n, 2) and sides (n, CAP); `judged` (n,) is False for lanes that are excluded."""
 
     ends: np.ndarray
     sides: np.ndarray
@@ -24,7 +23,7 @@ class Truth(NamedTuple):
 
 
 class Verdict(NamedTuple):
-    """Lanes judged and wrong; errors of x and x' at the end (largest of both) over lanes with the right itinerary."""
+    """Numbers of lanes judged and wrong; errors of the ends (largest of x and x') of lanes with right itineraries."""
 
     judged: int
     wrong: int
@@ -34,10 +33,10 @@ class Verdict(NamedTuple):
 
 
 def find(states, stiffness=None):
-    """Truth for (n, 3) states x, x', A.
+    """Compute the Truth for (n, 3) states x, x', A.
 
-    Not judged: what the reference refuses, as an impact or entry slower than 1e-2 (so all chatter), a turning point
-    within 1e-8 of a wall, an impact within 1e-9 of the period's end; and more than CAP impacts.
+    Excluded are lanes that the reference rejects: an impact or entry slower than 1e-2 (so all chatter), a turning point
+    within 1e-8 of a wall, an impact within 1e-9 of the end of the period, and more than CAP impacts.
     """
     ends, sides, _ = blank(states)
     judged = np.ones(len(states), dtype=bool)
@@ -57,8 +56,10 @@ def find(states, stiffness=None):
 
 
 def duffing(states):
-    """The same of Duffing's oscillator. Not judged: an impact slower than 1e-2, a turning point or an end within 1e-8
-    of a wall, more impacts than CAP."""
+    """Compute the Truth for Duffing's oscillator.
+
+    Excluded are an impact slower than 1e-2, a turning point or an end within 1e-8 of a wall, and more than CAP impacts.
+    """
     ends, sides, _ = blank(states)
     judged = np.ones(len(states), dtype=bool)
     numbers = {"cubic": CUBIC, "damping": GAMMA}
@@ -78,14 +79,14 @@ def duffing(states):
 
 
 def wall(place, stiffness):
-    """The reference's wall at a place."""
+    """Make the reference's wall at a position."""
     return Wall(place, RESTITUTION) if stiffness is None else Soft(place, stiffness, held(stiffness))
 
 
 def judge(ends, sides, truth, far=FAR):
-    """Verdict on a side's ends (n, 2) and sides (n, CAP), or None for no itinerary, of the first n lanes of truth.
+    """Judge ends (n, 2) and sides (n, CAP), or None for no itinerary, of the first n lanes of the truth.
 
-    An end that is nan is wrong, as is without an itinerary one that is far off. Errors where none is right are nan.
+    A nan end is wrong; without an itinerary a large error of the end is too. Errors are nan if no lane is right.
     """
     count = min(len(ends), len(truth.ends))
     judged = truth.judged[:count]

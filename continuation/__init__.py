@@ -1,10 +1,11 @@
-"""Numerics of solution sets of F(u, p) = 0: no oscillator is known here.
+"""Numerical continuation of solutions of F(u, p) = 0; the package contains no oscillator.
 
-In: a `System`, made by `equilibria` or `fixed_points` from a function of (u, p, args), or by
-`continuation.shooting.periodic_orbits`, which is imported on its own as it loads diffrax. Out: a `Branch` of `trace`,
-along one parameter, or with functions held along several, with its special points; `switch` gives the branches that
-leave one, `curve` follows one in two parameters, `save` and `load` keep a branch in a file. Start reading at
-`one_parameter.py`, then `driver.py`, the loop, and `arclength.py`, the steps.
+Input is a `System`, made by `equilibria` or `fixed_points` from a function of (u, p, args), or by
+`continuation.shooting.periodic_orbits`, which must be imported separately because it loads diffrax. `trace` continues
+solutions in one parameter, or in several with functions held constant, and returns a `Branch` with its special points.
+`switch` returns the branches that emanate from a special point. `curve` continues a special point in two parameters.
+`save` and `load` write and read a branch. Start reading at `one_parameter.py`, then `driver.py`, the loop, and
+`arclength.py`, the steps.
 """
 
 from .branch import Branch, Special

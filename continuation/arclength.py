@@ -1,7 +1,7 @@
-"""Pseudo-arclength continuation: many steps along a branch of F(z) = 0 in one compiled call.
+"""Take many pseudo-arclength steps along a branch of F(z) = 0 in one compiled call.
 
-z = (u, p): n unknowns and the parameter, n equations. A step goes along the tangent and comes back to the branch within
-the plane across it. Lengths are weighted: the length of dz is that of scale * dz.
+z = (u, p) consists of n unknowns and the parameter; F has n equations. A step predicts along the tangent and corrects
+in the plane perpendicular to it. Lengths are weighted: the length of dz is the norm of ``scale*dz``.
 """
 
 from typing import NamedTuple
@@ -15,25 +15,36 @@ from .linear_solver import solve as dense
 
 RUNNING, OUTSIDE, UNDERFLOW, NONFINITE = range(4)
 STATUS_TEXTS = ("on", "out of bounds", "step underflow", "not finite")
-MAX_NEWTON_STEPS = 8  # of Newton's method in a step
-TARGET_ANGLE, MAX_ANGLE = 0.12, 0.3  # angle between tangents that steps aim at; beyond which a step is refused
-MAX_STEP_GROWTH, MIN_STEP_GROWTH = 2.0, 0.25  # the most that one step is longer or shorter than the last
-ROUNDOFF_FACTOR = (
-    16.0  # roundings of 1 + the largest unknown: F as small is zero, and Newton's last change is a rounding's
-)
-LOOSE_TOLERANCE = (
-    5e-10  # largest change accepted where F is zero to rounding: ill-conditioned systems amplify rounding errors
-)
-MAX_DEVIATION = 0.15  # of a step: so far may the branch lie from its tangent
-DISTANCE_FACTOR, DISTANCE_OFFSET = (
-    2.0,
-    1e-6,
-)  # of a step, and a length: Newton's method ends where it is farther than both from its guess
+MAX_NEWTON_STEPS = 8  # Newton steps per continuation step
+TARGET_ANGLE, MAX_ANGLE = 0.12, 0.3  # target and largest angle between successive tangents, in rad
+MAX_STEP_GROWTH, MIN_STEP_GROWTH = 2.0, 0.25  # bounds on the ratio of successive step lengths
+# F is zero to rounding if it is below this multiple of eps*(1 + the largest unknown).
+ROUNDOFF_FACTOR = 16.0
+# Largest last Newton step that is accepted if F is zero to rounding: ill-conditioned systems amplify rounding errors.
+LOOSE_TOLERANCE = 5e-10
+MAX_DEVIATION = 0.15  # largest distance of the branch from its tangent, relative to the step
+# Newton's method ends beyond this distance from its guess: a multiple of the step, and a length.
+DISTANCE_FACTOR, DISTANCE_OFFSET = 2.0, 1e-6
 
 
 class StepControl(NamedTuple):
-    """scale: (n + 1,), weights of a length; min_step, max_step: step; tolerance: of Newton's method, as a length;
-    lower, upper: where the parameter ends the branch."""
+    """Step sizes, tolerance and bounds of a continuation.
+
+    Parameters
+    ----------
+    scale : array_like
+        Weights of the length. Array of shape (n + 1,).
+    min_step : float
+        Smallest step length.
+    max_step : float
+        Largest step length.
+    tolerance : float
+        Tolerance of Newton's method, a length.
+    lower : float
+        Lower bound of the parameter.
+    upper : float
+        Upper bound of the parameter.
+    """
 
     scale: Float[Array, "*lanes unknowns"]
     min_step: Float[ArrayLike, "*lanes"]
@@ -44,7 +55,19 @@ class StepControl(NamedTuple):
 
 
 class TrackState(NamedTuple):
-    """A point of a branch, its unit tangent, the step to try next, and a status: on from here, or why not."""
+    """State of the continuation loop.
+
+    Parameters
+    ----------
+    z : array_like
+        Last point. Array of shape (n + 1,).
+    tangent : array_like
+        Unit tangent there. Array of shape (n + 1,).
+    step : float
+        Length of the next step.
+    status : int
+        RUNNING, OUTSIDE, UNDERFLOW or NONFINITE.
+    """
 
     z: Float[Array, "*lanes unknowns"]
     tangent: Float[Array, "*lanes unknowns"]
@@ -53,9 +76,25 @@ class TrackState(NamedTuple):
 
 
 class Point(NamedTuple):
-    """A point met. z, tangent: (n + 1,); step: from the last one; residual: the largest entry of F before Newton's last
-    step; determinant: of the system with the last tangent as its last row; converged: whether Newton's method came
-    there; accepted: whether the step was taken, not too far round a bend."""
+    """Computed point of a branch, or arrays of points with one row each.
+
+    Attributes
+    ----------
+    z : ndarray
+        The point. Array of shape (n + 1,).
+    tangent : ndarray
+        Unit tangent. Array of shape (n + 1,).
+    step : ndarray
+        Step length from the previous point.
+    residual : ndarray
+        Largest entry of F before the last Newton step.
+    determinant : ndarray
+        Determinant of dF/dz bordered by the previous tangent as the last row.
+    converged : ndarray
+        True if Newton's method converged.
+    accepted : ndarray
+        True if the step was taken: it converged and did not turn or deviate too far.
+    """
 
     z: Float[Array, "*points unknowns"]
     tangent: Float[Array, "*points unknowns"]
@@ -67,26 +106,41 @@ class Point(NamedTuple):
 
 
 def solve_bordered(jacobian, last_row, rhs):
-    """The system whose rows are an n by n + 1 matrix and one row more, solved: `linear.Eliminated`."""
+    """Solve a linear system of an n by n + 1 matrix and one additional row.
+
+    Parameters
+    ----------
+    jacobian : array_like
+        Matrix of shape (n, n + 1).
+    last_row : array_like
+        Additional row of shape (n + 1,).
+    rhs : array_like
+        Right-hand sides of shape (n + 1,) or (n + 1, k).
+
+    Returns
+    -------
+    LinearSolution
+        Solution, pivot ratio and determinant.
+    """
     return dense(jnp.concatenate([jacobian, last_row[None]]), rhs)
 
 
 def normalise_tangent(tangent, scale):
-    """The tangent with length 1."""
+    """Scale a tangent to length 1."""
     return tangent / jnp.linalg.norm(scale * tangent)
 
 
 def correct_step(function, solve, state, step, control, args, allow_far=False):
-    """The branch's point a step away along the tangent: (`Point`, cosine of the angle that the tangent has turned by,
-    length of Newton's changes).
+    """Compute the point of the branch one step away along the tangent.
 
-    function: (z, args) -> (F, slopes); solve: (slopes, row, right) -> x, worst, determinant, as `solve_bordered`.
+    `function` maps (z, args) to (F, derivative); `solve` has the signature of `solve_bordered`. Returns the `Point`,
+    the cosine of the angle between the old and the new tangent, and the length of the correction.
     """
     tangent_row = control.scale * control.scale * state.tangent
     guess = state.z + step * state.tangent
     tangent_rhs = jnp.zeros_like(guess).at[-1].set(1.0)
 
-    # Beyond `far` a step would be refused, and an evaluation there may take very long: flights of any length.
+    # A step beyond this distance would be rejected, and an evaluation there may take very long.
     max_distance = jnp.where(allow_far | (step == 0), jnp.inf, DISTANCE_FACTOR * abs(step) + DISTANCE_OFFSET)
 
     def is_unfinished(carry):
@@ -118,12 +172,36 @@ def correct_step(function, solve, state, step, control, args, allow_far=False):
 
 
 def track(function, solve, state, control, args, capacity, max_steps=None):
-    """(the `TrackState` reached, the `Point` of each of so many attempted steps); after its end nothing is attempted,
-    and the rest is blank. max_steps: the number of steps to attempt, where that is less than the count."""
+    """Attempt up to `capacity` steps along a branch.
+
+    Parameters
+    ----------
+    function : callable
+        Function of (z, args) that returns F and its derivative.
+    solve : callable
+        Solver of bordered systems, as `solve_bordered`.
+    state : TrackState
+        State to start from.
+    control : StepControl
+        Step sizes, tolerance and bounds.
+    args : Any
+        Further argument of `function`.
+    capacity : int
+        Number of rows of the result.
+    max_steps : int, optional
+        Number of attempted steps, if less than `capacity`.
+
+    Returns
+    -------
+    state : TrackState
+        Final state.
+    points : Point
+        One row per attempted step; rows after the end are blank.
+    """
     max_steps = capacity if max_steps is None else max_steps
 
     def attempt_step(state):
-        is_running = state.status == RUNNING  # of lanes under vmap, one may have ended before the others
+        is_running = state.status == RUNNING  # under vmap one lane may end before the others
         step = jnp.where(is_running, state.step, 0.0)
         point, cosine, correction_length = correct_step(
             function, solve, state, step, control, args, allow_far=jnp.equal(max_steps, 1)

@@ -1,8 +1,8 @@
 """Check the arguments of a call against the annotations of the function, before any work.
 
-Annotations say what a function takes; `check_arguments` makes a function keep to them, with an error that names the
-argument, the rule and the value. A value that passes has the right type only: the function itself checks ranges and
-names."""
+`check_arguments` decorates a function to raise an error that names the argument, the rule and the value. Only types are
+checked: the function itself checks ranges and names.
+"""
 
 import collections.abc
 import inspect
@@ -22,15 +22,22 @@ Result = TypeVar("Result")
 ErrorFactory = Callable[[str, str, Any], Exception]
 
 LARGEST_FLOAT = float(np.finfo(float).max)
-NUMBER_DTYPE_KINDS, INTEGER_DTYPE_KINDS = "fiu", "iu"  # kinds of NumPy's types
+NUMBER_DTYPE_KINDS, INTEGER_DTYPE_KINDS = "fiu", "iu"  # kinds of NumPy types
 UNION_TYPES = (typing.Union, types.UnionType)
 
 
 class ArgumentType(NamedTuple):
-    """A kind of value.
+    """Type of an argument.
 
-    accepts: whether a value is of this kind; description: what it is called in a message; find_invalid: the first entry
-    of a value that is not of its kind, as (its place, words, the entry), or None."""
+    Parameters
+    ----------
+    accepts : callable
+        Returns True for values of this type.
+    description : str
+        Noun phrase for messages.
+    find_invalid : callable, optional
+        Returns (index as text, description, entry) of the first invalid entry of a value, or None.
+    """
 
     accepts: Callable[[Any], bool]
     description: str
@@ -67,7 +74,7 @@ def is_array(value: Any, n_axes: int | None = None) -> bool:
     if isinstance(value, list | tuple):
         try:
             value = np.asarray(value)
-        except Exception:  # ragged and endless lists, and objects with conversions of their own
+        except Exception:  # ragged or endless lists, and objects with their own conversions
             return False
     if isinstance(value, np.ndarray | jax.Array):
         return value.dtype.kind in NUMBER_DTYPE_KINDS and n_axes in (None, value.ndim)
@@ -96,7 +103,7 @@ SEQUENCE_TYPES = (collections.abc.Sequence, collections.abc.Collection, list)
 
 
 def argument_type(hint: Any) -> ArgumentType:
-    """The `ArgumentType` that an annotation describes; `ANYTHING` for annotations of other forms."""
+    """Return the `ArgumentType` of an annotation; `ANYTHING` for annotations of other forms."""
     if hint in PLAIN_TYPES:
         return PLAIN_TYPES[hint]
     origin, hint_args = typing.get_origin(hint), typing.get_args(hint)
@@ -164,7 +171,7 @@ def _union_type(hints):
 
 def _sequence_type(arg_type):
     if arg_type.description == "a real number":
-        return ArgumentType(lambda value: is_array(value, 1), "a row of real numbers")
+        return ArgumentType(lambda value: is_array(value, 1), "a sequence of real numbers")
 
     def accepts(value):
         return is_sequence(value) and all(map(arg_type.accepts, value))
@@ -240,14 +247,14 @@ def _tuple_type(hints):
 def _array_type(hint):
     dims_text = hint.dim_str.strip()
     n_axes = 0 if not dims_text else 1 if dims_text.isidentifier() else None
-    description = {0: "a real number", 1: "a row of real numbers"}.get(n_axes, "a real number or an array")
+    description = {0: "a real number", 1: "a sequence of real numbers"}.get(n_axes, "a real number or an array")
     if not any(str(dtype).startswith(("float", "int", "uint")) for dtype in hint.dtypes):
         return ANYTHING
     return ArgumentType(lambda value: is_array(value, n_axes), description)
 
 
 def _pluralise(description):
-    """Kinds in the plural: "strings or lists of numbers" of "a string or a list of numbers"."""
+    """Return a description in the plural: "strings or lists of numbers" for "a string or a list of numbers"."""
     plurals = []
     for alternative in description.split(" or "):
         noun, _, complement = alternative.removeprefix("an ").removeprefix("a ").partition(" of ")
@@ -257,7 +264,7 @@ def _pluralise(description):
 
 
 def argument_types_of(function: Callable[..., Any]) -> dict[str, ArgumentType]:
-    """{parameter: its `ArgumentType`} of a function, those that take anything left out."""
+    """Return {parameter: `ArgumentType`} of a function, without parameters that accept anything."""
     hints = typing.get_type_hints(function, include_extras=True)
     arg_types = {name: argument_type(hint) for name, hint in hints.items() if name != "return"}
     return {name: arg_type for name, arg_type in arg_types.items() if arg_type is not ANYTHING}
@@ -269,25 +276,30 @@ def make_checker(
     selects_parameter: Callable[[inspect.Parameter], bool] = lambda _: True,
     **overrides: ArgumentType,
 ) -> Callable[[tuple[Any, ...], dict[str, Any]], None]:
-    """Make the check of a function's arguments: a function of (args, named) that raises for the first one refused.
+    """Make the check of a function's arguments.
 
     Parameters
     ----------
     function : callable
         Annotated function.
-    refuse : callable
-        Makes the error to raise from the argument's name, the rule and the value.
-    of : callable, optional
-        Selects the parameters to check.
-    **more : Kind
-        Kinds of some parameters in place of those that their annotations describe.
+    make_error : callable
+        Makes the error from the argument's name, the rule and the value.
+    selects_parameter : callable, optional
+        Returns True for the parameters to check.
+    **overrides : ArgumentType
+        Types of parameters that replace those of their annotations.
+
+    Returns
+    -------
+    callable
+        Function of (args, kwargs) that raises for the first invalid argument.
     """
     parameters = inspect.signature(function).parameters
     positional_names, arg_types = tuple(parameters), None
 
     def check(args, kwargs):
         nonlocal arg_types
-        if arg_types is None:  # at the first call, as annotations may name what is defined further below
+        if arg_types is None:  # evaluated at the first call, because annotations may contain forward references
             all_types = argument_types_of(function) | {
                 name: arg_type for name, arg_type in overrides.items() if name in parameters
             }
@@ -306,8 +318,22 @@ def check_arguments(
     selects_parameter: Callable[[inspect.Parameter], bool] = lambda _: True,
     **overrides: ArgumentType,
 ) -> Callable[[Callable[Params, Result]], Callable[Params, Result]]:
-    """Decorate a function to refuse arguments that its annotations do not allow; the arguments are as of
-    `make_checker`."""
+    """Make a decorator that checks the arguments of a function.
+
+    Parameters
+    ----------
+    make_error : callable
+        Makes the error from the argument's name, the rule and the value.
+    selects_parameter : callable, optional
+        Returns True for the parameters to check.
+    **overrides : ArgumentType
+        Types of parameters that replace those of their annotations.
+
+    Returns
+    -------
+    callable
+        The decorator.
+    """
 
     def decorate(function: Callable[Params, Result]) -> Callable[Params, Result]:
         check = make_checker(function, make_error, selects_parameter, **overrides)

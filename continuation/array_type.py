@@ -1,4 +1,4 @@
-"""What an array is in annotations: jax's in compiled code, numpy's on the host."""
+"""Define the array type of annotations: JAX arrays in compiled code, NumPy arrays on the host."""
 
 import jax
 import numpy as np

@@ -1,9 +1,9 @@
-"""Special points to rounding: Newton's method on F(z) = 0 and equations of the point, minimally augmented.
+"""Locate special points to rounding by Newton's method on minimally augmented systems.
 
-Where a matrix A is singular, the g of (A, b; c, 0) (v; g) = (0; 1) is zero, for any b and c that keep the whole from
-being so; its gradient is -w (A') v, (w, g) of the transposed system (Govaerts, Numerical Methods for Bifurcations of
-Dynamical Equilibria, 3.3). A handful of points of a branch are special: the linear algebra is NumPy's, the gradient
-is by differences, and nothing is compiled but the problem's own functions.
+If a matrix A is singular, the g of ``(A, b; c, 0) (v; g) = (0; 1)`` is zero, for any b and c that make the bordered
+matrix regular. Its gradient is ``-w (A') v``, with (w, g) from the transposed system (Govaerts, Numerical Methods for
+Bifurcations of Dynamical Equilibria, 3.3). A branch has few special points, so the linear algebra uses NumPy, gradients
+use finite differences, and only the functions of the problem are compiled.
 """
 
 from typing import NamedTuple
@@ -15,15 +15,23 @@ from jaxtyping import Float
 
 from .persistent_jit import FAST_COMPILE, persistent_jit
 
-MAX_NEWTON_STEPS = 12  # of Newton's steps
-DIFFERENCE_STEP = 1e-5  # of 1 + abs z: the points of a difference
-FOUR_POINT_STEP = 3e-4  # the same where the points are four
-JACOBIAN_BATCH = 8  # points at which slopes are asked for at once
-STEP_TOLERANCE = 1e-9  # of 1 + abs z: a step from which the next leaves rounding alone
+MAX_NEWTON_STEPS = 12  # largest number of Newton steps
+DIFFERENCE_STEP = 1e-5  # step of central differences, relative to 1 + abs(z)
+FOUR_POINT_STEP = 3e-4  # step of four-point differences, relative to 1 + abs(z)
+JACOBIAN_BATCH = 8  # number of points at which one call computes derivatives
+STEP_TOLERANCE = 1e-9  # Newton step, relative to 1 + abs(z), after which the next step leaves only rounding errors
 
 
 class PointSolution(NamedTuple):
-    """z: the point, None where Newton's method led to none; residual: the largest error left in its equations."""
+    """Result of locating a special point.
+
+    Attributes
+    ----------
+    z : ndarray or None
+        The point; None if Newton's method does not converge.
+    residual : float
+        Largest residual of its equations.
+    """
 
     z: Float[np.ndarray, " unknowns"] | None
     residual: float
@@ -35,12 +43,27 @@ def _evaluate_uncompiled(problem, z, args):
 
 @persistent_jit(static_argnums=0, compiler_options=FAST_COMPILE, numpy_first=_evaluate_uncompiled)
 def evaluate(problem, z, args):
-    """(F, dF/dz) of a `problem.Problem`."""
+    """Evaluate a problem.
+
+    Parameters
+    ----------
+    problem : Problem
+        The problem.
+    z : array_like
+        Point of shape (n + 1,).
+    args : Any
+        Further argument of its functions.
+
+    Returns
+    -------
+    tuple
+        F and dF/dz.
+    """
     return problem.runner(problem.dense_function, z, args)
 
 
 def jacobian_at(problem, z, args):
-    """dF/dz."""
+    """Compute dF/dz of a problem as a NumPy array."""
     return np.asarray(evaluate(problem, z, args)[1])
 
 
@@ -50,7 +73,7 @@ def _compute_jacobians(problem, zs, n_points, args):
 
 
 def _loop_jacobians(zs, n_points, args, problem):
-    """dF/dz at the first so many of some points."""
+    """Compute dF/dz at the first `n_points` points."""
 
     def store_jacobian(index, jacobians):
         jacobian = problem.dense_function(lax.dynamic_index_in_dim(zs, index, keepdims=False), args)[1]
@@ -61,8 +84,11 @@ def _loop_jacobians(zs, n_points, args, problem):
 
 
 def bilinear_gradients(problem, z, args, left_vector, right_vectors):
-    """The gradients of left @ F'(z) @ right, F' a derivative, of one or two right_vectors: those of left @ F' in the
-    direction of right, as second derivatives commute; by differences over four points each, all in one call."""
+    """Compute the gradients of ``left_vector @ F'(z) @ right`` for one or two right vectors.
+
+    They equal the derivatives of ``left_vector @ F'`` in the direction of `right`, because second derivatives commute.
+    Differences over four points each approximate them, all in one call.
+    """
     steps = [FOUR_POINT_STEP * (1.0 + abs(z).max()) / abs(right).max() for right in right_vectors]
     offsets = [
         multiple * step * right
@@ -78,17 +104,44 @@ def bilinear_gradients(problem, z, args, left_vector, right_vectors):
 
 
 def jacobians_at(problem, zs, args):
-    """dF/dz at some points, `JACOBIAN_BATCH` at most, in one call."""
+    """Compute dF/dz at up to `JACOBIAN_BATCH` points in one call.
+
+    Parameters
+    ----------
+    problem : Problem
+        The problem.
+    zs : array_like
+        Points of shape (points, n + 1).
+    args : Any
+        Further argument of its functions.
+
+    Returns
+    -------
+    ndarray
+        Derivatives of shape (points, n, n + 1).
+    """
     zs = np.asarray(zs)
     padded = np.concatenate([zs, np.repeat(zs[-1:], JACOBIAN_BATCH - len(zs), axis=0)])
     return np.asarray(_compute_jacobians(problem, padded, np.int32(len(zs)), args))[: len(zs)]
 
 
 def central_differences(function, z, indices=None):
-    """The derivative of a function of z, a number or some, by central differences: (..., len(z)). indices: those in z
-    of the numbers that the function depends on, None: all.
+    """Differentiate a function of z by central differences.
 
-    It is right to nine digits or so: Newton's method needs no more to come to rounding, in a step more.
+    Parameters
+    ----------
+    function : callable
+        Function of z that returns a number or an array.
+    z : ndarray
+        Point of shape (n,).
+    indices : sequence of int, optional
+        Indices of the entries of z on which the function depends. None stands for all.
+
+    Returns
+    -------
+    ndarray
+        Derivative of shape (..., n), accurate to about nine digits. Newton's method still reaches rounding, with one
+        additional step.
     """
     indices = range(len(z)) if indices is None else indices
 
@@ -117,7 +170,7 @@ def _map_test_matrix(zs, args, test):
 
 
 def matrix_and_derivative(problem, test, z, args):
-    """A `problem.Test`'s matrix A at a point, and its derivative by z, by central differences: (A, (..., len(z)))."""
+    """Compute the matrix of a `TestFunction` and its z-derivative, shape (..., len(z)), by central differences."""
     steps = np.diag(DIFFERENCE_STEP * (1.0 + abs(z)))
     samples = np.asarray(_compute_test_matrices(problem, test, np.concatenate([z[None], z + steps, z - steps]), args))
     n_unknowns = len(z)
@@ -127,8 +180,24 @@ def matrix_and_derivative(problem, test, z, args):
 
 
 def locate_fold(problem, z, args, max_distance=np.inf):
-    """The fold near a point, where the branch turns back in the parameter: `PointSolution`. max_distance: as of
-    `solve_newton`, of z."""
+    """Locate the fold near a point, where the branch turns back in the parameter.
+
+    Parameters
+    ----------
+    problem : Problem
+        The problem.
+    z : ndarray
+        Approximate fold.
+    args : Any
+        Further argument of its functions.
+    max_distance : float or array_like, optional
+        Largest distance of each unknown from `z`.
+
+    Returns
+    -------
+    PointSolution
+        The fold.
+    """
 
     def system(z):
         residual, jacobian = _evaluate_numpy(problem, z, args)
@@ -141,9 +210,28 @@ def locate_fold(problem, z, args, max_distance=np.inf):
 
 
 def locate_branch_point(problem, z, args, max_distance=np.inf):
-    """The point near where two branches meet: `PointSolution`. max_distance: as of `solve_newton`, of z.
+    """Locate the branch point near a point.
 
-    Unknowns are z and a misfit mu, zero at the end: F + mu b, g and w F_p are zero. This is regular at pitchforks too.
+    Parameters
+    ----------
+    problem : Problem
+        The problem.
+    z : ndarray
+        Approximate branch point.
+    args : Any
+        Further argument of its functions.
+    max_distance : float or array_like, optional
+        Largest distance of each unknown from `z`.
+
+    Returns
+    -------
+    PointSolution
+        The branch point.
+
+    Notes
+    -----
+    Unknowns are z and an unfolding parameter mu that vanishes at the solution of ``F + mu b = 0``, g = 0 and
+    ``w F_p = 0``. This system is regular at pitchforks too.
     """
     n_unknowns = len(z) - 1
 
@@ -170,8 +258,26 @@ def locate_branch_point(problem, z, args, max_distance=np.inf):
 
 
 def locate_singularity(problem, test, z, args, max_distance=np.inf):
-    """The point near where the matrix of a `problem.Test` is singular: `PointSolution`. max_distance: as of
-    `solve_newton`, of z."""
+    """Locate the point near z where the matrix of a `TestFunction` is singular.
+
+    Parameters
+    ----------
+    problem : Problem
+        The problem.
+    test : TestFunction
+        Test function.
+    z : ndarray
+        Approximate point.
+    args : Any
+        Further argument of its functions.
+    max_distance : float or array_like, optional
+        Largest distance of each unknown from `z`.
+
+    Returns
+    -------
+    PointSolution
+        The point.
+    """
 
     def system(z):
         residual, jacobian = _evaluate_numpy(problem, z, args)
@@ -186,14 +292,28 @@ def locate_singularity(problem, test, z, args, max_distance=np.inf):
 
 
 def solve_newton(system, start, max_distance=np.inf):
-    """The zero near a start of a function y -> (value, its derivative): `PointSolution`. max_distance: how far from the
-    start each unknown may come; a zero beyond is not looked for."""
+    """Solve a small system by Newton's method in NumPy.
+
+    Parameters
+    ----------
+    system : callable
+        Function of y that returns (value, derivative).
+    start : ndarray
+        Initial guess.
+    max_distance : float or array_like, optional
+        Largest distance of each unknown from the start; the iteration fails beyond.
+
+    Returns
+    -------
+    PointSolution
+        The zero near the start.
+    """
     y, previous_step = start, np.inf
     for _ in range(MAX_NEWTON_STEPS):
         try:
             value, jacobian = system(y)
             change = np.linalg.solve(jacobian, value)
-        except np.linalg.LinAlgError:  # singular, be it within the system's own equations
+        except np.linalg.LinAlgError:  # a singular matrix, possibly inside `system`
             break
         y, step = y - change, abs(change).max()
         if not np.isfinite(step) or (abs(y - start) > max_distance).any():
@@ -209,7 +329,7 @@ def _evaluate_numpy(problem, z, args):
 
 
 def _border_vectors(matrix):
-    """(b, c): the nearly null vectors of a matrix's transpose and of the matrix; nan where it is not finite."""
+    """Return (b, c), the nearly null vectors of a matrix's transpose and of the matrix; nan if it is not finite."""
     if not np.isfinite(matrix).all():
         return 2 * (np.full(len(matrix), np.nan),)
     left_vectors, _, right_vectors = np.linalg.svd(matrix)
@@ -217,7 +337,7 @@ def _border_vectors(matrix):
 
 
 def _bordered_null_vectors(matrix, border):
-    """(w, g, v, y -> the solution x of A x + b s = y, c x = 0)."""
+    """Return (w, g, v) and a function of y that solves ``A x + b s = y``, ``c x = 0`` for x."""
     size = len(matrix)
     bordered = np.zeros((size + 1, size + 1))
     bordered[:size, :size], (bordered[:size, -1], bordered[-1, :size]) = matrix, border
@@ -228,5 +348,5 @@ def _bordered_null_vectors(matrix, border):
 
 
 def null_vector(matrix):
-    """The unit null vector of a singular matrix."""
+    """Return the unit null vector of a singular matrix."""
     return _border_vectors(matrix)[1]

@@ -1,4 +1,4 @@
-"""What a branch is, and the special points on it."""
+"""Define branches and the special points on them."""
 
 from dataclasses import dataclass, field
 from typing import Any
@@ -33,15 +33,47 @@ KIND_MEANINGS = {
     "NN": "double Neimark-Sacker point",
     "EP": "end",
 }
-MAX_SHOWN = 5  # numbers of u in a table
+MAX_SHOWN = 5  # entries of u shown in a table
 
 
 @dataclass(frozen=True, eq=False)
 class Special:
-    """A special point. kind: SN, BP, SB, HB, PD, NS (see `KIND_MEANINGS`), a monitor's name, or EP, an end. u: (n,); p:
-    {name: number}, all parameters; names: those along which it was found; eigenvalues: (n,), of the derivative by u, of
-    a map the multipliers, of a periodic orbit those but for its field's own, the largest first; residual: the largest
-    error left in its equations; place: among the branch's points; tangent: of the branch there, (n + names,).
+    """Special point of a branch.
+
+    Attributes
+    ----------
+    kind : str
+        SN, BP, SB, HB, PD, NS or another key of ``continuation.branch.KIND_MEANINGS``, the name of a monitor, or EP for
+        an end.
+    u : ndarray
+        Solution. Array of shape (n,).
+    p : dict of str to float
+        Values of all parameters.
+    names : tuple of str
+        Continuation parameters of the branch.
+    eigenvalues : ndarray
+        Eigenvalues of dF/du for equilibria, multipliers for maps and periodic orbits (without the trivial multiplier of
+        an orbit), in descending order. Complex array of shape (n,), (n - 1,) for the n equations of a periodic orbit.
+    residual : float
+        Largest residual of the equations of the point.
+    place : int
+        Index among the points of the branch.
+    system : System
+        System of the branch.
+    args : Any
+        Further argument of the function of the system.
+    bounds : dict of str to tuple of float
+        Bounds of the continuation parameters.
+    tangent : ndarray
+        Unit tangent of the branch. Array of shape (n + names,).
+
+    Examples
+    --------
+    >>> system = co.equilibria(lambda u, p, args: p["a"] - 0.5 - u * u)
+    >>> branch = co.trace(system, [1.0], {"a": 1.5}, "a", bounds=(0.0, 2.0))
+    >>> (fold,) = branch.points("SN")
+    >>> fold.kind, round(fold.p["a"], 6), fold.place > 0
+    ('SN', 0.5, True)
     """
 
     kind: str
@@ -58,16 +90,44 @@ class Special:
 
     @property
     def z(self) -> Float[np.ndarray, " z"]:
-        """u and the values of the names, (n + names,)."""
+        """Solution and values of the continuation parameters, shape (n + names,)."""
         return np.append(self.u, [self.p[name] for name in self.names])
 
 
 @dataclass(frozen=True, eq=False)
 class Branch:
-    """Solutions in a row. names: of the parameters along it, one of a branch, two of a curve of special points; kind:
-    of these, None of a branch; u: (points, n); p: {name: (points,)} of the names; eigenvalues: (points, n), complex,
-    the largest first, as of `Special`; residual: (points,), the largest error left;
-    special: the special points in order; reasons: why it ends, at its first and its last point."""
+    """Branch of solutions, or curve of special points.
+
+    Attributes
+    ----------
+    system : System
+        System whose solutions these are.
+    kind : str or None
+        Kind of the special points of a curve; None for a branch of solutions.
+    names : tuple of str
+        Continuation parameters: one for a branch, one more than the held functions if there are any, two for a curve.
+    u : ndarray
+        Solutions. Array of shape (points, n).
+    p : dict of str to ndarray
+        Values of the continuation parameters. Arrays of shape (points,).
+    eigenvalues : ndarray
+        Eigenvalues or multipliers as in `Special`, in descending order. Complex array of shape (points, n).
+    residual : ndarray
+        Largest residual at each point. Array of shape (points,).
+    special : tuple of Special
+        Special points in order along the branch, both ends included.
+    reasons : tuple of str
+        Termination reasons at the first and at the last point.
+
+    Examples
+    --------
+    >>> system = co.equilibria(lambda u, p, args: p["a"] - 0.5 - u * u)
+    >>> branch = co.trace(system, [1.0], {"a": 1.5}, "a", bounds=(0.0, 2.0))
+    >>> [special.kind for special in branch.special]
+    ['EP', 'SN', 'EP']
+    >>> branch.u.shape == (len(branch), 1)
+    True
+    """
 
     system: System = field(repr=False)
     kind: str | None
@@ -89,22 +149,43 @@ class Branch:
 
     @property
     def stable(self) -> Bool[np.ndarray, " points"]:
-        """Whether each solution attracts, (points,): all real parts below 0, of a map all multipliers within 1."""
+        """Stability of each solution, bool array of shape (points,).
+
+        An equilibrium is stable if all eigenvalues have negative real parts. A fixed point or periodic orbit is stable
+        if all multipliers lie inside the unit circle.
+        """
         eigenvalues = self.eigenvalues
         return np.all((eigenvalues.real < 0.0) if self.system.kind == EQUILIBRIA else (abs(eigenvalues) < 1.0), axis=1)
 
     @property
     def reason(self) -> dict[str, str]:
-        """Why each end is one: {"first": ..., "last": ...}."""
+        """Termination reasons by end: ``{"first": ..., "last": ...}``."""
         return dict(zip(("first", "last"), self.reasons, strict=True))
 
     def points(self, kind: str) -> tuple[Special, ...]:
-        """The special points of a kind, a tuple."""
+        """Select the special points of a kind.
+
+        Parameters
+        ----------
+        kind : str
+            Kind of special point, for example ``"SN"``, or the name of a monitor.
+
+        Returns
+        -------
+        tuple of Special
+            Special points of this kind in order along the branch.
+        """
         return tuple(special for special in self.special if special.kind == kind)
 
     def table(self) -> str:
-        """The special points as a text, a line each, with the length of u and its first numbers, and why the branch
-        ends."""
+        """Format the special points and the termination reasons as text.
+
+        Returns
+        -------
+        str
+            One line per special point: kind, parameters, norm of u, its first entries and the residual. Two lines with
+            the termination reasons follow.
+        """
         rows = [("kind", *self.names, "norm", "u", "residual")]
         for special in self.special:
             parameter_texts = [f"{special.p[name]:.12g}" for name in self.names]

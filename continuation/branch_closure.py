@@ -1,6 +1,6 @@
-"""Whether a branch of periodic orbits comes back to its start, with whatever phase: the equations keep none.
+"""Detect that a branch of periodic orbits returns to its start, with any phase: the equations do not fix it.
 
-At the start's value of the last parameter the orbit is the start's where this flies through its first point.
+At the parameter value of the start, the orbit equals the start if it passes through the first point of the start.
 """
 
 import jax
@@ -15,12 +15,12 @@ from .persistent_jit import persistent_jit
 from .problem import ORBITS
 from .roots import find_sign_change
 
-SAMPLES_PER_SEGMENT = 8  # in each flight of an orbit, for the nearest place
-NEWTON_STEPS = 8  # Newton's steps from there
+SAMPLES_PER_SEGMENT = 8  # samples of a shooting segment among which the nearest point is selected
+NEWTON_STEPS = 8  # Newton steps that refine it
 
 
 class SystemEventDetector(EventDetector):
-    """What is watched along a branch of a system, in parameters of these names."""
+    """Detector for branches of a `System` in parameters of the given names."""
 
     def __init__(self, system, names):
         self.system, self.names = system, names
@@ -32,7 +32,7 @@ class SystemEventDetector(EventDetector):
 
 
 def _find_closure(system, names, task, points):
-    """(place of the point before, length from it) where a row of orbits is one of the task's starts again, or None."""
+    """Return (row before, length from it) where the branch returns to one of the task's starts, or None."""
     for start in task.starts:
         offsets = points.z[:, -1] - start[-1]
         for row_before in np.flatnonzero(offsets[:-1] * offsets[1:] < 0).tolist():
@@ -44,7 +44,7 @@ def _find_closure(system, names, task, points):
 
 
 def _length_to_value(task, points, row_before, value):
-    """From a point to where the last parameter has a value; None where the branch cannot be followed there."""
+    """Return the length from a point to where the last parameter has a value; None if Newton's method fails."""
 
     def offset(length):
         point = point_at_length(task, points, row_before, length)
@@ -55,10 +55,10 @@ def _length_to_value(task, points, row_before, value):
 
 
 def _is_same_orbit(system, names, start, z, constants):
+    """Return True if two orbits have equal periods and parameters and the first point of one lies on the other."""
     n_unknowns = len(z) - len(names)
-    max_difference = max(
-        abs(start[n_unknowns - 1 :] - z[n_unknowns - 1 :]) / (1.0 + abs(z[n_unknowns - 1 :]))
-    )  # the period, and parameters
+    # Compare the periods and the parameters.
+    max_difference = max(abs(start[n_unknowns - 1 :] - z[n_unknowns - 1 :]) / (1.0 + abs(z[n_unknowns - 1 :])))
     if max_difference > SAME_POINT_DISTANCE:
         return False
     first_point = points_and_period(z[:n_unknowns], system.segments * system.times)[0][0]
@@ -69,7 +69,7 @@ def _is_same_orbit(system, names, start, z, constants):
 
 @persistent_jit(static_argnums=(0, 1))
 def _distance_to_orbit(system, names, z, target, constants):
-    """How near an orbit z flies to a place, (n,)."""
+    """Return the distance from the periodic orbit of z to a point of shape (n,)."""
     n_unknowns, n_segments = len(z) - len(names), system.segments * system.times
     points, period = points_and_period(z[:n_unknowns], n_segments)
     p = {**constants.fixed_params, **{name: z[n_unknowns + index] for index, name in enumerate(names)}}

@@ -1,4 +1,4 @@
-"""The ways in which branches leave a special point of one."""
+"""Compute the starting points and directions of the branches that emanate from a special point."""
 
 import numpy as np
 
@@ -6,11 +6,11 @@ from . import augmented_systems, hopf
 from . import branch_switching as crossing
 from .problem import ORBITS, Constants, matrix_at, problem_of
 
-KINDS = ("BP", "SB", "PD", "HB")  # special points that other branches leave
+KINDS = ("BP", "SB", "PD", "HB")  # special points from which branches emanate
 
 
 def emanating_directions(special, orbits):
-    """(the system of what leaves, z, its `Constants`, the tangents)."""
+    """Return the `System`, z, `Constants` and tangents of the branches that emanate from a special point."""
     names, system, z = special.names, special.system, special.z
     constants = Constants({name: value for name, value in special.p.items() if name not in names}, special.args)
     if special.kind == "HB":
@@ -27,7 +27,7 @@ def emanating_directions(special, orbits):
 
 
 def double_period(system, z, constants, null_vector):
-    """The same of what goes round twice, away along a null vector."""
+    """Return the `System` of doubled period, z, `Constants` and the tangent along a null vector."""
     doubled_system = system._replace(times=2 * system.times)
     if system.kind != ORBITS:
         return doubled_system, z, constants, [np.append(null_vector, 0.0)]

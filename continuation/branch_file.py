@@ -1,4 +1,4 @@
-"""A branch in a file and back: arrays and JSON in one NumPy archive, nothing that is evaluated or unpickled."""
+"""Save branches in NumPy archives of arrays and JSON; loading neither evaluates nor unpickles anything."""
 
 import json
 import os
@@ -13,15 +13,39 @@ from .branch import Branch, Special
 from .errors import ContinuationError, check_types
 from .problem import System
 
-FORMAT_VERSION = 1  # of the file
-SPECIAL_FIELDS = ("kind", "p", "names", "residual", "place", "bounds")  # of a special point, as JSON
+FORMAT_VERSION = 1  # version of the file format
+SPECIAL_FIELDS = ("kind", "p", "names", "residual", "place", "bounds")  # fields of a special point stored as JSON
 
 
 @check_types
 def save(branch: Branch, path: str | PathLike[str]) -> None:
-    """Write a `Branch` to a file, from which `load` reads the same numbers. Its system and args are not in it.
+    """Write a branch to a file.
 
-    It is written beside its place and renamed into it. Raises OSError where it cannot be written.
+    Parameters
+    ----------
+    branch : Branch
+        Branch to write. Its system and `args` are not stored.
+    path : str or path-like
+        File to write. It is written under a temporary name in the same folder and then renamed.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be written.
+
+    See Also
+    --------
+    load : Read the file.
+
+    Examples
+    --------
+    >>> import os, tempfile
+    >>> system = co.equilibria(lambda u, p, args: p["a"] - 0.5 - u * u)
+    >>> branch = co.trace(system, [1.0], {"a": 1.5}, "a", bounds=(0.0, 2.0))
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     co.save(branch, os.path.join(folder, "branch.npz"))
+    ...     print(co.load(os.path.join(folder, "branch.npz"), system).reasons == branch.reasons)
+    True
     """
     special_records = [{key: getattr(special, key) for key in SPECIAL_FIELDS} for special in branch.special]
     metadata: dict[str, Any] = {
@@ -52,10 +76,43 @@ def save(branch: Branch, path: str | PathLike[str]) -> None:
 
 @check_types
 def load(path: str | PathLike[str], system: System, args: Any = None) -> Branch:
-    """The `Branch` of a file that `save` wrote.
+    """Read a branch that `save` wrote.
 
-    system, args: those that it was followed with; its function is not in the file. Raises ContinuationError where the
-    file is damaged, or of a system of another kind, OSError where it cannot be read.
+    Parameters
+    ----------
+    path : str or path-like
+        File to read.
+    system : System
+        System with which the branch was computed. The file does not contain its function.
+    args : Any, optional
+        Further argument of the function, as in `trace`.
+
+    Returns
+    -------
+    Branch
+        The branch, with the same numbers.
+
+    Raises
+    ------
+    ContinuationError
+        If the file is damaged or belongs to a system of another kind.
+    OSError
+        If the file cannot be read.
+
+    See Also
+    --------
+    save : Write the file.
+
+    Examples
+    --------
+    >>> import os, tempfile
+    >>> system = co.equilibria(lambda u, p, args: p["a"] - 0.5 - u * u)
+    >>> branch = co.trace(system, [1.0], {"a": 1.5}, "a", bounds=(0.0, 2.0))
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     co.save(branch, os.path.join(folder, "branch.npz"))
+    ...     loaded = co.load(os.path.join(folder, "branch.npz"), system)
+    >>> len(loaded) == len(branch)
+    True
     """
     try:
         with np.load(path, allow_pickle=False) as file:
@@ -64,22 +121,27 @@ def load(path: str | PathLike[str], system: System, args: Any = None) -> Branch:
     except (zipfile.BadZipFile, LookupError, ValueError, TypeError, EOFError) as error:
         if isinstance(error, ContinuationError):
             raise
-        raise ContinuationError("path", f"must be a file of save ({type(error).__name__})", str(path)) from None
+        raise ContinuationError(
+            "path", f"must be a file written by `save` ({type(error).__name__})", str(path)
+        ) from None
 
 
 def _branch(metadata, arrays, system, args):
+    """Make the `Branch` of a file's metadata and arrays."""
     if metadata["form"] != FORMAT_VERSION:
-        raise ValueError("another form")
+        raise ValueError("unknown format version")
     kind, times, segments, within = metadata["system"]
     if not isinstance(system, System) or (system.kind, system.segments) != (kind, segments):
-        raise ContinuationError("system", f"must be the one of {kind} that the branch is of", system)
+        raise ContinuationError(
+            "system", f"must be a system of {kind} with {segments} segments, as in the file", system
+        )
     system = system._replace(times=times, within=within)
     names, n_points = tuple(metadata["names"]), len(arrays["u"])
     parameter_columns = {name: arrays[f"p.{name}"] for name in names}
     if any(
         len(column) != n_points for column in (arrays["eigenvalues"], arrays["residual"], *parameter_columns.values())
     ):
-        raise ValueError("rows")
+        raise ValueError("arrays of different lengths")
     special = []
     for special_record, tangent in zip(metadata["special"], arrays["tangents"], strict=True):
         bounds = {name: (lower, upper) for name, (lower, upper) in special_record["bounds"].items()}

@@ -1,4 +1,4 @@
-"""A stretch of a branch, with its special points and why it ends; turned, and put to another."""
+"""Define a segment of a branch with its special points and termination reason; reverse and join segments."""
 
 from enum import Enum
 from typing import Any, NamedTuple
@@ -8,8 +8,19 @@ from .point_rows import join_rows, reverse_rows
 
 
 class SpecialIndex(NamedTuple):
-    """A special point among those of a branch: its place there, kind, the largest error left in its equations; more:
-    what a `driver.Watch` knows of it."""
+    """Index of a special point in a segment.
+
+    Attributes
+    ----------
+    row : int
+        Row of the point.
+    kind : str
+        Kind of special point.
+    residual : float
+        Largest residual of its equations.
+    details : Any
+        Further result of the `driver.EventDetector`.
+    """
 
     row: int
     kind: str
@@ -18,9 +29,25 @@ class SpecialIndex(NamedTuple):
 
 
 class BranchSegment(NamedTuple):
-    """args: of the equations its points solve; points, diagnostics: a row a point, and what a `driver.Watch` knows of
-    each; specials: the special ones, in order; end: why it ends, None where it goes on; end_param_index: the place in
-    the box of the parameter that ended it, end_value: where."""
+    """Segment of a branch.
+
+    Attributes
+    ----------
+    args : Any
+        Further argument of the equations of its points.
+    points : Point
+        Points, one row each.
+    diagnostics : Any
+        Diagnostics of the `driver.EventDetector`, one row per point.
+    specials : tuple of SpecialIndex
+        Special points in order.
+    end : Enum or None
+        Termination reason; None if the branch continues.
+    end_param_index : int
+        Index in the bounds of the parameter that ends the branch.
+    end_value : float
+        Value of this parameter at the end.
+    """
 
     args: Any
     points: Point
@@ -32,7 +59,7 @@ class BranchSegment(NamedTuple):
 
 
 def reverse_segment(segment):
-    """The `BranchSegment` from its end to its start."""
+    """Reverse a `BranchSegment`."""
     last_row = len(segment.points.z) - 1
     specials = tuple(special._replace(row=last_row - special.row) for special in reversed(segment.specials))
     points = reverse_rows(segment.points)
@@ -44,7 +71,7 @@ def reverse_segment(segment):
 
 
 def join_segments(segments):
-    """`BranchSegment`es of the same equations as one, each beginning where that before it ends."""
+    """Join `BranchSegment` objects of the same equations, each of which begins at the end of the previous one."""
     specials, first_row = [], 0
     for segment in segments:
         specials += [special._replace(row=special.row + first_row) for special in segment.specials]

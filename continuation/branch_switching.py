@@ -1,4 +1,4 @@
-"""Where branches meet: the directions in which they leave."""
+"""Compute the tangents of branches at branch points."""
 
 import numpy as np
 
@@ -6,11 +6,33 @@ from . import augmented_systems
 
 
 def branch_tangents(problem, z, scale, args):
-    """The unit tangents of the two branches that cross at a branch point, shape (2, n + 1).
+    """Compute the unit tangents of the two branches that cross at a branch point.
 
-    They lie in the plane of null vectors of dF/dz, where the quadratic form left @ F'' is zero (the algebraic branching
-    equation; Keller, Lectures on Numerical Methods in Bifurcation Problems, 5.20). Raises ValueError where it has no
-    real zero: no branches cross.
+    Parameters
+    ----------
+    problem : Problem
+        The problem.
+    z : ndarray
+        Branch point of shape (n + 1,).
+    scale : ndarray
+        Weights of the length. Entries of weight 0 are left out.
+    args : Any
+        Further argument of its functions.
+
+    Returns
+    -------
+    ndarray
+        Tangents of shape (2, n + 1).
+
+    Raises
+    ------
+    ValueError
+        If the algebraic branching equation has no real root, so that no branches cross.
+
+    Notes
+    -----
+    The tangents lie in the plane of null vectors of dF/dz, where the quadratic form of the left null vector and F'' is
+    zero (algebraic branching equation; Keller, Lectures on Numerical Methods in Bifurcation Problems, 5.20).
     """
     jacobian = np.asarray(augmented_systems.evaluate(problem, z, args)[1])
     is_used = scale > 0
@@ -24,24 +46,26 @@ def branch_tangents(problem, z, scale, args):
     (a, b), (_, c) = 0.5 * (quadratic_form + quadratic_form.T)
     discriminant = b * b - a * c
     if not discriminant > 0:
-        raise ValueError("no branches cross here")
+        raise ValueError("no branches cross: the algebraic branching equation has no real root")
     discriminant_root = np.sqrt(discriminant)
-    root_numerator = -b - np.copysign(discriminant_root, b)  # a s^2 + 2 b s + c = 0 for (s, 1), or (1, 1 / s)
+    root_numerator = -b - np.copysign(discriminant_root, b)  # roots s of a s^2 + 2 b s + c = 0, as (s, 1) or (1, 1 / s)
     null_coordinates = np.array([[root_numerator, a], [c, root_numerator]])
     tangents = null_coordinates @ null_vectors
     return tangents / np.linalg.norm(scale * tangents, axis=1)[:, None]
 
 
 def farther_tangent(tangents, known_tangent, scale):
-    """Of two tangents that which is further from a known one."""
+    """Return the one of two tangents that is less aligned with a known tangent."""
     alignment = abs((scale * scale * tangents) @ known_tangent)
     return tangents[int(np.argmin(alignment))]
 
 
 def continued_tangent(problem, z, scale, args, tangent_before):
-    """The unit tangent at a branch point of the branch that comes there with a tangent before it: of the two
-    `branch_tangents` the nearer. Steps have none there, as their matrix is singular; it is that before where none
-    cross."""
+    """Compute the unit tangent at a branch point of the branch that approaches it.
+
+    It is the one of the two `branch_tangents` that is better aligned with the tangent before the point; the matrix of a
+    step is singular there. If no branches cross, it is the tangent before.
+    """
     try:
         tangents = branch_tangents(problem, z, scale, args)
     except ValueError:

@@ -1,8 +1,8 @@
-"""Files in the cache folder that are executed: read only if no stranger can have written them and they are undamaged.
+"""Read and write executable files in the cache folder, only if no other user can have changed them.
 
-Whoever can write to the cache folder can have code run as its user, so the folder and its files must belong to the user
-or to root, and no one else may have permission to write to them. The digest, which stands in the file, detects damage.
-It covers the name of the file and of its folder too, so that a file copied from elsewhere is not taken for this one.
+Whoever can write to the cache folder can have code run as its user. The folder and its files must therefore belong to
+the user or to root, and no one else may have permission to write to them. A digest in the file detects damage. It also
+covers the names of the file and its folder, so that a file copied from elsewhere is rejected.
 """
 
 import hashlib
@@ -19,7 +19,7 @@ pwd: Any
 try:
     import grp
     import pwd
-except ImportError:  # not on this system
+except ImportError:  # absent on this system
     grp = pwd = None
 
 DIGEST = hashlib.sha256().digest_size
@@ -27,7 +27,7 @@ _warned: set[tuple[Path, str]] = set()
 
 
 def read(path: Path) -> bytes | None:
-    """Return the content that `write` put into a file, or None if there is none that can be trusted."""
+    """Return the content that `write` stored in a file, or None if it is missing or cannot be trusted."""
     try:
         with open(path, "rb") as file:
             if distrust_of(os.fstat(file.fileno())):
@@ -39,7 +39,7 @@ def read(path: Path) -> bytes | None:
 
 
 def write(path: Path, content: bytes) -> None:
-    """Write a file completely or not at all, as on a full disk: under a unique name beside its place, then renamed."""
+    """Write a file completely or not at all, under a temporary name that is then changed."""
     with suppress(OSError):
         descriptor, temporary_path = tempfile.mkstemp(dir=path.parent)
         try:
@@ -56,12 +56,23 @@ def _digest(path, content):
 
 
 def reason_for_distrust(*folders: Path) -> str | None:
-    """Explain why the files in some folders cannot be trusted; None if they can.
+    """Explain why files in folders cannot be trusted.
 
-    Each folder must belong to the user or to root, and no one else may have permission to write to it. A group may, if
-    it is the user's private group: of the same name and without other members. A folder above them must not be writable
-    by everyone, unless its sticky bit protects what lies in it. Folders that do not exist are passed over. On systems
-    without users and modes all folders are trusted.
+    Parameters
+    ----------
+    *folders : Path
+        Folders to examine. Missing folders are skipped.
+
+    Returns
+    -------
+    str or None
+        The reason; None if the folders can be trusted.
+
+    Notes
+    -----
+    Each folder must belong to the user or to root, and no one else may have permission to write to it. The user's
+    private group may: a group of the same name without other members. A folder above them must not be writable by
+    everyone, unless its sticky bit protects its contents. On systems without users and modes all folders are trusted.
     """
     if not hasattr(os, "geteuid"):
         return None
@@ -86,7 +97,7 @@ def reason_for_distrust(*folders: Path) -> str | None:
 
 
 def distrust_of(status: os.stat_result) -> str | None:
-    """Explain why a file or folder of this status cannot be trusted; None if it can."""
+    """Explain why a file or folder with this status cannot be trusted; None if it can."""
     if not hasattr(os, "geteuid"):
         return None
     if status.st_uid not in (os.geteuid(), 0):
@@ -99,7 +110,7 @@ def distrust_of(status: os.stat_result) -> str | None:
 
 
 def _is_private(group_id):
-    """Return True for the user's private group_id: the same name, without other members."""
+    """Return True for the user's private group: the same name, without other members."""
     try:
         user_name, group_entry = pwd.getpwuid(os.geteuid()).pw_name, grp.getgrgid(group_id)
     except (KeyError, AttributeError):
@@ -108,7 +119,7 @@ def _is_private(group_id):
 
 
 def warn_once(folder: Path, reason: str) -> None:
-    """Warn that a cache folder is not used, once in this process for each folder and reason."""
+    """Warn that a cache folder is not used, once per process, folder and reason."""
     if (folder, reason) not in _warned:
         _warned.add((folder, reason))
         warnings.warn(

@@ -1,7 +1,7 @@
-"""Branches along which functions of the solution keep their values, each for one parameter more: z = (u, parameters).
+"""Continue solutions along which functions keep their values, with one parameter more for each: z = (u, parameters).
 
-To F(u, p) = 0 come h(u, p) - value = 0, one for each function. Where dF/du is singular the branch goes on as it does
-elsewhere; so that is watched as one more test, and where the last parameter turns back is none.
+Equations h(u, p) - value = 0 augment F(u, p) = 0, one for each function. The branch is regular where dF/du is singular,
+so that a further test function detects folds; turning points of the last parameter are not folds.
 """
 
 from collections.abc import Callable, Mapping
@@ -17,12 +17,12 @@ from .arclength import solve_bordered
 from .errors import ContinuationError
 from .problem import Problem, System, TestFunction, problem_of, residual_and_jacobian, singular_matrix, split_unknowns
 
-FOLD = "fold"  # where dF/du is singular, told from the turning points of the last parameter, which are called SN
-ConstraintFunction = Callable[[Any, Any, Any], ArrayLike]  # of (u, p, args)
+FOLD = "fold"  # label of points with singular dF/du; SN denotes turning points of the last parameter
+ConstraintFunction = Callable[[Any, Any, Any], ArrayLike]  # function of (u, p, args)
 
 
 class HoldConstants(NamedTuple):
-    """A `problem.Given`, and values, what the functions are to be."""
+    """`Constants` of a system and the values at which functions are held."""
 
     fixed_params: dict[str, float]
     args: Any
@@ -31,7 +31,7 @@ class HoldConstants(NamedTuple):
 
 @lru_cache
 def make_problem(system: System, constraints: tuple[ConstraintFunction, ...], names: tuple[str, ...]) -> Problem:
-    """The `Problem` along parameters, one more than functions; args a `HoldConstants`."""
+    """Make the `Problem` with held functions, in one parameter more than functions; its args are `HoldConstants`."""
 
     def constraint_residual(z, constants):
         u, p = split_unknowns(names, z, constants)
@@ -61,19 +61,21 @@ def make_problem(system: System, constraints: tuple[ConstraintFunction, ...], na
 def resolve_constraints(
     hold: Mapping[Any, float] | None, monitors: Mapping[str, ConstraintFunction] | None, names: tuple[str, ...]
 ) -> dict[ConstraintFunction, float]:
-    """{function: value} of what is held, monitors given by their names. Raises ContinuationError."""
+    """Return {function: value} for the held functions; monitors may be given by name. Raises ContinuationError."""
     constraints = {}
     for key, value in (hold or {}).items():
         function = (monitors or {}).get(key) if isinstance(key, str) else key
         if not callable(function):
             raise ContinuationError(
-                "hold", f"must be of functions, or names of monitors ({', '.join(monitors or {})})", key
+                "hold", f"must have functions or names of monitors ({', '.join(monitors or {})}) as keys", key
             )
         if not (isinstance(value, int | float) and np.isfinite(value)):
-            raise ContinuationError("hold", "must be numbers by functions", value)
+            raise ContinuationError("hold", "must map functions to finite numbers", value)
         constraints[function] = float(value)
     if len(names) != len(constraints) + 1 or len(set(names)) != len(names):
         raise ContinuationError(
-            "along", f"must be {len(constraints) + 1} different parameters, one more than is held", names
+            "along",
+            f"must name {len(constraints) + 1} different parameter(s), one more than functions in `hold`",
+            names,
         )
     return constraints

@@ -1,5 +1,7 @@
-"""What is watched along a curve of special points in two parameters: where others meet it, and where its own normal
-form changes."""
+"""Locate codimension-two points on curves of special points in two parameters.
+
+They are intersections with curves of other kinds and zeros of normal-form coefficients.
+"""
 
 from functools import partial
 
@@ -13,30 +15,29 @@ from .intermediate_points import point_at_length
 from .normal_forms import border_vectors, critical_eigenvalue, lyapunov_coefficient, normal_form_coefficient
 from .problem import EQUILIBRIA, FIXED_POINTS, ORBITS, eigenvalues_at, is_hopf, is_neimark_sacker, matrix_at
 
-DOUBLE_TOLERANCE = (
-    1e-4  # eigenvalues as near, over 1 + the largest, are one: a double one is known to the root of a rounding
-)
-CRITICAL_TOLERANCE = 1e-7  # two pairs as near to the axis, or the circle, over 1 + the largest, are there
-# What else becomes singular on a curve of each kind: {kind: {label: the matrix of that kind}}
+# Tolerance of a double eigenvalue, relative to 1 + the largest: its error is the square root of a rounding error.
+DOUBLE_TOLERANCE = 1e-4
+CRITICAL_TOLERANCE = 1e-7  # tolerance of a critical pair of eigenvalues, relative to 1 + the largest
+# Further matrices that become singular on a curve of each kind: {kind: {label: kind of the matrix}}
 _MAP_INTERSECTIONS = {"SN": {"FF": "PD", "R1": "NS"}, "PD": {"FF": "SN", "R2": "NS"}, "NS": {"R1": "SN", "R2": "PD"}}
 INTERSECTIONS = {
     EQUILIBRIA: {"SN": {"BT": "HB"}, "HB": {"BT": "SN"}},
     FIXED_POINTS: _MAP_INTERSECTIONS,
     ORBITS: _MAP_INTERSECTIONS,
 }
-# {label: (the eigenvalue that is double there, what it is where that is simple, what must hold then)}
+# {label: (double eigenvalue, kind of the point if it is simple, condition in this case)}
 DOUBLE_EIGENVALUES = {
     "BT": (0.0, "ZH", is_hopf),
     "R1": (1.0, "FN", is_neimark_sacker),
     "R2": (-1.0, "PN", is_neimark_sacker),
 }
-ZERO_COEFFICIENT = 1e-12  # as small is a coefficient that is zero
-SELF_CROSSINGS = {"HB": "HH", "NS": "NN"}  # where a curve meets another of its kind: two pairs are critical
-RESONANCE_ANGLES = {"R3": 0.5, "R4": 0.0}  # on a curve of NS: less the cosine of the multipliers' angle
+ZERO_COEFFICIENT = 1e-12  # largest absolute value of a vanishing coefficient
+SELF_CROSSINGS = {"HB": "HH", "NS": "NN"}  # kinds of points where two pairs of eigenvalues are critical
+RESONANCE_ANGLES = {"R3": 0.5, "R4": 0.0}  # negative cosine of the angle of the multipliers on a curve of NS
 
 
 class CurveEventDetector(SystemEventDetector):
-    """Events along a curve of special points of a kind."""
+    """Detector of codimension-two points on a curve of special points of one kind."""
 
     def __init__(self, system, kind, names):
         super().__init__(system, names)
@@ -51,11 +52,11 @@ class CurveEventDetector(SystemEventDetector):
         return [*(event for event in classified_events if event), *self.locate_codim2_events(task, points)]
 
     def end_at_special_point(self, z, kind):
-        """A curve of HB or NS ends where the two eigenvalues are one: beyond they are real."""
+        """Return the end of a curve of HB or NS at a point where its two eigenvalues coincide; they are real beyond."""
         return End.STOPPED if self.kind in SELF_CROSSINGS and kind in DOUBLE_EIGENVALUES else None
 
     def classify_event(self, event, constants):
-        """The event as what it is by the eigenvalues there; None where these are a neutral saddle's."""
+        """Return the event with the kind that its eigenvalues determine; None for a neutral saddle."""
         if event.kind == "BP":
             return self.classify_crossing(event, constants)
         if event.kind not in DOUBLE_EIGENVALUES:
@@ -67,7 +68,7 @@ class CurveEventDetector(SystemEventDetector):
         return event._replace(kind=simple_kind) if is_valid(self.system, self.names, event.z, constants) else None
 
     def classify_crossing(self, event, constants):
-        """The event where two pairs are critical, None where the curve meets itself for another reason."""
+        """Return the event if two pairs of eigenvalues are critical, else None."""
         eigenvalues = eigenvalues_at(self.system, self.names, event.z, constants)
         pairs = eigenvalues[eigenvalues.imag > CRITICAL_TOLERANCE]
         critical_distances = abs(pairs.real) if self.kind == "HB" else abs(abs(pairs) - 1.0)
@@ -78,15 +79,14 @@ class CurveEventDetector(SystemEventDetector):
         return event._replace(kind=SELF_CROSSINGS[self.kind]) if is_double else None
 
     def locate_codim2_events(self, task, points):
-        """The `Event`s where the first coefficient of the normal form is zero, or the angle of NS one of
-        `RESONANCE_ANGLES`."""
+        """Yield the `Event` objects at zeros of the leading normal-form coefficient and at `RESONANCE_ANGLES` on NS."""
         for label, codim2_function in self.codim2_functions(task.args).items():
             if label == "CP":
                 tangent_products = np.sum(points.tangent[1:, -2:] * points.tangent[:-1, -2:], axis=1)
                 values = np.cumprod(np.append(1.0, np.sign(tangent_products)))
             else:
                 values = np.array([codim2_function(z, z) for z in points.z])
-            if abs(values).max() <= ZERO_COEFFICIENT:  # it is zero all along, as where areas are kept
+            if abs(values).max() <= ZERO_COEFFICIENT:  # it vanishes along the curve, as in area-preserving systems
                 continue
             for row_before in np.flatnonzero(values[:-1] * values[1:] < 0):
                 event = self.locate_zero(label, codim2_function, task, points, int(row_before))
@@ -94,7 +94,7 @@ class CurveEventDetector(SystemEventDetector):
                     yield event
 
     def codim2_functions(self, constants):
-        """{label: the function of (z, a point near) that is zero there}; of orbits those without third derivatives."""
+        """Return {label: function of (z, nearby z) that vanishes there}; for orbits without third derivatives."""
         matrix_args, is_orbit = (self.system, self.kind, self.names), self.system.kind == ORBITS
 
         def coefficient(z, near_z):
@@ -120,7 +120,7 @@ class CurveEventDetector(SystemEventDetector):
         return angles if is_orbit else functions | angles
 
     def locate_zero(self, label, codim2_function, task, points, row_before):
-        """Newton's method on the curve's equations and a number: the `Event`, None where it leads to none."""
+        """Locate the zero of a function on the curve by Newton's method; None if it fails or leaves the interval."""
         base_z, step_length = points.z[row_before], float(points.step[row_before + 1])
         midpoint = point_at_length(task, points, row_before, 0.5 * step_length)
         start = base_z + 0.5 * step_length * points.tangent[row_before] if midpoint is None else midpoint.z

@@ -1,8 +1,10 @@
-"""The one loop along a branch, be it in one parameter or in two: chunks of steps, each cut where something ends it,
-with its special points put in, until the branch ends.
+"""Run the continuation loop, in one parameter or in two.
 
-What is watched besides the equations is a `EventDetector`; its methods are asked in this order: `view`, `good`, `look`,
-`good` where that puts points in, `passed`, `before`, `touch`, `comes_back`, `events`, `stops`."""
+The loop computes chunks of steps, truncates each where the branch ends, inserts its special points and repeats until
+the branch ends. An `EventDetector` adds diagnostics and events to those of the equations. Its methods are called in
+this order: `diagnose`, `is_admissible`, `refine_points`, `is_admissible` if that adds points, `is_past_singularity`,
+`find_early_end`, `find_boundary_end`, `find_closure`, `find_events`, `end_at_special_point`.
+"""
 
 from enum import Enum
 from typing import Any, NamedTuple
@@ -19,13 +21,13 @@ from .point_rows import head, insert_row, join_rows, map_fields, row_at
 from .problem import Problem
 from .slow_progress import is_slow, warn_if_slow
 
-POINT_LIMIT = 20_000  # points of a branch
-RETRY_FACTOR = 0.25  # times the step that came to no point of the branch, to try again
-FIRST_CHUNK = 4  # steps of a chunk before its points are first checked: those beyond the first bad point are of no use
+POINT_LIMIT = 20_000  # largest number of points of a branch
+RETRY_FACTOR = 0.25  # ratio of the step after a failed step to the failed one
+FIRST_CHUNK = 4  # steps before points are first checked; those beyond the first inadmissible point are discarded
 
 
 class End(Enum):
-    """Why a branch ends: the text is a sentence about the parameter `name` at `value`, and the special point `kind`."""
+    """Termination reasons; the text refers to the parameter `name` at `value` and the special point `kind`."""
 
     BOUND = "{name} reached its bound {value:.12g}"
     DOMAIN = "the domain of {name} ends at {value:.12g}"
@@ -39,12 +41,22 @@ class End(Enum):
     NUMBER = "a number is not finite after {value:.12g}"
 
 
-ENDS = {RUNNING: None, OUTSIDE: End.BOUND, arclength.UNDERFLOW: End.STEP, arclength.NONFINITE: End.NUMBER}  # of a chunk
+# Ends by the status of a chunk.
+ENDS = {RUNNING: None, OUTSIDE: End.BOUND, arclength.UNDERFLOW: End.STEP, arclength.NONFINITE: End.NUMBER}
 
 
 class Termination(NamedTuple):
-    """What a `EventDetector` says of an end. points: up to it; special: the special point there, its place left open;
-    end."""
+    """Termination that an `EventDetector` reports.
+
+    Attributes
+    ----------
+    points : Point
+        Points up to the end.
+    special : SpecialIndex
+        Special point at the end; its row is not set.
+    end : Enum
+        Termination reason.
+    """
 
     points: Point
     special: SpecialIndex
@@ -52,59 +64,111 @@ class Termination(NamedTuple):
 
 
 class EventDetector:
-    """What is known of points besides that they solve the equations, and what ends a branch: here nothing."""
+    """Diagnostics, special points and ends besides those of the equations; this base class adds none."""
 
     def refine_points(self, task, points, diagnostics):
-        """(the points, with more where something may have been missed between two; what is known of each, as rows).
-        diagnostics: what is known of the points given."""
+        """Insert points where an event may be missed between two.
+
+        Parameters
+        ----------
+        task : ContinuationTask
+            The task.
+        points : Point
+            Points, one row each.
+        diagnostics : Any
+            Diagnostics of the points.
+
+        Returns
+        -------
+        tuple
+            Points and diagnostics, with the inserted rows.
+        """
         return points, diagnostics
 
     def diagnose(self, zs):
-        """What is known of the points zs, a pytree of arrays with a row a point."""
+        """Compute diagnostics of the points `zs`, a pytree of arrays with one row per point."""
         return None
 
     def is_admissible(self, zs, diagnostics):
-        """Which points are solutions that are wanted, (points,)."""
+        """Return which points are admissible solutions, bool array of shape (points,)."""
         return np.ones(len(zs), bool)
 
     def is_past_singularity(self, points):
-        """Which points lie beyond a place where the equations are singular though nothing branches there, the point
-        before on this side of it, (points,)."""
+        """Return which points lie just beyond a singularity without branching, shape (points,)."""
         return np.zeros(len(points.z), bool)
 
     def find_early_end(self, task, points):
-        """`Termination` where an end is near that is to be seen before a point is bad, else None."""
+        """Return the `Termination` of an end that is detected before a point is inadmissible, or None."""
         return None
 
     def find_boundary_end(self, task, points, diagnostics, first_bad):
-        """`Termination` at the last good point before the first bad one, None where it is not found."""
+        """Return the `Termination` before the first inadmissible point, or None if it is not located."""
         return None
 
     def find_events(self, task, points, diagnostics, branch_points, termination):
-        """The `event_search.Event`s between points; branch_points: branch points found already; termination:
-        `Termination` at the last, or None."""
+        """Locate the special points between points.
+
+        Parameters
+        ----------
+        task : ContinuationTask
+            The task.
+        points : Point
+            Points, one row each.
+        diagnostics : Any
+            Diagnostics of the points.
+        branch_points : dict of int to Event
+            Branch points that are already located, by the row before them.
+        termination : Termination or None
+            Termination at the last point.
+
+        Returns
+        -------
+        list of Event
+            Special points.
+        """
         values = event_search.test_function_values(task.problem, points, task.args)
         return event_search.locate_events(task.problem, points, values, task.control, task.args, branch_points)
 
     def equivalent_points(self, z, near_z):
-        """The points near one that are the same solution as z."""
+        """Return the points near `near_z` that represent the same solution as z."""
         return [z]
 
     def find_closure(self, task, points):
-        """(place, length) where the branch comes back to one of the starts, None where it does not."""
+        """Return (row, length) where the branch returns to one of the starts, or None."""
         targets = [image for start in task.starts for image in self.equivalent_points(start, points.z[0])]
         return event_search.find_pass(task.problem, points, targets, task.control, task.args) if targets else None
 
     def end_at_special_point(self, z, kind):
-        """An `End` where a special point ends the branch whatever is asked for, else None."""
+        """Return the `End` if a special point always ends the branch, else None."""
         return None
 
 
 class ContinuationTask(NamedTuple):
-    """A branch to be followed. problem, args: its equations; control: of steps; first_step: the first; bounds: (low,
-    high) of each parameter, the last one's as in the control; domain_ends: ends of these that are none of the bounds
-    asked for; watch; stop: kinds of special points that end it; starts: solutions that end it when it comes back to
-    them; limits: of its points and of the time."""
+    """Definition of one continuation.
+
+    Parameters
+    ----------
+    problem : Problem
+        Equations.
+    args : Any
+        Further argument of the equations.
+    control : StepControl
+        Step sizes, tolerance and bounds of the last parameter.
+    first_step : float
+        Length of the first step.
+    bounds : tuple
+        (low, high) of each parameter; those of the last agree with the control.
+    domain_ends : tuple, optional
+        Bounds of each parameter that are ends of its domain and not requested bounds.
+    detector : EventDetector, optional
+        Diagnostics and events besides those of the equations.
+    stop : tuple of str, optional
+        Kinds of special point at which the branch ends.
+    starts : tuple of ndarray, optional
+        Solutions that close the branch if it returns to them.
+    limits : Limits, optional
+        Limits of points and time.
+    """
 
     problem: Problem
     args: Any
@@ -119,7 +183,20 @@ class ContinuationTask(NamedTuple):
 
 
 def follow_branch(task, start):
-    """The `BranchSegment` from a `Point`, whose tangent leads away."""
+    """Continue a branch from a point.
+
+    Parameters
+    ----------
+    task : ContinuationTask
+        The task.
+    start : Point
+        Starting point; its tangent points along the branch.
+
+    Returns
+    -------
+    BranchSegment
+        The branch in this direction.
+    """
     segments, state = [], _start_state(start, task.first_step)
     while state is not None:
         for points, info, status in _generate_chunks(task, state, _count_points(segments)):
@@ -130,8 +207,7 @@ def follow_branch(task, start):
 
 
 class PointInfo(NamedTuple):
-    """Points that are known. z: the points; diagnostics: what a `EventDetector` knows of each; admissible: which are
-    wanted."""
+    """Points with their diagnostics and a mask of the admissible ones."""
 
     z: Any
     diagnostics: Any
@@ -144,8 +220,11 @@ def _point_info(detector, zs):
 
 
 def _generate_chunks(task, state, n_points):
-    """Yields (points, `PointInfo` of them, status) of chunks of steps, each checked after a few steps and ended early
-    behind its first bad point, and where a limit is reached. n_points: of the points before."""
+    """Yield (points, their `PointInfo`, status) of chunks of steps.
+
+    Points are checked after a few steps each. A chunk ends after its first inadmissible point and where a limit is
+    reached. `n_points` is the number of points before.
+    """
     chunk = None
     for points, status in event_search.track_chunks(task.problem, state, task.control, task.args, FIRST_CHUNK):
         if chunk is None:
@@ -163,7 +242,20 @@ def _generate_chunks(task, state, n_points):
 
 
 def follow_branches(tasks, start_points):
-    """The `BranchSegment` of each of some tasks, those of one problem and size as the lanes of one compiled call."""
+    """Continue several branches; tasks of one problem and size run as lanes of one compiled call.
+
+    Parameters
+    ----------
+    tasks : sequence of ContinuationTask
+        The tasks.
+    start_points : sequence of Point
+        Starting point of each.
+
+    Returns
+    -------
+    list of BranchSegment
+        One segment per task.
+    """
     lanes_by_problem, segment_of_lane = {}, {}
     for lane, (task, start) in enumerate(zip(tasks, start_points, strict=True)):
         lanes_by_problem.setdefault((task.problem, len(start.z)), []).append(lane)
@@ -194,8 +286,10 @@ def _start_state(start, first_step):
 
 
 def _add_segment(task, segments, points, info, status):
-    """Put the `BranchSegment` of a chunk of steps to those before it; the `TrackState` to go on from with a smaller
-    step, None where the steps are good."""
+    """Append the `BranchSegment` of a chunk of steps.
+
+    Returns the `TrackState` with which to retry with a smaller step, or None if no retry is needed.
+    """
     segment, retry_step = _make_segment(task, points, info, status)
     n_points = _count_points([*segments, segment])
     if segment.end is None and n_points > POINT_LIMIT:
@@ -203,18 +297,18 @@ def _add_segment(task, segments, points, info, status):
     segment = _apply_limits(task.limits, segment, n_points)
     segments.append(segment)
     task.limits.report(_count_points(segments))
-    if not any(is_slow(segment) for segment in segments[:-1]):  # once for a branch
+    if not any(is_slow(segment) for segment in segments[:-1]):  # warn once per branch
         warn_if_slow(task.control, segment)
     return _start_state(row_at(segment.points, -1), retry_step) if segment.end is None and retry_step else None
 
 
 def _count_points(segments):
-    """The number of points of `BranchSegment`es in a row."""
+    """Count the points of consecutive `BranchSegment` objects."""
     return 1 + sum(len(segment.points.z) - 1 for segment in segments)
 
 
 def _apply_limits(limits, segment, n_points):
-    """The `BranchSegment` up to where a limit is reached; n_points: of all points up to its end."""
+    """Truncate a `BranchSegment` where a limit is reached; `n_points` is the number of all points up to its end."""
     n_excess = 0 if limits.room is None else n_points - max(limits.room, 1)
     if n_excess > 0 or (n_excess == 0 and limits.room is not None and segment.end is None):
         n_remaining = max(len(segment.points.z) - n_excess, 1)
@@ -227,17 +321,18 @@ def _apply_limits(limits, segment, n_points):
 
 
 def _make_segment(task, points, info, status):
-    """(the `BranchSegment` of a chunk of steps; the step to go on with from its last point, where a longer one came to
-    no point of the branch, else None). info: `PointInfo` of the points."""
+    """Make the `BranchSegment` of a chunk of steps from its points and `PointInfo`.
+
+    Returns it and the step with which to continue from its last point if a longer step failed, else None.
+    """
     detector, retry_step = task.detector, None
-    points, end, param_index = _truncate_at_bounds(
-        task, points, ENDS[status]
-    )  # first, as what comes after a bound is not to be seen
+    # Truncate first: points beyond a bound must not be examined.
+    points, end, param_index = _truncate_at_bounds(task, points, ENDS[status])
     points, diagnostics = detector.refine_points(task, points, _diagnose(detector, points.z, info.z, info.diagnostics))
     admissible = info.admissible if np.array_equal(points.z, info.z) else detector.is_admissible(points.z, diagnostics)
     admissible[0] = True
     n_points, first_bad, info = len(points.z), int(np.argmin(np.append(admissible, False))), points.z
-    expired = task.limits.expired  # what ends the branch there, and whether it jumped, may take long to find
+    expired = task.limits.expired  # then skip the search for the end and for jumps, which may take long
     truncated = expired and first_bad < n_points
     points, end = (head(points, first_bad), End.MAX_SECONDS) if truncated else (points, end)
     candidates = head(points, first_bad + 1)
@@ -254,7 +349,7 @@ def _make_segment(task, points, info, status):
         termination, step = detector.find_boundary_end(task, points, diagnostics, first_bad), points.step[first_bad]
         if termination is None:
             points, (end, retry_step) = head(points, first_bad), _retry(step, task.control)
-            end = End.MAX_SECONDS if task.limits.expired else end  # the search may have been given up
+            end = End.MAX_SECONDS if task.limits.expired else end  # the search may have been aborted
     if termination is not None:
         points, end = termination.points, termination.end
     closure = detector.find_closure(task, points)
@@ -278,7 +373,7 @@ def _make_segment(task, points, info, status):
 
 
 def _diagnose(detector, zs, known_zs, known_diagnostics):
-    """What a watch knows of points, some of which it has seen known_zs: a view of a point depends on that alone."""
+    """Compute diagnostics of points; those of known points are reused, because they depend on the point alone."""
     if known_diagnostics is None:
         return None
     row_of_bytes = {z.tobytes(): k for k, z in enumerate(known_zs)}
@@ -296,10 +391,9 @@ def _diagnose(detector, zs, known_zs, known_diagnostics):
 
 
 def _truncate_at_bounds(task, points, end):
-    """(the points up to where the first bound is met, why they end, the place of the parameter in z that is to be
-    told)."""
+    """Truncate points at the first bound; returns them, the end and the index in z of the parameter to report."""
     param_index = -1
-    for index in range(-len(task.bounds), 0):  # one step may cross several: each cuts what the one before has left
+    for index in range(-len(task.bounds), 0):  # one step may cross several bounds
         lower, upper = task.bounds[index]
         outside = (points.z[:, index] < lower) | (points.z[:, index] > upper)
         outside[0] = False
@@ -313,7 +407,7 @@ def _truncate_at_bounds(task, points, end):
 
 
 def _is_outside(task, z):
-    """Whether a parameter is beyond a bound."""
+    """Return True if a parameter is out of bounds."""
     return any(
         not lower <= z[index] <= upper
         for index, (lower, upper) in zip(range(-len(task.bounds), 0), task.bounds, strict=True)
@@ -321,13 +415,13 @@ def _is_outside(task, z):
 
 
 def _retry(step, control):
-    """(the end, the step to try) where a step came to no point of the branch."""
+    """Return (end, step to retry with) after a failed step."""
     smaller_step = RETRY_FACTOR * float(step)
     return (End.STEP, None) if smaller_step < control.min_step else (None, smaller_step)
 
 
 def _insert_events(task, points, events):
-    """(the points with those of the events among them, the `SpecialIndex`s)."""
+    """Insert the points of events; returns the points and the `SpecialIndex` list."""
     specials, offsets = [], {}
     for shift, (kind, row, length, z, residual) in enumerate(events):
         point = point_from_z(task, points, row + shift, z)
@@ -341,7 +435,7 @@ def _insert_events(task, points, events):
 
 
 def _truncate_at_stop(task, points, specials):
-    """(the points up to the first special point that ends the branch, the marks up to it, the `End` or None)."""
+    """Truncate at the first special point that ends the branch; return points, special points, `End` or None."""
     for special in sorted(specials, key=lambda special: special.row):
         stop_end = task.detector.end_at_special_point(points.z[special.row], special.kind)
         stop_end = stop_end or (End.STOPPED if special.kind in task.stop else None)

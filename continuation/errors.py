@@ -1,4 +1,4 @@
-"""What is raised for arguments that cannot be."""
+"""Define the error for invalid arguments and the decorator that checks the types of arguments."""
 
 from typing import Any
 
@@ -6,7 +6,26 @@ from .argument_types import check_arguments
 
 
 class ContinuationError(ValueError):
-    """An argument breaks a rule. key: the argument; rule: what it must be; value: what was given."""
+    """Error for an invalid argument.
+
+    Attributes
+    ----------
+    key : str
+        Name of the argument.
+    rule : str
+        Rule that the argument breaks.
+    value : Any
+        Value of the argument.
+
+    Examples
+    --------
+    >>> system = co.equilibria(lambda u, p, args: p["a"] - u)
+    >>> try:
+    ...     co.trace(system, [0.0], {"a": 0.0}, "a", bounds=(1.0, 2.0))
+    ... except co.ContinuationError as error:
+    ...     print(error.key)
+    bounds
+    """
 
     def __init__(self, key: str, rule: str, value: Any) -> None:
         super().__init__(key, rule, value)
@@ -18,10 +37,20 @@ class ContinuationError(ValueError):
 
 
 def first_line(error: Exception) -> str:
-    """Return the type of an exception and the first line of its message, up to 160 characters."""
+    """Return the type of an exception and the first line of its message.
+
+    Parameters
+    ----------
+    error : Exception
+        The exception.
+
+    Returns
+    -------
+    str
+        Type and first line, at most 160 characters.
+    """
     return f"{type(error).__name__}: {str(error).partition(chr(10))[0]}"[:160]
 
 
-check_types = check_arguments(
-    ContinuationError
-)  # decorates a public function, which refuses what its annotations do not allow
+# Decorator of public functions that refuses arguments of types that their annotations do not allow.
+check_types = check_arguments(ContinuationError)

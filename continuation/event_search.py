@@ -1,4 +1,4 @@
-"""A branch from its start on: chunks of steps, the events in them located, and what ends it."""
+"""Compute chunks of steps along a branch, locate the special points between steps and detect jumps between branches."""
 
 from typing import NamedTuple
 
@@ -13,18 +13,31 @@ from .persistent_jit import persistent_jit
 from .point_rows import map_fields, row_at
 
 CHUNK_SIZE = 128  # steps attempted in a compiled call
-POLISH_TOLERANCE = 1e-10  # a length: from a step as short the next leaves rounding alone
-DETERMINANT_ROUNDOFF = 1e-13  # of the largest determinant: as small is rounding
-MIN_JUMP_STEP = 1e-4  # a length: a step as short is no jump to another branch
-MAX_HALVINGS, NEWTON_EVERY = 25, 6  # of an interval with a change of sign; after every so many Newton's method is tried
-SAME_POINT_DISTANCE = 1e-6  # of the scaled lengths: two points as near are one
-SEARCH_RADIUS_FACTOR = 10.0  # of the way to the point beyond an event: so far Newton's method may come from its guess
-START_DISTANCE = 1e-8  # of the scaled lengths: a special point as near to a start is the start
+POLISH_TOLERANCE = 1e-10  # Newton step, a length, after which the next step leaves only rounding errors
+DETERMINANT_ROUNDOFF = 1e-13  # rounding error of determinants, relative to the largest
+MIN_JUMP_STEP = 1e-4  # smallest step, a length, that can be a jump to another branch
+MAX_HALVINGS, NEWTON_EVERY = 25, 6  # bisections of an interval; bisections between attempts of Newton's method
+SAME_POINT_DISTANCE = 1e-6  # largest distance, a scaled length, between equal points
+SEARCH_RADIUS_FACTOR = 10.0  # largest distance of Newton's method from its guess, relative to the step over the event
+START_DISTANCE = 1e-8  # largest distance, a scaled length, of a special point that coincides with the start
 
 
 class Event(NamedTuple):
-    """A special point. kind: "SN", "BP" or a test's label; row_before: the place of the point before it; length: from
-    that to it along the tangent; z; residual: the largest error left in its equations."""
+    """Special point between two points of a branch.
+
+    Attributes
+    ----------
+    kind : str
+        "SN", "BP" or the label of a test function.
+    row_before : int
+        Row of the point before.
+    length : float
+        Length from that point along its tangent.
+    z : ndarray
+        The special point.
+    residual : float
+        Largest residual of its equations.
+    """
 
     kind: str
     row_before: int
@@ -34,13 +47,32 @@ class Event(NamedTuple):
 
 
 def unit_tangent(problem, z, scale, args, direction=None):
-    """The unit tangent at a regular point: towards greater parameters, or as near as can be to a direction."""
+    """Compute the unit tangent at a regular point.
+
+    Parameters
+    ----------
+    problem : Problem
+        The problem.
+    z : ndarray
+        Point of shape (n + 1,).
+    scale : ndarray
+        Weights of the length.
+    args : Any
+        Further argument of its functions.
+    direction : ndarray, optional
+        Direction with which the tangent encloses an acute angle. None stands for increasing parameter.
+
+    Returns
+    -------
+    ndarray
+        Tangent of shape (n + 1,).
+    """
     jacobian = np.asarray(augmented_systems.evaluate(problem, z, args)[1])
     return oriented_null_vector(jacobian, scale, direction)
 
 
 def oriented_null_vector(jacobian, scale, direction=None):
-    """The unit null vector of an (n, n + 1) matrix; columns of scale 0 left out."""
+    """Return the unit null vector of an (n, n + 1) matrix, without columns of weight 0, oriented along a direction."""
     is_used = scale > 0
     null_vector = np.zeros(len(scale))
     null_vector[is_used] = np.linalg.svd(jacobian[:, is_used])[2][-1]
@@ -65,13 +97,53 @@ def _track_with_runner(state, control, args, max_steps, problem, capacity):
 
 
 def take_step(problem, point, length, control, args):
-    """The branch's `Point` a length away along the tangent of one: `met` says whether Newton's method came there."""
+    """Take one step from a point.
+
+    Parameters
+    ----------
+    problem : Problem
+        The problem.
+    point : Point
+        Point and its tangent.
+    length : float
+        Length of the step along the tangent.
+    control : StepControl
+        Step sizes and tolerance.
+    args : Any
+        Further argument of its functions.
+
+    Returns
+    -------
+    Point
+        The point of the branch; `converged` states whether Newton's method succeeded.
+    """
     state = TrackState(point.z, point.tangent, np.float64(length), np.int32(RUNNING))
     return row_at(_track_chunk(problem, state, control, args, CHUNK_SIZE, np.int32(1))[1], 0)
 
 
 def solve_with_fixed_entry(problem, z, index, value, control, args):
-    """The `Point` near z with a value in one of its places, to rounding: `met` says whether there is one."""
+    """Solve for the point near z with one entry fixed, to rounding.
+
+    Parameters
+    ----------
+    problem : Problem
+        The problem.
+    z : ndarray
+        Approximate point.
+    index : int
+        Index of the fixed entry of z.
+    value : float
+        Its value.
+    control : StepControl
+        Step sizes and tolerance.
+    args : Any
+        Further argument of its functions.
+
+    Returns
+    -------
+    Point
+        The point; `converged` states whether Newton's method succeeded.
+    """
     pinning_row = np.zeros(len(z))
     pinning_row[index] = 1.0 / control.scale[index] ** 2
     z_guess = np.array(z)
@@ -86,15 +158,33 @@ def solve_with_fixed_entry(problem, z, index, value, control, args):
 
 
 def polishing_control(problem, control):
-    """The `Control` with which Newton's method ends at rounding, or at the noise of the equations."""
+    """Return the `StepControl` with which Newton's method ends at rounding, or at the noise of the equations."""
     return control._replace(tolerance=np.float64(max(POLISH_TOLERANCE, problem.noise_floor)))
 
 
 def track_chunks(problem, state, control, args, first_steps=CHUNK_SIZE):
-    """Yields (`arclength.Point` of arrays, status of `arclength`): points in a row, the first being the last before.
+    """Compute a branch chunk by chunk.
 
-    state: where it starts; first_steps: the number of steps attempted before the first points are yielded, which
-    doubles each time up to `CHUNK_SIZE`. It ends when the status is not ON."""
+    Parameters
+    ----------
+    problem : Problem
+        The problem.
+    state : TrackState
+        State to start from.
+    control : StepControl
+        Step sizes, tolerance and bounds.
+    args : Any
+        Further argument of its functions.
+    first_steps : int, optional
+        Number of steps attempted in the first chunk. It doubles with each chunk up to `CHUNK_SIZE`.
+
+    Yields
+    ------
+    points : Point
+        Rows of points, the first of which is the last of the previous chunk.
+    status : int
+        Status of `arclength`; the iteration ends when it is not RUNNING.
+    """
     start, max_steps = _first_point(problem, state, control, args), first_steps
     while True:
         state, points = _track_chunk(problem, state, control, args, CHUNK_SIZE, np.int32(max_steps))
@@ -106,11 +196,26 @@ def track_chunks(problem, state, control, args, first_steps=CHUNK_SIZE):
 
 
 def track_branches(problem, states, controls, args, on_chunk):
-    """`track_chunks` of many branches, the lanes of one compiled call a chunk.
+    """Compute several branches chunk by chunk, as the lanes of one compiled call.
 
-    states, controls, args: lists, one of each a lane, alike in their shapes; on_chunk: takes a lane's number and what
-    `track_chunks` yields, and says whether the lane is to go on, or the `TrackState` to go on from. The lanes are
-    filled up to a power of two."""
+    Parameters
+    ----------
+    problem : Problem
+        The problem.
+    states : list of TrackState
+        State of each lane.
+    controls : list of StepControl
+        Control of each lane.
+    args : list
+        Further argument of each lane, alike in their shapes.
+    on_chunk : callable
+        Takes a lane's index and the points and status that `track_chunks` yields. It returns True to continue the lane,
+        False or None to end it, or a `TrackState` to continue from.
+
+    Notes
+    -----
+    The number of lanes is padded to a power of two.
+    """
     starts = [_first_point(problem, *inputs) for inputs in zip(states, controls, args, strict=True)]
     n_idle = (1 << (len(states) - 1).bit_length()) - len(states)
     idle_states = [states[-1]._replace(status=np.int32(OUTSIDE))] * n_idle
@@ -158,14 +263,14 @@ def _track_lanes_chunk(problem, states, controls, args, capacity):
 
 
 def _first_point(problem, state, control, args):
-    """The `Point` at the start of a branch."""
+    """Return the `Point` at the start of a branch."""
     zero = np.zeros_like(state.step)
     start = take_step(problem, Point(state.z, state.tangent, *[zero] * 3, *[np.True_] * 2), 0.0, control, args)
     return start._replace(z=state.z, tangent=state.tangent, step=zero, accepted=np.True_)
 
 
 def _accepted_points(start, points):
-    """A start and the points of a chunk that were kept, in a row."""
+    """Join a start and the accepted points of a chunk."""
     return map_fields(
         lambda start_leaf, leaf: np.concatenate([np.asarray(start_leaf)[None], leaf[points.accepted]]), start, points
     )
@@ -177,7 +282,7 @@ def _test_determinants(problem, test, zs, args):
 
 
 def test_function_values(problem, points, args):
-    """{label: determinant at each point} of a problem's tests."""
+    """Return {label: determinant at each point} for the test functions of a problem."""
     n_rows = -(-len(points.z) // (CHUNK_SIZE + 1)) * (CHUNK_SIZE + 1)
     padded = np.concatenate([points.z, np.repeat(points.z[-1:], n_rows - len(points.z), axis=0)])
     return {
@@ -187,18 +292,17 @@ def test_function_values(problem, points, args):
 
 
 def locate_events(problem, points, values, control, args, branch_points=None):
-    """The `Event`s between points in a row, in order; values: {label: of the problem's tests at each point};
-    branch_points: of `find_jump`, the branch points between these and more points.
+    """Locate the special points between points, in order.
 
-    One at the first point is left out: it belongs to the points before, or the branch was begun in it.
+    `values` are {label: values of the test function at each point}; `branch_points` are those that `find_jump` located.
+    An event at the first point is omitted: it belongs to the points before, or the branch starts there.
     """
     events, values_by_kind = [], {"BP": points.determinant, "SN": points.tangent[:, -1]} | values
     for kind, kind_values in values_by_kind.items():
         signs = _signs_without_zeros(kind_values)
         for row_before in np.flatnonzero(signs[:-1] * signs[1:] < 0):
-            crosses = kind == "SN" and any(
-                other.row_before == row_before for other in events
-            )  # it may turn there, without a fold
+            # At a branch point the tangent may turn without a fold.
+            crosses = kind == "SN" and any(other.row_before == row_before for other in events)
             event = (branch_points or {}).get(int(row_before)) if kind == "BP" else None
             if event is None:
                 event = _locate_event(
@@ -210,11 +314,12 @@ def locate_events(problem, points, values, control, args, branch_points=None):
 
 
 def find_jump(problem, points, control, args, is_past_singularity=None):
-    """(the place of the first point that lies on another branch than the one before it, None where none does; the
-    branch points up to there, {place of the point before: `Event`}).
+    """Find the first point that lies on another branch than the point before it.
 
-    At a jump the determinant has another sign, and no branch point is between the two. is_past_singularity: (points,),
-    the points before which that is known, None where it is of none: these are taken for jumps."""
+    Returns its row, or None, and the branch points before it by the row before each. At a jump the determinant changes
+    sign without a branch point. `is_past_singularity` marks points that lie beyond a known singularity; these count as
+    jumps.
+    """
     signs, branch_points = _signs_without_zeros(points.determinant), {}
     for row_before in np.flatnonzero((signs[:-1] * signs[1:] < 0) & (points.step[1:] > MIN_JUMP_STEP)):
         event = None
@@ -227,7 +332,7 @@ def find_jump(problem, points, control, args, is_past_singularity=None):
 
 
 def _signs_without_zeros(values):
-    """The sign of each; a zero has that of the one before, so that the change is after it; none is at the start."""
+    """Return the signs of values; a zero takes the sign before it, at the start the first one after it."""
     signs = np.where(abs(values) <= DETERMINANT_ROUNDOFF * abs(values).max(), 0.0, np.sign(values))
     for index in np.flatnonzero(signs == 0):
         signs[index] = signs[index - 1] if index else next((sign for sign in signs if sign), 0.0)
@@ -235,7 +340,7 @@ def _signs_without_zeros(values):
 
 
 def _locate_event(problem, kind, points, row_before, values, control, args, max_halvings=MAX_HALVINGS):
-    """The event between two points, None where Newton's method leads to none there."""
+    """Locate the event between two points; None if Newton's method does not converge there."""
     base = row_at(points, row_before)
     lower, upper = 0.0, float(points.step[row_before + 1])
     guess = upper * values[row_before] / (values[row_before] - values[row_before + 1])
@@ -254,10 +359,10 @@ def _locate_event(problem, kind, points, row_before, values, control, args, max_
 
 
 def _event_between(problem, kind, base, row_before, interval, trial, guess, control, args):
-    """The event to which Newton's method leads from a guess, None where that is not between two lengths."""
+    """Return the event to which Newton's method converges from a guess; None if it is not between two lengths."""
     lower, upper = interval
     z = trial.z if trial.converged else base.z + guess * base.tangent
-    with np.errstate(divide="ignore"):  # what has no weight may come as far as it likes
+    with np.errstate(divide="ignore"):  # entries of weight 0 have no largest distance
         max_distance = SEARCH_RADIUS_FACTOR * upper / control.scale
     solution = _polish_event(problem, kind, z, args, max_distance)
     if solution.z is None:
@@ -270,7 +375,7 @@ def _event_between(problem, kind, base, row_before, interval, trial, guess, cont
 
 
 def _event_sign(problem, kind, point, args):
-    """What changes its sign where there is an event of a kind."""
+    """Return the sign that changes at events of a kind."""
     if kind in ("SN", "BP"):
         return np.sign(point.tangent[-1] if kind == "SN" else point.determinant)
     (test,) = (test for test in problem.test_functions if test.label == kind)
@@ -278,7 +383,7 @@ def _event_sign(problem, kind, point, args):
 
 
 def _polish_event(problem, kind, z, args, max_distance):
-    """The event to which Newton's method leads: `locate.Located`, without a z where it is none."""
+    """Locate an event by Newton's method; the `PointSolution` has no z if it is invalid."""
     if kind == "SN":
         solution = augmented_systems.locate_fold(problem, z, args, max_distance)
     elif kind == "BP":
@@ -301,8 +406,10 @@ def _polish_test_event(problem, kind, z, args, max_distance):
 
 
 def _remove_spurious_folds(events, control):
-    """Events in order. Where a branch is crossed at its own turning point, both a fold and a branch point are seen: it
-    is a branch point."""
+    """Sort events and remove folds that coincide with branch points.
+
+    If a branch is crossed at its own turning point, both are detected; the event is a branch point.
+    """
     crossings = [event for event in events if event.kind == "BP"]
     genuine = [
         event
@@ -316,8 +423,10 @@ def _remove_spurious_folds(events, control):
 
 
 def find_near_passes(points, targets, control):
-    """(place of the point before, length from it, which mark) of each of some marks, points in z, that a row of points
-    passes near enough to be on the same branch; confirm with `take_step`."""
+    """Return (row before, length, index of the target) where points pass close to targets in z.
+
+    The targets may lie on the same branch; confirm with `take_step`.
+    """
     passes = []
     weights = control.scale**2
     for target_index, target in enumerate(targets):
@@ -326,7 +435,7 @@ def find_near_passes(points, targets, control):
         distances = np.linalg.norm(control.scale * (offsets - lengths[:, None] * points.tangent[:-1]), axis=1)
         step_lengths = points.step[1:]
         is_ahead = lengths > 0
-        if points.step[0] == 0:  # the first point begins the branch: a mark a rounding away is that very point
+        if points.step[0] == 0:  # the branch begins at the first point: a target within rounding is that point
             is_ahead[:1] = lengths[:1] > START_DISTANCE
         for row_before in np.flatnonzero(is_ahead & (lengths <= step_lengths) & (distances < 0.5 * step_lengths)):
             passes.append((int(row_before), float(lengths[row_before]), target_index))
@@ -334,7 +443,7 @@ def find_near_passes(points, targets, control):
 
 
 def find_pass(problem, points, targets, control, args):
-    """(place of the point before, length from it) where a row of points first passes through one of some marks."""
+    """Return (row before, length from it) where the branch first passes through one of the targets, or None."""
     for row_before, length, target_index in find_near_passes(points, targets, control):
         base = row_at(points, row_before)
         point = take_step(problem, base, length, control, args)

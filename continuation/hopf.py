@@ -1,4 +1,4 @@
-"""Where periodic orbits are born: from a Hopf point on, and back into one."""
+"""Start branches of periodic orbits at Hopf points and detect their ends in Hopf points."""
 
 import numpy as np
 
@@ -9,18 +9,22 @@ from .errors import ContinuationError
 from .point_rows import head, insert_row, row_at
 from .problem import EQUILIBRIA, System, eigenvalues_at, matrix_at, problem_of
 
-SMALL_ORBIT = 0.02  # of 1 + the largest number: orbits as small, and shrinking, are about to end in a Hopf point
+SMALL_ORBIT = 0.02  # size, relative to 1 + the largest coordinate, below which a shrinking orbit is near a Hopf point
 
 
 def hopf_orbit_start(special, orbits, constants):
-    """(z, the unit tangent) of the periodic orbits at a Hopf point: the point itself, the eigenvalues' period, and one
-    round of their eigenvector (Kuznetsov, 10.2)."""
+    """Return (z, unit tangent) of the periodic orbits at a Hopf point.
+
+    z consists of the point itself and the period of the critical eigenvalues; the tangent is one revolution of their
+    eigenvector (Kuznetsov, 10.2).
+    """
     matrix = matrix_at(special.system, "", special.names, special.z, constants)
     eigenvalues, eigenvectors = np.linalg.eig(matrix)
     critical_index = int(np.argmin(np.where(eigenvalues.imag > 0, abs(eigenvalues.real), np.inf)))
+    # This phase makes the real and imaginary parts of q orthogonal.
     q = eigenvectors[:, critical_index] * np.exp(
         -0.5j * np.angle(eigenvectors[:, critical_index] @ eigenvectors[:, critical_index])
-    )  # real, imaginary: across
+    )
     phase_factors = np.exp(2j * np.pi * np.arange(orbits.segments) / orbits.segments)
     points, direction = np.tile(special.u, orbits.segments), np.outer(phase_factors, q).real.reshape(-1)
     z = np.concatenate([points, [2.0 * np.pi / eigenvalues[critical_index].imag], special.z[-1:]])
@@ -28,17 +32,16 @@ def hopf_orbit_start(special, orbits, constants):
 
 
 def first_orbit(task, start):
-    """The `Point` a first step away from a Hopf point, where the equations are singular. Raises ContinuationError."""
+    """Return the `Point` one step away from a Hopf point, where the equations are singular; or raise an error."""
     point = event_search.take_step(task.problem, start, task.first_step, task.control, task.args)
     if not point.converged:
-        rule = "must lead to an orbit: take a shorter one, or a smaller tolerance of `periodic_orbits`"
+        rule = "must lead to a periodic orbit; reduce first_step or the tolerance of `periodic_orbits`"
         raise ContinuationError("first_step", rule, task.first_step)
     return point._replace(step=np.zeros(()), accepted=np.True_)
 
 
 def find_hopf_end(system, names, task, points):
-    """`Termination` at the Hopf point into which a row of orbits shrinks, once they are `SMALL_ORBIT`; None where none
-    does."""
+    """Return the `Termination` at the Hopf point into which orbits of `SMALL_ORBIT` size shrink, or None."""
     n_unknowns, n_segments = points.z.shape[1] - len(names), system.segments * system.times
     orbit_points = points.z[:, : n_unknowns - 1].reshape(len(points.z), n_segments, -1)
     centres = orbit_points.mean(axis=1)

@@ -1,8 +1,9 @@
-"""Solutions of F(u, p, fixed) = 0 as functions of p: found in whatever way, differentiated as roots, not as iterations.
+"""Differentiate roots of F(u, p, fixed) = 0 as functions of p by the implicit function theorem.
 
-Of u(p) only F is known: u' = -F_u^-1 F_p (implicit function theorem). Differentiated again this gives the derivatives
-of any order. They are taken forward alone (`forward_differentiable`), so that F may hold loops whose length its numbers
-decide. fixed is a pytree of what is not differentiated by."""
+Any algorithm may compute the root; only F is differentiated: ``u' = -F_u^-1 F_p``. Repeated differentiation gives
+derivatives of any order. They are computed in forward mode (`forward_differentiable`), so that F may contain loops of
+data-dependent length. `fixed` is a pytree of constants.
+"""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -19,20 +20,46 @@ from .problem import call_directly
 
 Unknowns = Float[Array, " unknowns"]
 Parameters = Float[Array, " numbers"]
-Runner = Callable[..., Any]  # of (function, *arrays): its result, as the compiler likes it (`problem.Problem.run`)
+Runner = Callable[..., Any]  # calls (function, *arrays), as `problem.Problem.runner`
 
 
 def loop_over_lanes(function: Callable[..., Any], runner: Runner = call_directly) -> Callable[..., Any]:
-    """The function of one lane, of which a vmap is a loop over lanes: none waits for another, and what is compiled is
-    small."""
+    """Make a function whose vmap is a loop over lanes.
+
+    Lanes do not wait for each other, and the compiled program is small.
+
+    Parameters
+    ----------
+    function : callable
+        Function of arrays of one lane.
+    runner : callable, optional
+        Calls (function, arrays), as `problem.Problem.runner`.
+
+    Returns
+    -------
+    callable
+        The function.
+    """
     return sequential_vmap(lambda *arrays: runner(function, *arrays))
 
 
 def forward_differentiable(
     function: Callable[[Parameters, Any], Any], runner: Runner = call_directly
 ) -> Callable[[Parameters, Any], Any]:
-    """The function of (vector, fixed) whose derivatives by the vector are whole arrays, of any order: whatever asks for
-    them, and be it in reverse mode, goes through the function forward."""
+    """Make a function of (vector, fixed) whose derivatives with respect to the vector are computed in forward mode.
+
+    Parameters
+    ----------
+    function : callable
+        Function of (vector, fixed).
+    runner : callable, optional
+        Calls (function, arrays), as `problem.Problem.runner`.
+
+    Returns
+    -------
+    callable
+        The function. Derivatives of any order, in reverse mode too, use the full Jacobian from forward mode.
+    """
     primal_function = jax.custom_jvp(loop_over_lanes(function, runner))
 
     @primal_function.defjvp
@@ -49,10 +76,23 @@ def implicit_root(
     find_root: Callable[[Parameters, Any], tuple[Unknowns, Any]],
     runner: Runner = call_directly,
 ) -> Callable[[Parameters, Any], tuple[Unknowns, Any]]:
-    """(p, fixed) -> (u, told), u with its derivatives by p of any order, forward and reverse.
+    """Make a differentiable root function of (p, fixed).
 
-    function: F of (u, p, fixed), as many numbers as u has; find_root: (p, fixed) -> (u, told), u a root of F where it
-    is one at all, told a pytree of real numbers, which count as constants."""
+    Parameters
+    ----------
+    function : callable
+        F of (u, p, fixed), with as many entries as u.
+    find_root : callable
+        Function of (p, fixed) that returns (u, aux): a root u of F, if there is one, and a pytree of real numbers.
+    runner : callable, optional
+        Calls (function, arrays), as `problem.Problem.runner`.
+
+    Returns
+    -------
+    callable
+        Function of (p, fixed) that returns (u, aux). u has derivatives with respect to p of any order, in forward and
+        reverse mode; aux counts as constant.
+    """
     primal_root = jax.custom_jvp(loop_over_lanes(find_root, runner))
 
     @primal_root.defjvp
@@ -72,8 +112,18 @@ def implicit_root(
 
 
 class RootContinuation(NamedTuple):
-    """u; residual: the largest number left in F there; kind: FOLLOWED, JUMPED: Newton's method has led to u from where
-    the way was lost, so that it may be another root, or LOST: none was found."""
+    """Result of the continuation of a root.
+
+    Attributes
+    ----------
+    u : Array
+        Root of shape (n,).
+    residual : Array
+        Largest entry of F.
+    kind : Array
+        CONTINUED; JUMPED if Newton's method converged from the last point of an interrupted path, so that u may be
+        another root; FAILED if no root was found.
+    """
 
     u: Unknowns
     residual: Float[Array, ""]
@@ -81,16 +131,14 @@ class RootContinuation(NamedTuple):
 
 
 TRACKING, RESTARTED, CONTINUED, JUMPED, FAILED = range(5)
-MIN_STRIDE = 1.0 / 64.0  # of the way: a stride as short that fails is its end
-CORRECTION_FACTOR = 0.5  # of the change that the tangent foretells: a larger correction is not followed
-CORRECTION_OFFSET = 1e-2  # of 1 + the largest unknown: but one as small is
-MAX_NEWTON_STEPS = 12  # of Newton's steps after a stride; three times as many from afar
+MIN_STRIDE = 1.0 / 64.0  # smallest stride, as a fraction of the line
+CORRECTION_FACTOR = 0.5  # largest correction, relative to the predicted change
+CORRECTION_OFFSET = 1e-2  # correction, relative to 1 + the largest unknown, that is always accepted
+MAX_NEWTON_STEPS = 12  # Newton steps after a stride; three times as many after a restart
 
 
 class _PathState(NamedTuple):
-    """u: where Newton's method is, from a guess, at the place ahead; n_steps, step: of its steps, the last one's size;
-    root, tangent: the root at the place share, and its derivative by the place; residual, kind: as of
-    `RootContinuation`."""
+    """State of the loop: Newton iterate `u` from `guess` at `trial_fraction`; last root, its tangent and fraction."""
 
     u: Unknowns
     guess: Unknowns
@@ -111,11 +159,31 @@ def continue_root(
     end_params: Parameters,
     constants: Any,
 ) -> RootContinuation:
-    """The root of F at p = end that the root start at p = begin becomes on the straight way there.
+    """Continue a root along the straight line from `start_params` to `end_params`.
 
-    Where one stride along the tangent is enough it is one; it is halved where Newton's method does not follow, or only
-    with a correction that the tangent did not foretell; where it becomes too short Newton's method begins there and
-    looks for a root at the end of the way. F stands once in one loop: it is compiled once, and lanes do not wait.
+    Parameters
+    ----------
+    function : callable
+        F of (u, p, constants).
+    start_root : Array
+        Root at `start_params`. Array of shape (n,).
+    start_params : Array
+        Parameters at the start.
+    end_params : Array
+        Parameters at the end.
+    constants : Any
+        Pytree of constants.
+
+    Returns
+    -------
+    RootContinuation
+        The root at `end_params`.
+
+    Notes
+    -----
+    The first stride covers the whole line. A stride is halved if Newton's method fails or its correction is larger than
+    the tangent predicts. If the stride becomes too short, Newton's method starts from the last root at the end of the
+    line. F occurs once in one loop: it is compiled once, and lanes do not wait for each other.
     """
     n_unknowns, eps = len(start_root), jnp.finfo(start_root.dtype).eps
 

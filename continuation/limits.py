@@ -23,15 +23,15 @@ class Limits:
     Parameters
     ----------
     points : int, optional
-        Largest number of points; None is no limit.
+        Largest number of points. None stands for no limit.
     deadline : float, optional
-        Reading of the clock, s, at which the computation stops; None is no limit.
-    now : callable
-        The clock.
+        Reading of the clock, in s, at which the computation stops. None stands for no limit.
+    now : callable, optional
+        Clock, in s.
     progress : callable, optional
-        Called with the number of points computed so far.
-    done : int
-        Points computed before those that are counted now.
+        Function called with the number of computed points.
+    done : int, optional
+        Number of points computed before.
     """
 
     points: int | None = None
@@ -47,28 +47,28 @@ class Limits:
 
     @property
     def remaining(self) -> float | None:
-        """The time left, s, more than 0; None is no limit."""
+        """Remaining time in s, positive; None without a limit."""
         return None if self.deadline is None else max(self.deadline - self.now(), 1e-9)
 
     @property
     def room(self) -> int | None:
-        """The number of points that may still be computed; None is no limit."""
+        """Number of points that may still be computed; None without a limit."""
         return None if self.points is None else max(self.points - self.done, 0)
 
     def reached(self, count: int) -> bool:
-        """True once `count` points reach the limit of points, or the time is used up."""
+        """Return True if `count` points reach the limit of points, or the time is used up."""
         return self.expired or (self.room is not None and count >= self.room)
 
     def after(self, count: int) -> "Limits":
-        """The limits after `count` further points."""
+        """Return the limits after `count` further points."""
         return replace(self, done=self.done + count)
 
     def halved(self) -> "Limits":
-        """The limits of the first of two directions: half of the points, rounded up."""
+        """Return the limits of the first of two directions: half of the points, rounded up."""
         return self if self.points is None else replace(self, points=max((self.points + 1) // 2, 2))
 
     def report(self, count: int) -> None:
-        """Report `count` points to `progress`."""
+        """Report `count` further points to `progress`."""
         if self.progress is not None:
             self.progress(self.done + count)
 
@@ -77,7 +77,13 @@ UNLIMITED = Limits()
 
 
 class Results(tuple[ResultType, ...]):
-    """A tuple of results. stopped: why the computation ended before it was complete, else ""."""
+    """Tuple of results.
+
+    Attributes
+    ----------
+    stopped : str
+        Reason why the computation ended before it was complete, else an empty string.
+    """
 
     stopped: str
 
@@ -88,7 +94,22 @@ class Results(tuple[ResultType, ...]):
 
 
 def partial_reason(n_done: int, n_total: int, unit: str) -> str:
-    """The reason why a result is partial: so many of so many of a unit are done."""
+    """Format the reason why a result is partial.
+
+    Parameters
+    ----------
+    n_done : int
+        Number of completed units.
+    n_total : int
+        Number of all units.
+    unit : str
+        Noun in the plural.
+
+    Returns
+    -------
+    str
+        The reason.
+    """
     return f"{EXPIRED_REASON}: {n_done} of {n_total} {unit} done"
 
 
@@ -98,11 +119,33 @@ def limits_of(
     progress: Callable[[int], object] | None = None,
     error_class: type[ValueError] = ValueError,
 ) -> Limits:
-    """The `Limits` from now on. Raises the error, called with key, rule and value, for an argument that is invalid."""
+    """Make the `Limits` that begin now.
+
+    Parameters
+    ----------
+    max_points : int or None
+        Largest number of points. None stands for no limit.
+    max_seconds : float or None
+        Largest wall-clock time, in s. None stands for no limit.
+    progress : callable, optional
+        Function called with the number of computed points.
+    error_class : type, optional
+        Error raised for invalid arguments, called with key, rule and value.
+
+    Returns
+    -------
+    Limits
+        The limits.
+
+    Raises
+    ------
+    ValueError
+        If an argument is invalid; `error_class`, a subclass, is raised.
+    """
     if max_points is not None:
         is_integer = isinstance(max_points, int | np.integer) and not isinstance(max_points, bool)
         if not is_integer or max_points < 2:
-            raise error_class("max_points", "must be a whole number of 2 or more, or None for no limit", max_points)
+            raise error_class("max_points", "must be a whole number of at least 2, or None for no limit", max_points)
     if max_seconds is not None:
         is_number = isinstance(max_seconds, int | float | np.integer | np.floating) and not isinstance(
             max_seconds, bool
@@ -110,6 +153,6 @@ def limits_of(
         if not is_number or not 0 < max_seconds < np.inf:
             raise error_class("max_seconds", "must be a positive number of seconds, or None for no limit", max_seconds)
     if progress is not None and not callable(progress):
-        raise error_class("progress", "must be a function of the number of points computed so far, or None", progress)
+        raise error_class("progress", "must be a function of the number of computed points, or None", progress)
     deadline = None if max_seconds is None else clock() + float(max_seconds)
     return Limits(None if max_points is None else int(max_points), deadline, clock, progress)

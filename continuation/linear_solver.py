@@ -1,4 +1,4 @@
-"""Small dense linear systems, one or many under vmap: no call of a library, whose overhead is more than the work."""
+"""Solve small dense linear systems, single or under vmap, without the overhead of library calls."""
 
 from typing import NamedTuple
 
@@ -10,8 +10,17 @@ from .array_type import Array
 
 
 class LinearSolution(NamedTuple):
-    """x; pivot_ratio: the least pivot over the largest, 0 where the matrix is singular, and x is not finite;
-    determinant."""
+    """Solution of a linear system.
+
+    Attributes
+    ----------
+    x : Array
+        Solution of shape (n,) or (n, k); not finite if the matrix is singular.
+    pivot_ratio : Array
+        Smallest over largest pivot; 0 if the matrix is singular.
+    determinant : Array
+        Determinant of the matrix.
+    """
 
     x: Float[Array, " unknowns *sides"]
     pivot_ratio: Float[ArrayLike, ""]
@@ -19,9 +28,19 @@ class LinearSolution(NamedTuple):
 
 
 def solve(matrix, rhs):
-    """matrix x = right by Gauss and Jordan with row pivoting: `LinearSolution`.
+    """Solve ``matrix @ x = rhs`` by Gauss-Jordan elimination with row pivoting.
 
-    matrix: (n, n), n small; rhs: (n,), or (n, k) for k right sides.
+    Parameters
+    ----------
+    matrix : array_like
+        Matrix of shape (n, n), n small.
+    rhs : array_like
+        Right-hand sides of shape (n,) or (n, k).
+
+    Returns
+    -------
+    LinearSolution
+        Solution, pivot ratio and determinant.
     """
     size = len(rhs)
     row_indices = jnp.arange(size)

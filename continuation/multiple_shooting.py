@@ -1,10 +1,10 @@
-"""Periodic orbits of u' = f(u, p) by multiple shooting: the algebra, whatever flies along the field.
+"""Equations of periodic orbits of u' = f(u, p) by multiple shooting, for any integrator.
 
-Unknowns are points x_1 ... x_m, evenly spread in time, and the period T. Each is to fly in T / m to the next, the last
-to the first. Any shift of the phase gives as good an orbit: a last equation, whose value is always zero and whose
-gradient is the field at the points, keeps Newton's changes and tangents across it (a Poincare section through each
-iterate). No reference orbit is needed, which a branch would outgrow; where the matrix is singular its left null vector
-has no part in that equation, as the field is a null vector of all others.
+Unknowns are m points x_1 to x_m, evenly spaced in time, and the period T. The flow over T/m maps each point to the next
+and the last to the first. The phase is arbitrary: a last equation, whose value is always zero and whose gradient is the
+field at the points, keeps Newton's changes and tangents orthogonal to the flow (a Poincare section through each
+iterate). This needs no reference orbit, from which a branch would depart. Where the matrix is singular, its left null
+vector has no component in the last equation, because the field is a null vector of all others.
 """
 
 from typing import Any
@@ -14,12 +14,12 @@ import jax.numpy as jnp
 
 
 def points_and_period(u, n_segments):
-    """(points, (count, n); the period)."""
+    """Split unknowns into points of shape (n_segments, n) and the period."""
     return u[:-1].reshape(n_segments, -1), u[-1]
 
 
 def shooting_equations(system, names, z, constants) -> tuple[Any, Any]:
-    """(F, dF/dz) at z = (points, period, values of the names)."""
+    """Compute (F, dF/dz) at z = (points, period, values of the names)."""
     n_unknowns, n_segments = len(z) - len(names), system.segments * system.times
     points = points_and_period(z[:n_unknowns], n_segments)[0]
 
@@ -50,18 +50,19 @@ def shooting_equations(system, names, z, constants) -> tuple[Any, Any]:
 
 
 def antiperiodic_jacobian(system, jacobian):
-    """Of dF/dz the part of the points, with which the orbit would come back to its negative: singular where a
-    multiplier is -1."""
+    """Return the block of dF/dz for the points with antiperiodic closure, which is singular if a multiplier is -1."""
     n_coordinates, n_segments = len(jacobian) - 1, system.segments * system.times
     n = n_coordinates // n_segments
     return jacobian[:n_coordinates, :n_coordinates].at[n_coordinates - n :, :n].add(2.0 * jnp.eye(n))
 
 
 def transverse_monodromy(system, jacobian, field_vector):
-    """The matrix, (n - 1, n - 1), whose eigenvalues are the multipliers but for that of the field's own direction, 1;
-    jacobian: dF/dz; field_vector: the field at the first point.
+    """Compute the monodromy matrix transverse to the field, shape (n - 1, n - 1).
 
-    It is the monodromy matrix's block across the field, which that leaves unchanged."""
+    `jacobian` is dF/dz, `field_vector` the field at the first point.
+    Its eigenvalues are the multipliers without the trivial one. The monodromy matrix maps the direction of the field to
+    itself, so that its transverse block is sufficient.
+    """
     n_segments = system.segments * system.times
     n = (len(jacobian) - 1) // n_segments
     monodromy = jnp.eye(n)
@@ -69,9 +70,9 @@ def transverse_monodromy(system, jacobian, field_vector):
         segment_jacobian = jacobian[n * k : n * (k + 1), n * k : n * (k + 1)]
         monodromy = (segment_jacobian + jnp.eye(n) if n_segments == 1 else segment_jacobian) @ monodromy
     field_norm = jnp.linalg.norm(field_vector)
-    field_direction = field_vector / jnp.where(field_norm > 0, field_norm, 1.0)  # none at a Hopf point
+    field_direction = field_vector / jnp.where(field_norm > 0, field_norm, 1.0)  # the field vanishes at a Hopf point
     householder_vector = field_direction.at[0].add(jnp.where(field_direction[0] < 0, -1.0, 1.0))
     transverse_basis = (
         jnp.eye(n) - 2.0 * jnp.outer(householder_vector, householder_vector) / (householder_vector @ householder_vector)
-    )[:, 1:]  # Householder's reflection
+    )[:, 1:]  # Householder reflection
     return transverse_basis.T @ monodromy @ transverse_basis

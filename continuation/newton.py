@@ -1,4 +1,4 @@
-"""Newton's method with a status in place of an exception: under jit and vmap."""
+"""Newton's method that returns a status instead of raising, for use under jit and vmap."""
 
 from typing import NamedTuple
 
@@ -13,17 +13,30 @@ OK, NOT_CONVERGED, SINGULAR, NONFINITE = range(4)
 STATUS_TEXTS = ("ok", "not converged", "singular", "not finite")
 ADVICE = (
     "",
-    "Newton's steps did not become small: start nearer",
+    "Newton's method did not converge: start closer to a solution",
     "the Jacobian is singular: a bifurcation is near",
     "a number is not finite: the start is too far from any solution",
 )
 FINISHED = -1
-SINGULAR_PIVOT_RATIO = 64.0  # times the rounding, least over largest pivot
+SINGULAR_PIVOT_RATIO = 64.0  # multiple of eps below which the pivot ratio counts as zero
 
 
 class NewtonSolution(NamedTuple):
-    """unknowns; residual: the largest entry of F there; step: the last one's largest entry; pivot_ratio: the least
-    pivot over the largest; status: 0 OK, 1 SLOW, 2 SINGULAR, 3 NONFINITE."""
+    """Result of Newton's method.
+
+    Attributes
+    ----------
+    unknowns : Array
+        Solution of shape (n,).
+    residual : Array
+        Largest entry of F before the last step.
+    step : Array
+        Largest entry of the last step.
+    pivot_ratio : Array
+        Smallest over largest pivot of the last linear system.
+    status : Array
+        0 OK, 1 NOT_CONVERGED, 2 SINGULAR, 3 NONFINITE.
+    """
 
     unknowns: Float[Array, " unknowns"]
     residual: Float[ArrayLike, ""]
@@ -33,11 +46,29 @@ class NewtonSolution(NamedTuple):
 
 
 def newton(function, start, max_change=jnp.inf, max_steps=30, solve=solve):
-    """The solution of F(u) = 0 near a start: `NewtonSolution`.
+    """Solve F(u) = 0 by Newton's method.
 
-    function: u -> (F, dF/du), shapes (n,) and (n, n), or whatever `solve` takes for a matrix. max_change: a step is cut
-    where an entry would be larger, a number or one for each. It ends one step after the first that is below eps^0.7
-    of u, which leaves rounding alone, or after `max_steps` steps; the residual is that before the last step.
+    Parameters
+    ----------
+    function : callable
+        Function of u that returns F and dF/du, of shapes (n,) and (n, n), or a derivative in a form that `solve` takes.
+    start : Array
+        Initial guess of shape (n,).
+    max_change : float or Array, optional
+        Largest change of an entry in one step, for all or for each. Longer steps are shortened.
+    max_steps : int, optional
+        Largest number of steps.
+    solve : callable, optional
+        Linear solver, as `linear_solver.solve`.
+
+    Returns
+    -------
+    NewtonSolution
+        Solution and status.
+
+    Notes
+    -----
+    The iteration ends one step after the first that is below eps^0.7 relative to u, which leaves only rounding errors.
     """
     eps, zero = jnp.finfo(start.dtype).eps, jnp.zeros((), start.dtype)
 
@@ -62,9 +93,8 @@ def newton(function, start, max_change=jnp.inf, max_steps=30, solve=solve):
     carry = (start, zero, zero + jnp.finfo(start.dtype).max, zero + 1.0, 0)
     unknowns, residual, step, pivot_ratio, _ = lax.while_loop(is_unfinished, newton_step, carry)
     converged = step <= eps**0.5 * (1.0 + jnp.max(abs(unknowns)))
-    failure_status = jnp.where(
-        pivot_ratio < eps**0.25, SINGULAR, NOT_CONVERGED
-    )  # at a double root the steps shrink by a factor alone
+    # At a double root the steps shrink only linearly.
+    failure_status = jnp.where(pivot_ratio < eps**0.25, SINGULAR, NOT_CONVERGED)
     status = jnp.where(pivot_ratio < SINGULAR_PIVOT_RATIO * eps, SINGULAR, jnp.where(converged, OK, failure_status))
     status = jnp.where(jnp.isfinite(residual), status, jnp.asarray(NONFINITE, int))
     return NewtonSolution(unknowns, residual, step, pivot_ratio, status)

@@ -1,7 +1,8 @@
-"""The first coefficient of the normal form at a special point, whose sign says on which side the others are.
+"""Compute the leading normal-form coefficient at a special point; its sign decides the criticality.
 
 (Kuznetsov, Elements of Applied Bifurcation Theory: SN 5.24 and 5.4, HB 5.4, PD and NS 5.4.) B and C are the second and
-third derivatives of the function by u, q and p the null vectors of the matrix and its transpose, p q = 1.
+third derivatives of the function with respect to u; q and p are the null vectors of the matrix and its transpose, with
+``p q = 1``.
 """
 
 from functools import partial
@@ -32,29 +33,30 @@ def _mixed_derivatives(system, names, z, constants, directions):
 
 @persistent_jit(static_argnums=(0, 1), compiler_options=FAST_COMPILE, numpy_first=True)
 def mixed_derivatives(system, names, z, constants, directions):
-    """The derivatives of F by u, each along some directions; directions: (count, order, n)."""
+    """Compute derivatives of F with respect to u along directions, an array of shape (count, order, n)."""
     return _mixed_derivatives(system, names, z, constants, directions)
 
 
 def border_vectors(matrix):
-    """(b, c): the nearly null vectors of a matrix's transpose and of the matrix."""
+    """Return (b, c), the nearly null vectors of a matrix's transpose and of the matrix."""
     left_vectors, _, right_vectors = np.linalg.svd(np.asarray(matrix))
     return left_vectors[:, -1], right_vectors[-1]
 
 
 def normal_form_coefficient(system, kind, names, z, constants, border_reference):
-    """p B(q, q) at SN, p (C(q, q, q) - 3 B(q, A^-1 B(q, q))) / (6 p q) at PD and SB, A the derivative of F, at SB on
-    what the symmetry keeps; (p, q) by the bordered systems with a reference (b, c), so that it is a smooth function of
-    z."""
+    """Compute the leading coefficient at SN, PD or SB.
+
+    It is ``p B(q, q)`` at SN and ``p (C(q, q, q) - 3 B(q, A^-1 B(q, q))) / (6 p q)`` at PD and SB, where A is the
+    derivative of F, at SB its symmetric block. The bordered systems with a reference (b, c) define (p, q), so that the
+    coefficient is a smooth function of z.
+    """
     matrix = matrix_at(system, kind, names, z, constants)
     left_border, right_border = border_reference
     bordered = np.block([[matrix, left_border[:, None]], [right_border[None], np.zeros((1, 1))]])
     unit_rhs = np.append(np.zeros(len(right_border)), 1.0)
     q, p = np.linalg.solve(bordered, unit_rhs)[:-1], np.linalg.solve(bordered.T, unit_rhs)[:-1]
-    full_system, operator = (
-        system._replace(within=False),
-        2.0 * np.eye(len(q)) - matrix,
-    )  # -A at PD, where the matrix is A + 2
+    # At PD the matrix is A + 2, so that the operator is -A.
+    full_system, operator = system._replace(within=False), 2.0 * np.eye(len(q)) - matrix
     (quadratic_term,) = mixed_derivatives(full_system, names, z, constants, np.array([[q, q]]))
     if kind == "SN":
         return float(p @ quadratic_term)
@@ -69,19 +71,41 @@ def normal_form_coefficient(system, kind, names, z, constants, border_reference)
 
 
 def critical_eigenvalue(kind, eigenvalues):
-    """Of eigenvalues that of the pair which is at an event, HB or NS, the imaginary part positive; the nearest. NaN
-    where none is complex."""
+    """Return the eigenvalue closest to criticality, HB or NS, with positive imaginary part; nan if none is complex."""
     pairs = eigenvalues[eigenvalues.imag > 0]
     critical_distances = abs(pairs.real) if kind == "HB" else abs(abs(pairs) - 1.0)
     return pairs[int(np.argmin(critical_distances))] if len(pairs) else complex(np.nan, np.nan)
 
 
 def lyapunov_coefficient(system, kind, names, z, constants):
-    """The first Lyapunov coefficient of a Hopf point, Re(g) / (2 frequency), and that of a Neimark-Sacker point,
-    Re(conj(value) g) / 2: negative where what is born is stable; with q of length 1, p q = 1.
+    """Compute the first Lyapunov coefficient of a Hopf or Neimark-Sacker point.
 
-    g = p (C(q, q, q*) + 2 B(q, (s - A)^-1 B(q, q*)) + B(q*, (r - A)^-1 B(q, q))), s = 0 and r = 2 value at HB, s = 1
-    and r = value^2 at NS, A the matrix with the eigenvalue value, * the conjugate.
+    Parameters
+    ----------
+    system : System
+        The system.
+    kind : {"HB", "NS"}
+        Kind of the point.
+    names : tuple of str
+        Continuation parameters.
+    z : ndarray
+        The point.
+    constants : Constants
+        Other parameters and args.
+
+    Returns
+    -------
+    float
+        Coefficient, negative if the emanating solutions are stable; nan if no eigenvalue is complex.
+
+    Notes
+    -----
+    The coefficient is ``Re(g) / (2 omega)`` at HB, with the frequency omega, and ``Re(conj(mu) g) / 2`` at NS, with the
+    multiplier mu. q has length 1 and ``p q = 1``; ``*`` denotes the conjugate and A the matrix with the eigenvalue mu::
+
+        g = p (C(q, q, q*) + 2 B(q, (s - A)^-1 B(q, q*)) + B(q*, (r - A)^-1 B(q, q)))
+
+    with s = 0 and r = 2 mu at HB, s = 1 and r = mu^2 at NS.
     """
     matrix = matrix_at(system, "", names, z, constants)
     eigenvalue, identity = critical_eigenvalue(kind, np.linalg.eigvals(matrix).astype(complex)), np.eye(len(matrix))

@@ -1,9 +1,9 @@
-"""Traced functions evaluated by Python and NumPy: an answer without compiling.
+"""Evaluate traced functions by Python and NumPy, without compiling.
 
-Compiling takes a second and more, evaluating a line of a function less than a tenth of a microsecond. So what the host
-calls a few times is evaluated, and compiled once that has cost about as much: never on more than twice the shorter way.
-The equations are those that jax traces, derivatives included (`python_program`), so both ways have one source; their
-numbers differ by roundings.
+Compiling takes a second or more; evaluating one line of a function takes less than 0.1 microseconds. A function that
+the host calls a few times is therefore evaluated, and compiled once the evaluations cost about as much as compiling:
+the total cost is at most twice the optimum. The equations are those that JAX traces, derivatives included
+(`python_program`). Results differ from compiled ones by rounding errors.
 """
 
 import gc
@@ -18,13 +18,15 @@ import numpy as np
 from .numpy_indexing import NoRuleError
 from .python_program import Program, build_program
 
-MAX_EVALUATIONS = 10_000  # times that all lines of a function are run before it is compiled, which costs as much
-WEAK_TYPES = {bool, int, float, complex}  # types of numbers that jax takes for weak ones
+MAX_EVALUATIONS = 10_000  # evaluations of a function whose cost equals that of compiling it
+WEAK_TYPES = {bool, int, float, complex}  # Python types that JAX treats as weakly typed
 
 
 def call_signature(args, static_indices):
-    """(the numbers of a function's arguments in a row; what decides how it is traced, a key). static_indices: places of
-    arguments that are no numbers."""
+    """Return (leaves of the arguments, key of the signature that decides how the function is traced).
+
+    Arguments with indices in `static_indices` are not numbers.
+    """
     leaves, treedef = jax.tree.flatten([arg for index, arg in enumerate(args) if index not in static_indices])
     leaf_types = [type(leaf) if type(leaf) in WEAK_TYPES else (leaf.shape, leaf.dtype) for leaf in leaves]
     return leaves, (
@@ -37,8 +39,10 @@ def call_signature(args, static_indices):
 
 @contextmanager
 def pause_garbage_collection():
-    """Python's collector of circles waits: tracing makes many objects that stay, and would have it look at all of them
-    again and again, an eighth of the time."""
+    """Pause Python's cyclic garbage collector while tracing.
+
+    Tracing creates many lasting objects; repeated scans of them cost an eighth of the time.
+    """
     was_enabled = gc.isenabled()
     gc.disable()
     try:
@@ -50,7 +54,7 @@ def pause_garbage_collection():
 
 @dataclass
 class Evaluation:
-    """A function's program, the form of its result, and how many lines of it were run."""
+    """Program of a function, structure of its result and number of lines run."""
 
     program: Program
     treedef: Any
@@ -58,10 +62,21 @@ class Evaluation:
 
 
 class NumpyEvaluator(NamedTuple):
-    """How a function is evaluated for each kind of arguments that it has met. static_indices: places of arguments that
-    are no numbers, of which one may say `at_once`; evaluations: {kind: `Evaluation`, None where it is compiled at
-    once}; read_program, store_program: the way for arguments like these that an earlier process has kept, None where
-    there is none; keeps one."""
+    """Evaluator of a function for each signature of its arguments.
+
+    Parameters
+    ----------
+    function : callable
+        Function to evaluate.
+    static_indices : sequence of int
+        Indices of the arguments that are not numbers. One of them may have an attribute `compile_at_once`.
+    evaluations : dict
+        `Evaluation` by signature; None if the function is compiled at once.
+    read_program : callable, optional
+        Returns the `Evaluation` that an earlier process stored for such arguments, or None.
+    store_program : callable, optional
+        Stores an `Evaluation`.
+    """
 
     function: Callable[..., Any]
     static_indices: Sequence[int]
@@ -70,11 +85,11 @@ class NumpyEvaluator(NamedTuple):
     store_program: Callable[[tuple[Any, ...], Evaluation], None] = lambda args, evaluation: None
 
     def __call__(self, args: tuple[Any, ...]) -> Any:
-        """The function's result; None, which it never is, where it is to be compiled."""
+        """Evaluate the function; None if it should be compiled."""
         return self.evaluate(args, *call_signature(args, self.static_indices))
 
     def evaluate(self, args: tuple[Any, ...], leaves: Sequence[Any], signature: Any) -> Any:
-        """The same of arguments with these numbers and of this kind (`call_signature`)."""
+        """Evaluate the function with given leaves and signature (`call_signature`); None if it should be compiled."""
         if signature not in self.evaluations:
             compile_at_once = any(getattr(args[index], "compile_at_once", False) for index in self.static_indices)
             self.evaluations[signature] = (
@@ -89,8 +104,7 @@ class NumpyEvaluator(NamedTuple):
         return jax.tree.unflatten(evaluation.treedef, results)
 
     def trace_function(self, args: tuple[Any, ...]) -> Evaluation | None:
-        """The `Evaluation` for arguments like these; None where an equation has no rule, or, in another version of jax,
-        other names of its parameters."""
+        """Make the `Evaluation` for such arguments; None if an equation has no rule or JAX renamed its parameters."""
         try:
             with pause_garbage_collection():
                 jax_trace = jax.jit(self.function, static_argnums=tuple(self.static_indices)).trace(*args)

@@ -1,4 +1,4 @@
-"""gather and scatter, jax's indexing with arrays, in NumPy."""
+"""Implement JAX's gather and scatter in NumPy."""
 
 from collections.abc import Callable
 from typing import Any
@@ -10,15 +10,15 @@ GATHER_MODES = (lax.GatherScatterMode.FILL_OR_DROP, lax.GatherScatterMode.CLIP, 
 
 
 class NoRuleError(Exception):
-    """A primitive, or a use of one, that has no rule."""
+    """Error for a primitive, or a use of one, without a rule."""
 
 
 def _window_indices(index, shape, window_sizes, window_axes, indexed_axes, batch_axes):
-    """(for each axis of an operand the indices of some windows, shaped (windows, *sizes of those kept); which windows
-    are within it, (windows,)).
+    """Return the indices of windows for each axis of an operand, and which windows lie inside it.
 
-    index: (windows, mapped); window_sizes: of a window along each axis; indexed_axes: the axes that its numbers are of;
-    batch_axes: pairs (axis, axis of the windows) that go together."""
+    `index` has shape (windows, indexed axes). The indices have shape (windows, sizes of the window axes), the mask
+    (windows,). `window_sizes` contains the size along each axis, `batch_axes` pairs (axis, axis of the windows).
+    """
     batch_shape = index.shape[:-1]
     starts, is_inside = [np.zeros(batch_shape, int)] * len(shape), np.ones(batch_shape, bool)
     for k, axis in enumerate(indexed_axes):
@@ -40,7 +40,7 @@ def _window_indices(index, shape, window_sizes, window_axes, indexed_axes, batch
 
 
 def gather(dimension_numbers: Any, slice_sizes: Any, mode: Any, fill_value: Any, **_: Any) -> Callable[..., Any]:
-    """Windows of an operand at some indices: a function of (operand, indices)."""
+    """Make the rule of gather, a function of (operand, indices)."""
     dimensions = dimension_numbers
     if mode not in GATHER_MODES:
         raise NoRuleError(mode)
@@ -69,9 +69,9 @@ def gather(dimension_numbers: Any, slice_sizes: Any, mode: Any, fill_value: Any,
 
 
 def scatter(write_windows: Callable[..., Any], dimension_numbers: Any, mode: Any, **_: Any) -> Callable[..., Any]:
-    """An operand with windows put, or added, at some indices: a function of (operand, indices, windows).
+    """Make the rule of scatter, a function of (operand, indices, windows).
 
-    write_windows: of (array, places, windows), in place.
+    `write_windows` writes in place: (array, indices, windows).
     """
     dimensions = dimension_numbers
     if mode not in GATHER_MODES:

@@ -1,6 +1,6 @@
-"""What jax's primitives do, in NumPy: of a primitive's parameters, the function of its operands' values.
+"""Implement JAX's primitives in NumPy: rules map the parameters of a primitive to a function of its operands.
 
-Operands and results are NumPy's arrays and scalars, of the types that jax gives them.
+Operands and results are NumPy arrays and scalars of the types that JAX gives them.
 """
 
 import operator
@@ -14,12 +14,12 @@ from jax import lax
 from .numpy_indexing import NoRuleError, gather, scatter
 
 Rule = Callable[..., Any]
-UNSUPPORTED = {"atan2": "c", "clamp": "c"}  # kinds of operands of which NumPy has no such function, or another one
+UNSUPPORTED = {"atan2": "c", "clamp": "c"}  # kinds of operands for which NumPy's function is missing or differs
 rules: dict[str, Callable[..., Rule]] = {}
 
 
 def register_rule(*names):
-    """Keeps a function of a primitive's parameters as its rule."""
+    """Register a function of a primitive's parameters as its rule."""
 
     def register(rule_factory):
         rules.update(dict.fromkeys(names, rule_factory))
@@ -54,7 +54,7 @@ def _cumulative_rule(function, axis, reverse, **_):
 
 
 def _divide(x, y):
-    """The quotient, of whole numbers truncated; of these by zero -1, all bits set, as XLA has it."""
+    """Divide; integers are truncated, and division by zero gives -1 (all bits set) as in XLA."""
     if y.dtype.kind not in "iu":
         return x / y
     floor_quotient = np.floor_divide(x, y)
@@ -64,7 +64,7 @@ def _divide(x, y):
 
 
 def _remainder(x, y):
-    """The remainder of division, with the sign of x; of whole numbers by zero x itself, as XLA has it."""
+    """Return the remainder with the sign of x; integer division by zero gives x as in XLA."""
     remainder = np.fmod(x, y)
     return remainder if y.dtype.kind == "f" else np.where(y == 0, x, remainder).astype(y.dtype)[()]
 
@@ -173,7 +173,7 @@ def _convert_element_type(new_dtype, **_):
 
 
 def _truncate(x, dtype):
-    """Real numbers as whole ones: those beyond the least and the largest as these, what is no number as 0."""
+    """Convert floats to integers; values out of range are clipped, nan becomes 0."""
     limits = np.iinfo(dtype)
     is_below, is_above = x <= float(limits.min), x >= float(limits.max)
     truncated = np.where(is_below | is_above | np.isnan(x), 0.0, x).astype(dtype)
@@ -185,7 +185,7 @@ def _bitcast_convert_type(new_dtype, **_):
     dtype = np.dtype(new_dtype)
 
     def run(x):
-        if x.dtype.itemsize != dtype.itemsize:  # parts of numbers would be an axis of their own
+        if x.dtype.itemsize != dtype.itemsize:  # the parts of a number would form a further axis
             raise NoRuleError("bitcast_convert_type")
         return np.asarray(x).view(dtype)[()]
 

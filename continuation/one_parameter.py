@@ -1,4 +1,4 @@
-"""`trace`: a branch of solutions along one parameter; `switch`: the branches that leave a special point of it."""
+"""Continue solutions in one parameter (`trace`) and along the branches that emanate from special points (`switch`)."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
@@ -24,16 +24,16 @@ from .problem import EQUILIBRIA, ORBITS, Constants, System, matrix_at, noise_flo
 from .roots import find_sign_change
 from .validation import require_settings, require_system, validate_start
 
-TOLERANCE = 1e-10  # of Newton's method, a length
-MIN_STEP = 1e-8  # step
-EIGENVALUE_BATCH = 64  # of points, whose eigenvalues are asked for in one call
-SYMMETRY_TOLERANCE = 1e-9  # of u and its image: as near are they one
-EIGENVALUE_FLOOR = 1e-9  # of an eigenvalue's distance from an event: as small is nearly none
-Monitors = Mapping[str, Callable[[Any, Any, Any], ArrayLike]]  # of (u, p, args)
+TOLERANCE = 1e-10  # tolerance of Newton's method, a length
+MIN_STEP = 1e-8  # smallest step length
+EIGENVALUE_BATCH = 64  # number of points whose eigenvalues one call computes
+SYMMETRY_TOLERANCE = 1e-9  # largest difference between a symmetric u and its image
+EIGENVALUE_FLOOR = 1e-9  # smallest distance of an eigenvalue from criticality that counts as nonzero
+Monitors = Mapping[str, Callable[[Any, Any, Any], ArrayLike]]  # functions of (u, p, args)
 
 
 class BranchEventDetector(SystemEventDetector):
-    """Events where functions of a point, {name: of (u, p, args)}, change their signs, besides the problem's own."""
+    """Detector of special points of a branch: the test functions of the problem and user-defined monitors."""
 
     def __init__(self, system, names, monitors):
         super().__init__(system, names)
@@ -58,15 +58,20 @@ class BranchEventDetector(SystemEventDetector):
         return events
 
     def monitor_value(self, kind, z, constants):
+        """Evaluate a monitor at a point."""
         n_unknowns = len(z) - len(self.names)
         p = {**constants.fixed_params, **dict(zip(self.names, z[n_unknowns:], strict=True))}
         return float(self.monitors[kind](z[:n_unknowns], p, constants.args))
 
     def locate_monitor_event(self, kind, task, points, row_before):
+        """Locate the zero of a monitor between two points."""
+
         def value_at_length(length):
             point = point_at_length(task, points, row_before, length)
             if point is None:
-                raise ContinuationError("monitors", "must be followed between two points", kind)
+                raise ContinuationError(
+                    "monitors", "must be evaluated between two points, where Newton's method does not converge", kind
+                )
             return self.monitor_value(kind, point.z, task.args)
 
         length = find_sign_change(value_at_length, float(points.step[row_before + 1]))
@@ -94,24 +99,77 @@ def trace(
     max_seconds: float | None = None,
     progress: Callable[[int], object] | None = None,
 ) -> Branch:
-    """The branch of solutions of a system through one near u, along one parameter: a `Branch`.
+    """Continue a solution in one parameter.
 
-    system: of `equilibria`, `fixed_points` or `shooting.periodic_orbits`; u: (n,), near a solution; at: {name: number},
-    the parameters there; along: the name of that which is to change; bounds: (low, high) of it; args: for the system's
-    function. direction: "forward" begins towards greater values, "backward" towards smaller, "both" does both.
-    first_step, largest_step, tolerance: lengths of (u, parameter). tolerance is that of Newton's method, None for 1e-10
-    and for periodic orbits at least 10 times the tolerance of their integrator. monitors: {name: function of (u, p,
-    args)}, whose changes of sign are special points; stop: kinds of special points that end the branch.
+    Follows the branch of solutions through a solution near `u` by pseudo-arclength continuation and locates its special
+    points.
 
-    hold: {function of (u, p, args), or the name of a monitor: its value all along}; each needs one parameter more:
-    along is then a tuple of names, bounds {name: (low, high)}, direction and the start's value are of the last name,
-    the start's others are found. A turning point of that one is no fold then: an SN is where dF/du is singular.
+    Parameters
+    ----------
+    system : System
+        Equations, made by `equilibria`, `fixed_points` or `continuation.shooting.periodic_orbits`.
+    u : array_like
+        Approximate solution at `at`. Array of shape (n,).
+    at : mapping of str to float
+        Values of all parameters at the start.
+    along : str or sequence of str
+        Continuation parameter. With `hold`, one more parameter for each held function.
+    bounds : sequence of float or mapping of str to sequence of float
+        Lower and upper bound of the continuation parameter; with several parameters, the bounds of each by name. They
+        must contain the values at the start.
+    args : Any, optional
+        Pytree of numbers and arrays passed to the function of the system.
+    direction : {"both", "forward", "backward"}, optional
+        Direction of the first step: towards larger values (forward), smaller values (backward), or one branch in each
+        direction (both). With several parameters it refers to the last one.
+    first_step : float, optional
+        Length of the first step, measured in (u, parameter).
+    largest_step : float, optional
+        Largest step length, measured in (u, parameter).
+    tolerance : float, optional
+        Tolerance of Newton's method, measured in (u, parameter). None stands for 1e-10, and for periodic orbits for at
+        least 10 times the tolerance of their integrator.
+    monitors : mapping of str to callable, optional
+        Functions of (u, p, args) whose sign changes are located as special points of the given names.
+    stop : sequence of str, optional
+        Kinds of special point at which the continuation ends.
+    hold : mapping, optional
+        Functions of (u, p, args), or names of monitors, and the values at which they are held along the branch.
+    max_points : int, optional
+        Largest number of points of the branch. None stands for no limit.
+    max_seconds : float, optional
+        Largest wall-clock time, in s, checked between chunks of steps. None stands for no limit.
+    progress : callable, optional
+        Function called with the number of computed points.
 
-    max_points, max_seconds: largest number of points of the branch, and wall-clock time, s, which is checked between
-    chunks of steps; None is no limit. A limit that is reached ends the branch there, and its `reasons` say so.
-    progress: called with the number of points computed so far.
+    Returns
+    -------
+    Branch
+        The branch with its special points. Its `reasons` state why it ends, a limit that is reached included.
 
-    Raises ContinuationError for arguments that cannot be, and where Newton's method comes to no solution from u.
+    Raises
+    ------
+    ContinuationError
+        If an argument is invalid or Newton's method does not converge from `u`.
+
+    See Also
+    --------
+    switch : Continue the branches that emanate from a special point.
+    curve : Continue a special point in two parameters.
+
+    Notes
+    -----
+    With `hold`, the start keeps the value in `at` of the last parameter of `along`; Newton's method adjusts the others.
+    A turning point of the last parameter is then no fold: an SN is a point at which dF/du is singular.
+
+    Examples
+    --------
+    >>> system = co.equilibria(lambda u, p, args: p["a"] - 0.5 - u * u)
+    >>> branch = co.trace(system, [1.0], {"a": 1.5}, "a", bounds=(0.0, 2.0))
+    >>> [(special.kind, round(special.p["a"], 6)) for special in branch.special]
+    [('EP', 2.0), ('SN', 0.5), ('EP', 2.0)]
+    >>> branch.reason["last"]
+    'a reached its bound 2'
     """
     limits = limits_of(max_points, max_seconds, progress, ContinuationError)
     u_start, at = validate_start(u, at)
@@ -122,7 +180,7 @@ def trace(
     constraints = constraint.resolve_constraints(hold, monitors, names)
     bounds_by_name = bounds if isinstance(bounds, Mapping) else dict.fromkeys(names, bounds)
     if set(bounds_by_name) != set(names):
-        raise ContinuationError("bounds", f"must be given for {', '.join(names)}", bounds)
+        raise ContinuationError("bounds", f"must contain the interval of each parameter: {', '.join(names)}", bounds)
     bounds = validate_bounds(at, {name: bounds_by_name[name] for name in names})
     p_rest = {name: value for name, value in at.items() if name not in names}
     constants = (
@@ -154,20 +212,66 @@ def switch(
     max_seconds: float | None = None,
     progress: Callable[[int], object] | None = None,
 ) -> tuple[Branch, ...]:
-    """The branches that leave a special point besides that on which it was found: a tuple of `Branch`, each from the
-    point on. special: of kind BP or SB, the two halves of the branch that crosses there; PD, that of twice as many
-    times; HB, that of the periodic orbits, from a first one on that is a first_step large. bounds: {name: (low,
-    high)}, or None for those of the point's branch; orbits: at HB the `shooting.periodic_orbits` of the same field; the
-    rest as in `trace`; max_points holds for each branch, max_seconds for all of them.
+    """Continue the branches that emanate from a special point.
 
-    Raises ContinuationError for points of other kinds, and at HB without orbits.
+    Parameters
+    ----------
+    special : Special
+        Special point of kind BP, SB, PD or HB on a branch with one continuation parameter.
+    bounds : mapping of str to tuple of float, optional
+        Bounds of the continuation parameter. None stands for those of the branch of the point.
+    first_step : float, optional
+        Length of the first step, measured in (u, parameter). At HB it sets the amplitude of the first periodic orbit.
+    largest_step : float, optional
+        Largest step length, measured in (u, parameter).
+    tolerance : float, optional
+        Tolerance of Newton's method, as in `trace`.
+    monitors : mapping of str to callable, optional
+        Functions of (u, p, args) whose sign changes are located as special points.
+    stop : sequence of str, optional
+        Kinds of special point at which the continuation ends.
+    orbits : System, optional
+        System of periodic orbits of the same field, made by `continuation.shooting.periodic_orbits`. Required at HB.
+    max_points : int, optional
+        Largest number of points of each branch. None stands for no limit.
+    max_seconds : float, optional
+        Largest wall-clock time for all branches together, in s. None stands for no limit.
+    progress : callable, optional
+        Function called with the number of computed points.
+
+    Returns
+    -------
+    tuple of Branch
+        Branches that begin at the point, without the branch on which it lies: both halves of the crossing branch at BP
+        and SB, the branch of doubled period at PD, the branch of periodic orbits at HB.
+
+    Raises
+    ------
+    ContinuationError
+        If the point is of another kind, or `orbits` is missing at HB.
+
+    See Also
+    --------
+    trace : Continue a solution in one parameter.
+
+    Examples
+    --------
+    >>> system = co.equilibria(lambda u, p, args: (p["a"] - 0.5) * u - u**3)
+    >>> branch = co.trace(system, [0.0], {"a": 0.0}, "a", bounds=(-1.0, 1.0))
+    >>> halves = co.switch(*branch.points("BP"))
+    >>> [half.reason["last"] for half in halves]
+    ['a reached its bound 1', 'a reached its bound 1']
     """
     if not isinstance(special, Special) or special.kind not in branch_exits.KINDS or len(special.names) != 1:
         raise ContinuationError(
-            "special", f"must be a special point of a branch, {', '.join(branch_exits.KINDS)}", special
+            "special",
+            f"must be a special point of kind {', '.join(branch_exits.KINDS)} on a branch in one parameter",
+            special,
         )
     if special.kind == "HB" and (not isinstance(orbits, System) or orbits.kind != ORBITS):
-        raise ContinuationError("orbits", "must be the `periodic_orbits` of the field that has the Hopf point", orbits)
+        raise ContinuationError(
+            "orbits", "must be the `periodic_orbits` system of the field with the Hopf point", orbits
+        )
     limits = limits_of(max_points, max_seconds, progress, ContinuationError)
     bounds = bounds or special.bounds
     require_settings("both", monitors, stop)
@@ -182,8 +286,11 @@ def switch(
 
 
 def follow_both_directions(task, z, tangent, direction="both"):
-    """(the `Stretch` backward, that forward) from a solution; None for that which is not asked for, or not needed as
-    the other closes."""
+    """Continue from a solution in the requested directions.
+
+    Returns (`BranchSegment` backward, `BranchSegment` forward). An entry is None if its direction is not requested, or
+    if the forward branch closes, so that the backward one is not needed.
+    """
     limits = task.limits
     forward_task = task._replace(limits=limits.halved() if direction == "both" else limits)
     forward = driver.follow_branch(forward_task, start_point(z, tangent)) if direction != "backward" else None
@@ -194,7 +301,7 @@ def follow_both_directions(task, z, tangent, direction="both"):
 
 
 def assemble_branch(system, kind, bounds, constants, backward, forward):
-    """The `Branch` of the stretches backward and forward from a start; either may be None."""
+    """Make the `Branch` of the segments backward and forward from a start; either may be None."""
     names = tuple(bounds)
     segment = (
         forward
@@ -230,13 +337,13 @@ def assemble_branch(system, kind, bounds, constants, backward, forward):
 
 
 def _kind_of(system, u, kind):
-    """The kind of a special point: a branch that comes to one of symmetric solutions meets it in its SB."""
+    """Return SB for a branch point of a branch of asymmetric solutions at a symmetric solution, else the kind."""
     may_break_symmetry = kind == "BP" and system.symmetry is not None and not system.within
     return "SB" if may_break_symmetry and np.allclose(system.symmetry(u), u, rtol=0, atol=SYMMETRY_TOLERANCE) else kind
 
 
 def restrict_to_symmetric(system, u, params, args):
-    """The system, to keep to solutions that are their own images where u is one. Raises ContinuationError."""
+    """Restrict a system to symmetric solutions if u is symmetric; raise ContinuationError for an invalid symmetry."""
     if not isinstance(system, System) or system.symmetry is None:
         return system
     random_u = u + np.random.default_rng(0).normal(size=len(u))
@@ -246,21 +353,28 @@ def restrict_to_symmetric(system, u, params, args):
         system.symmetry(system.function(random_u, params, args)),
     )
     if not np.allclose(u_back, random_u, rtol=0, atol=1e-9) or not np.allclose(f_image, image_f, rtol=1e-9, atol=1e-9):
-        raise ContinuationError("symmetry", "must be its own inverse, and keep the function", system.symmetry)
+        raise ContinuationError(
+            "symmetry", "must satisfy S(S(u)) = u and function(S(u)) = S(function(u))", system.symmetry
+        )
     return system._replace(within=bool(np.allclose(system.symmetry(u), u, rtol=0, atol=SYMMETRY_TOLERANCE)))
 
 
 def validate_bounds(params, bounds):
-    """{name: (low, high)} as plain numbers: finite, the first smaller, with the value at the start between them."""
+    """Return the bounds {name: (low, high)} as floats; raise ContinuationError if they are invalid.
+
+    Bounds must be finite with low < high and contain the value at the start.
+    """
     intervals = {}
     for name, interval in bounds.items():
         if name not in params:
-            raise ContinuationError("along", f"must be a parameter ({', '.join(params)})", name)
+            raise ContinuationError("along", f"must be one of the parameters {', '.join(params)}", name)
         ends = np.asarray(interval, float) if np.shape(interval) == (2,) else np.array([np.nan, np.nan])
         if not (np.isfinite(ends).all() and ends[0] < ends[1]):
-            raise ContinuationError("bounds", "must be (low, high), two finite numbers, the first smaller", interval)
+            raise ContinuationError("bounds", "must be (low, high), two finite numbers with low < high", interval)
         if not ends[0] <= float(params[name]) <= ends[1]:
-            raise ContinuationError("bounds", f"must hold the start's {name}, {float(params[name]):.12g}", interval)
+            raise ContinuationError(
+                "bounds", f"must contain the value of {name} at the start, {float(params[name]):.12g}", interval
+            )
         intervals[name] = (float(ends[0]), float(ends[1]))
     return intervals
 
@@ -275,7 +389,7 @@ def _solve_start(problem, z, constants):
 
 
 def _correct_start(problem, z, constants):
-    """z with all but its last number by Newton's method."""
+    """Correct all entries of z except the last by Newton's method."""
     solution = _solve_start(problem, z, constants)
     if solution.status:
         raise ContinuationError("u", f"must be near a solution: {ADVICE[int(solution.status)]}", z[:-1])
@@ -283,13 +397,15 @@ def _correct_start(problem, z, constants):
 
 
 def make_task(system, z, bounds, constants, first_step, max_step, tolerance, monitors=None, stop=(), default=TOLERANCE):
-    """The `ContinuationTask` along the parameters of the bounds from z on; default: the tolerance in place of None.
-    Raises ContinuationError."""
+    """Make the `ContinuationTask` from z in the parameters of `bounds`; raise ContinuationError for invalid settings.
+
+    The tolerance `default` replaces a tolerance of None.
+    """
     noise = noise_floor(system)
     if tolerance is None:
         tolerance = max(default, noise)
     elif not tolerance >= 0.999 * noise:
-        rule = f"must be at least {noise:g}, 10 times that of `periodic_orbits`, which may be given a smaller one"
+        rule = f"must be at least {noise:g}, 10 times the tolerance of `periodic_orbits`, which may be reduced"
         raise ContinuationError("tolerance", rule, tolerance)
     for key, value in (("first_step", first_step), ("largest_step", max_step), ("tolerance", tolerance)):
         if not (np.isscalar(value) and np.isfinite(value) and value > 0):
@@ -305,13 +421,17 @@ def make_task(system, z, bounds, constants, first_step, max_step, tolerance, mon
 
 
 def _end_reason(segment, names):
+    """Format the termination reason of a `BranchSegment`."""
     kind = segment.specials[-1].kind if segment.specials else ""
     return segment.end.value.format(name=names[segment.end_param_index], value=segment.end_value, kind=kind)
 
 
 def _test_signs(system, names, zs, constants):
-    """{label: at each point a number that changes its sign where the matrix of a test is singular}, by eigenvalues. Two
-    of them come to the imaginary axis, or the unit circle, at once where so many more, or fewer, are beyond it."""
+    """Return {label: values of a test function at the points}, computed from eigenvalues.
+
+    The values change sign where the matrix of the test is singular. For HB and NS the sign changes where the number of
+    unstable eigenvalues changes by two or more, because a pair crosses the imaginary axis, or the unit circle.
+    """
     eigenvalues = _eigenvalues(system, names, zs, constants)
     is_steady = system.kind == EQUILIBRIA
     n_unstable = np.sum(eigenvalues.real > 0 if is_steady else abs(eigenvalues) > 1, axis=1)
@@ -327,12 +447,12 @@ def _test_signs(system, names, zs, constants):
 
 
 def _symmetry_breaking_signs(system, names, zs, constants):
-    """At each point a number whose sign is that of the determinant of SB's matrix."""
+    """Return the sign of the determinant of the SB matrix at each point."""
     return np.array([np.linalg.slogdet(matrix_at(system, "SB", names, z, constants))[0] for z in zs])
 
 
 def _signed_product(values):
-    """The sign of the product of each row, and how near to zero one of it is."""
+    """Return the sign of the product of each row, scaled down where a factor is close to zero."""
     return np.prod(values / np.maximum(abs(values), EIGENVALUE_FLOOR), axis=1).real
 
 
@@ -342,7 +462,7 @@ def _matrices(system, names, zs, constants):
 
 
 def _eigenvalues(system, names, z, constants):
-    """Of the `stability_matrix` at points, (points, count), the largest first."""
+    """Compute the eigenvalues of the `stability_matrix` at the points, (points, count), in descending order."""
     n_rows = -(-len(z) // EIGENVALUE_BATCH) * EIGENVALUE_BATCH
     padded = np.concatenate([z, np.repeat(z[-1:], n_rows - len(z), axis=0)])
     eigenvalues = np.linalg.eigvals(np.asarray(_matrices(system, names, padded, constants))[: len(z)]).astype(complex)

@@ -1,7 +1,7 @@
-"""A compiled function called from the host: its many small numbers handed over, and fetched, in one array of each type.
+"""Call compiled functions with all arguments and results packed in one array per type.
 
-Handing an array over takes two microseconds, fetching one three, and a scene, a place and a control are thirty: most of
-the time of a short function.
+Passing an array takes two microseconds, fetching one three, and a scene, a point and a control are thirty arrays: most
+of the time of a short function.
 """
 
 import math
@@ -16,7 +16,7 @@ from .numpy_evaluation import WEAK_TYPES
 
 
 class Layout:
-    """How arrays lie in one row for each type. like: what has their shapes and types."""
+    """Layout of arrays in one row per type, for arrays of the shapes and types of the templates."""
 
     def __init__(self, templates):
         shapes = [np.shape(array) for array in templates]
@@ -30,29 +30,31 @@ class Layout:
                 size = math.prod(shapes[index])
                 slots[index] = row, start, start + size, shapes[index]
                 start += size
-        self.slots = [slots[index] for index in range(len(shapes))]  # of each array: (which row, from, up to, shape)
+        self.slots = [slots[index] for index in range(len(shapes))]  # of each array: (row, start, stop, shape)
 
     def rows(self, arrays: Sequence[Any]) -> list[np.ndarray]:
-        """The rows, of NumPy's arrays."""
+        """Pack NumPy arrays into rows."""
         return [np.concatenate([arrays[index] for index in indices], axis=None) for indices in self.row_indices]
 
     def arrays(self, rows: Sequence[np.ndarray]) -> list[np.ndarray]:
-        """The arrays in NumPy's rows."""
+        """Unpack NumPy rows into arrays."""
         return [rows[row][start:stop].reshape(shape) for row, start, stop, shape in self.slots]
 
     def traced_rows(self, arrays: Sequence[Any]) -> list[jax.Array]:
-        """The rows, of jax's arrays."""
+        """Pack JAX arrays into rows."""
         flat = [lax.reshape(array, (array.size,)) for array in arrays]
         return [lax.concatenate([flat[index] for index in indices], 0) for indices in self.row_indices]
 
     def traced_arrays(self, rows: Sequence[jax.Array]) -> list[jax.Array]:
-        """The arrays in jax's rows."""
+        """Unpack JAX rows into arrays."""
         return [lax.reshape(lax.slice(rows[row], (start,), (stop,)), shape) for row, start, stop, shape in self.slots]
 
 
 class PackedCall:
-    """A function of numbers, compiled for those of one kind: of leaves, as the host has them, to its result with
-    NumPy's arrays. function: of the leaves in a row; leaves: some of that kind."""
+    """Compiled function of leaves on the host; its result contains NumPy arrays.
+
+    `function` takes the leaves as arguments; `leaves` are examples of their shapes and types.
+    """
 
     def __init__(self, function: Callable[..., Any], leaves: Sequence[Any], options: dict[str, Any]) -> None:
         self.function = function
@@ -76,6 +78,6 @@ class PackedCall:
         results = self.compiled_function(
             self.argument_layout.rows(arrays), [leaves[index] for index in self.scalar_indices]
         )
-        assert self.result_layout is not None  # it has been traced
+        assert self.result_layout is not None  # the call has traced the function
         layout, treedef = self.result_layout
         return treedef.unflatten(layout.arrays([np.asarray(array) for array in results]))

@@ -1,9 +1,10 @@
-"""Traced functions kept between processes, in a folder within jax's own compile cache, where that is set.
+"""Keep traced functions between processes, in a folder inside JAX's compilation cache, if that is set.
 
-jax's cache spares a process compiling, but each traces and lowers anew what it calls, which is most of a cached start.
-Here the lowered module is kept too (jax.export), and called in place of the function's body; and of a function that is
-evaluated without compiling its program (`python_program`). Both are executed, so `cache_file` reads them only from a
-folder that no one but the user can write to, and only if their digest is right. JAX trusts its own cache beside them.
+JAX's cache saves compiling, but each process traces and lowers its functions again, which is most of a start with a
+cache. This module also stores the lowered module (jax.export) and calls it in place of the function's body, and stores
+the program of a function that is evaluated without compiling (`python_program`). Both are executed, so `cache_file`
+reads them only from a folder that only the user can write to, and only if their digest is correct. JAX trusts its own
+cache in the same folder.
 """
 
 import dataclasses
@@ -28,21 +29,21 @@ from jax.core import ShapedArray, Tracer
 from . import cache_file, numpy_evaluation, python_program
 from .packed_call import PackedCall
 
-FOLDER = "modules"  # within jax's cache
-MAX_GENERATIONS = 3  # of sources, whose modules are kept
-PROGRAM_SUFFIX = ".code"  # how the names of programs end, those of modules have no ending
+FOLDER = "modules"  # folder inside JAX's cache
+MAX_GENERATIONS = 3  # number of versions of the sources whose modules are kept
+PROGRAM_SUFFIX = ".code"  # suffix of programs; modules have none
 NUMBER = "number"
-FAST_COMPILE = {"xla_backend_optimization_level": 0}  # for what the host calls a few times: compiled in half the time
+FAST_COMPILE = {"xla_backend_optimization_level": 0}  # halves the compile time of functions that the host calls rarely
 HOST_TYPES = {np.ndarray, np.float64, np.float32, np.int32, np.int64, np.bool_, bool, int, float}  # types of no tracer
-_own_packages = {__name__.split(".")[0]}  # packages whose sources decide what a traced function is
-_pending: list[Callable[[], None]] = []  # one for each function and kind of arguments that NumPy has met: compiles it
+_own_packages = {__name__.split(".")[0]}  # packages whose sources determine traced functions
+_pending: list[Callable[[], None]] = []  # compiles a function for a signature that NumPy evaluates
 
 Params = ParamSpec("Params")
 Result = TypeVar("Result")
 
 
 class NotPersistentError(Exception):
-    """A value that has no name which says the same in every process."""
+    """Error for a value without a name that is valid in every process."""
 
 
 @overload
@@ -52,15 +53,31 @@ def persistent_jit(**options: Any) -> Callable[[Callable[Params, Result]], Calla
 def persistent_jit(
     function: Callable[..., Any] | None = None, numpy_first: bool | Callable[..., Any] = False, **options: Any
 ) -> Callable[..., Any]:
-    """`jax.jit` for a function of a module that the host calls, its options the same; its module is kept.
+    """Apply `jax.jit` to a module-level function that the host calls, and store its lowered module.
 
-    Under a transformation it is the jitted function, without options of the compiler, which jax takes for a whole
-    program alone: what has been exported has no derivatives and no lanes. Nothing is kept where jax has no compile
-    cache, of anything but one processor, or for an argument that is known to this process alone, as a user's function.
+    Parameters
+    ----------
+    function : callable, optional
+        Module-level function. Without it a decorator is returned.
+    numpy_first : bool or callable, optional
+        Evaluate the function by Python and NumPy (`numpy_evaluation`) until the cost reaches that of compiling. A
+        function with the same result is evaluated in its place. Such a function takes no keyword arguments, and on the
+        host its results are NumPy arrays (`packed_call`).
+    **options : Any
+        Options of `jax.jit`.
 
-    numpy_first: whether it is evaluated by Python and NumPy (`numpy_evaluation`) until that has cost what compiling
-    does; a function that gives the same is evaluated in its place. It then takes no arguments by name, and its results
-    are NumPy's arrays, as it is asked by the host (`packed_call`)."""
+    Returns
+    -------
+    callable
+        The function.
+
+    Notes
+    -----
+    Under a transformation this is the jitted function without compiler options, which JAX accepts for whole programs
+    only: exported modules have no derivatives and no batching. Nothing is stored if JAX has no compilation cache, if
+    the program does not run on a single CPU device, or if an argument exists in this process only, such as a user's
+    function.
+    """
     if function is None:
         return partial(persistent_jit, numpy_first=numpy_first, **options)
     _own_packages.add(function.__module__.split(".")[0])
@@ -77,14 +94,21 @@ def persistent_jit(
         else _make_call(jitted, call_module, options)
     )
     call = wraps(function)(call)
-    call.lower = jax.jit(function, **options).lower  # type: ignore[attr-defined]  # a function takes any attribute
+    call.lower = jax.jit(function, **options).lower  # type: ignore[attr-defined]  # functions accept any attribute
     return call
 
 
 def compile_evaluated() -> Iterator[int]:
-    """Compiles what NumPy evaluates in this process, one function for one kind of arguments at each step, what was met
-    last first, and tells how many are left. For a process that goes on: a compiled function takes a tenth of the time
-    and less. What is called meanwhile, by other threads, is still evaluated."""
+    """Compile the functions that NumPy evaluates in this process, the most recent first.
+
+    Compiled functions take at most a tenth of the time, so this suits processes that continue. Calls from other threads
+    are evaluated until then.
+
+    Yields
+    ------
+    int
+        Number of functions and signatures that remain.
+    """
     while _pending:
         _pending.pop()()
         yield len(_pending)
@@ -105,7 +129,7 @@ def _make_host_call(function, numpy_first, jitted, call_module, options):
     read, store = partial(_read_program, host_function, static), partial(_store_program, host_function, static)
     evaluator = numpy_evaluation.NumpyEvaluator(host_function, static, {}, read, store)
     jit_options = {key: option for key, option in options.items() if key != "static_argnums"}
-    compiled_calls: dict[Any, PackedCall] = {}  # of each kind of arguments that has come so far
+    compiled_calls: dict[Any, PackedCall] = {}  # by signature
 
     def make_packed_call(args, treedef, leaves):
         @wraps(function)
@@ -141,12 +165,12 @@ def _make_host_call(function, numpy_first, jitted, call_module, options):
 
 
 def _tracers(tree):
-    """What of a tree is known only to a transformation."""
+    """Return the leaves of a tree that are tracers."""
     return [leaf for leaf in jax.tree.leaves(tree) if isinstance(leaf, Tracer)]
 
 
 def _persistent_module(function, args, kwargs):
-    """(numbers) -> the function's result, by its module, found or made; None where there can be none."""
+    """Return a function of tracers that calls the stored or exported module; None if that is not possible."""
     try:
         path = _module_path(function, args, kwargs)
         if path is None:
@@ -154,20 +178,20 @@ def _persistent_module(function, args, kwargs):
         content = cache_file.read(path)
         structure, payload = _export_module(function, args, kwargs, path) if content is None else _split_file(content)
         module, treedef = export.deserialize(bytearray(payload)), jax.tree.structure(_build(structure))
-    except Exception:  # a full disk, another's file, what jax cannot export: the function itself does without
+    except Exception:  # a full disk, a foreign file, or a function that JAX cannot export: call the function itself
         return None
     return lambda *tracers: treedef.unflatten(module.call(*tracers))
 
 
 def _program_path(function, static, args):
-    """The file of a function's program for arguments like these; None where nothing is to be kept."""
+    """Return the file of a function's program for such arguments; None if nothing is stored."""
     avals = (arg if index in static else jax.tree.map(shaped_abstractify, arg) for index, arg in enumerate(args))
     path = _module_path(function, tuple(avals), {})
     return path and path.with_suffix(PROGRAM_SUFFIX)
 
 
 def _read_program(function, static, args):
-    """The `Way` of a function of the host that is kept, None where there is none."""
+    """Read the stored `Evaluation` of a host function, or None."""
     try:
         path = _program_path(function, static, args)
         content = None if path is None else cache_file.read(path)
@@ -175,11 +199,12 @@ def _read_program(function, static, args):
             return None
         structure, code = _split_file(content)
         return numpy_evaluation.Evaluation(python_program.load_program(code), jax.tree.structure(_build(structure)))
-    except Exception:  # as where a module is read
+    except Exception:  # as in `_persistent_module`
         return None
 
 
 def _store_program(function, static, args, evaluation):
+    """Store the program of an `Evaluation`."""
     with suppress(Exception):
         path = _program_path(function, static, args)
         structure = _describe(jax.tree.unflatten(evaluation.treedef, [NUMBER] * evaluation.treedef.num_leaves))
@@ -188,7 +213,7 @@ def _store_program(function, static, args, evaluation):
 
 
 def _module_path(function, args, kwargs):
-    """The file of a function's module for arguments of a kind, be it there or not; None where nothing is to be kept."""
+    """Return the file of a function's module for such arguments, existing or not; None if nothing is stored."""
     folder = _folder()
     if folder is None:
         return None
@@ -198,35 +223,41 @@ def _module_path(function, args, kwargs):
 
 
 def cache_folder():
-    """Where jax keeps what it compiles, a text; None or an empty one where it does not."""
+    """Return the folder of JAX's compilation cache as text; None or empty if it is not set."""
     return jax.config.jax_compilation_cache_dir
 
 
 def reason_without_cache() -> str | None:
-    """Explain why traced functions are not kept in the cache folder in this process; None if they are."""
+    """Explain why traced functions are not stored in this process.
+
+    Returns
+    -------
+    str or None
+        The reason; None if they are stored.
+    """
     return _reason_not_persistent() or cache_file.reason_for_distrust(*_folders())
 
 
 def _reason_not_persistent():
-    """Why nothing can be kept, whatever folder it is; None if it can."""
+    """Explain why nothing can be stored in any folder; None if it can."""
     folder = cache_folder()
     if not folder:
         return "no cache folder is set (JAX_COMPILATION_CACHE_DIR)"
     if "://" in folder:
-        return "it is not a folder of the file system"
+        return "the cache is not a folder of the file system"
     if jax.default_backend() != "cpu":
-        return f"functions are compiled for {jax.default_backend()}, not for a processor"
+        return f"functions are compiled for {jax.default_backend()}, not for the CPU"
     return "there are several devices" if jax.device_count() > 1 else None
 
 
 def _folders():
-    """jax's cache folder, that of the modules in it, and that of the modules of these sources in that."""
+    """Return JAX's cache folder, the folder of modules in it, and the folder for the present sources in that."""
     root = Path(cache_folder())
     return root, root / FOLDER, root / FOLDER / _source_stamp(tuple(sorted(_own_packages)))
 
 
 def _folder():
-    """Where the modules of these sources are, made where it is missing; None where nothing is to be kept."""
+    """Return the folder of the modules of the present sources, created if missing; None if nothing is stored."""
     if _reason_not_persistent():
         return None
     root, modules, folder = folders = _folders()
@@ -254,7 +285,7 @@ def _is_distrusted(root, *folders):
 
 @lru_cache
 def _source_stamp(packages):
-    """A name for all that a module depends on besides the function and its arguments: sources and versions."""
+    """Return a digest of everything that a module depends on besides function and arguments: sources and versions."""
     versions = (sys.version_info[:2], jax.__version__, jaxlib.__version__, np.__version__)
     digest = hashlib.sha256(repr((*versions, sys.implementation.name, importlib.util.MAGIC_NUMBER)).encode())
     for package in packages:
@@ -266,18 +297,18 @@ def _source_stamp(packages):
 
 
 def _join_file(structure, payload):
-    """The form of a result and what gives it, as the content of a file."""
+    """Join the structure of a result and its module or program to the content of a file."""
     return json.dumps(structure).encode() + b"\n" + payload
 
 
 def _split_file(content):
-    """(form of the result, what gives it) of a file's content."""
+    """Split the content of a file into the structure of the result and the module or program."""
     structure, payload = content.split(b"\n", 1)
     return json.loads(structure), payload
 
 
 def _export_module(function, args, kwargs, path):
-    """The same of a function traced now, and written."""
+    """Export a function, write its module, and return its structure and module."""
     leaves, treedef = jax.tree.flatten((args, kwargs))
     structure = []
 
@@ -294,14 +325,14 @@ def _export_module(function, args, kwargs, path):
     avals = (jax.ShapeDtypeStruct(aval.shape, aval.dtype, weak_type=aval.weak_type) for aval in _tracers(leaves))
     module = export.export(jax.jit(flat_function))(*avals)
     if any(aval.weak_type for aval in module.out_avals):
-        raise NotPersistentError("a number of weak type, which is not written")
+        raise NotPersistentError("weakly typed results are not stored")
     module = bytes(module.serialize())
     cache_file.write(path, _join_file(structure[0], module))
     return structure[0], module
 
 
 def _describe(value):
-    """A value's form as lists and texts: of numbers under a transformation their kind, of all else what it is."""
+    """Describe the structure of a value as lists and texts: types of tracers, values of everything else."""
     if value is NUMBER:
         return NUMBER
     if isinstance(value, Tracer | ShapedArray):
@@ -323,7 +354,7 @@ def _describe(value):
 
 
 def _build(structure):
-    """The value of a described form, 0 for each number."""
+    """Build the value of a description, with 0 for each number."""
     if structure == NUMBER:
         return 0
     if "class" in structure:
@@ -333,7 +364,7 @@ def _build(structure):
 
 
 def _qualified_name(value):
-    """module:name of a function or class of ours. Raises Unknown for any other value."""
+    """Return module:name of a function or class of these packages; raise NotPersistentError for any other value."""
     name = f"{getattr(value, '__module__', '')}:{getattr(value, '__qualname__', '')}"
     resolved = _resolve_name(name)
     if value not in (resolved, getattr(resolved, "__wrapped__", None)):
@@ -342,7 +373,7 @@ def _qualified_name(value):
 
 
 def _resolve_name(name):
-    """The function or class of ours with a name."""
+    """Return the function or class of these packages with a name."""
     module, qualname = name.split(":")
     if module.split(".")[0] not in _own_packages:
         raise NotPersistentError(name)

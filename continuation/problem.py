@@ -1,4 +1,7 @@
-"""What is continued: F(z) = 0 with z = (u, p), n equations, n unknowns u and one parameter p, and what is watched."""
+"""Define systems and the problems that are continued: F(z) = 0 with z = (u, p), and their test functions.
+
+A problem has n equations, n unknowns u and one parameter p.
+"""
 
 from collections.abc import Callable
 from functools import lru_cache, partial
@@ -15,17 +18,26 @@ from .errors import check_types
 from .linear_solver import LinearSolution
 from .persistent_jit import FAST_COMPILE, persistent_jit
 
-CIRCLE_TOLERANCE = 1e-6  # so far from the unit circle, or from the real line, is a multiplier not on it
+CIRCLE_TOLERANCE = 1e-6  # largest distance from the unit circle or the real line at which a multiplier lies on it
 
 
 def always_true(*_):
-    """True."""
+    """Return True for any arguments."""
     return True
 
 
 class TestFunction(NamedTuple):
-    """An event where a square matrix becomes singular. label: of the event; matrix: of (z, args); is_valid: of (z,
-    args), whether it is one, where the matrix may be singular for another reason."""
+    """Test function: a special point lies where a square matrix is singular.
+
+    Attributes
+    ----------
+    label : str
+        Kind of the special point.
+    matrix : callable
+        Matrix as a function of (z, args).
+    is_valid : callable
+        Function of (z, args) that returns False if the matrix is singular for another reason.
+    """
 
     label: str
     matrix: Callable[[Any, Any], Float[jax.Array, "size size"]]
@@ -33,19 +45,50 @@ class TestFunction(NamedTuple):
 
 
 def call_directly(function, *arguments, **static_arguments):
-    """function(*arrays, **static)."""
+    """Call a function with the given arguments.
+
+    Parameters
+    ----------
+    function : callable
+        Function to call.
+    *arguments : Any
+        Its positional arguments.
+    **static_arguments : Any
+        Its keyword arguments.
+
+    Returns
+    -------
+    Any
+        Result of the function.
+    """
     return function(*arguments, **static_arguments)
 
 
 class Problem(NamedTuple):
-    """Functions of (z, args), of a module or made once: they are what compiled code is kept by.
+    """Equations of a continuation as functions of (z, args).
 
-    function: F and its slopes; solve: (slopes, row, right) -> x, worst, determinant of the slopes and one row more, as
-    `arclength.bordered`; dense_function: F and dF/dz, an (n, n + 1) matrix; test_functions: what is watched besides
-    folds and branch points; runner: (function, *arrays, **static) -> its result, within a jit, as the compiler likes
-    it; is_valid: of (z, args), whether a special point that Newton's method comes to is one; compile_at_once: whether
-    it is compiled before its first answer, as its loops are too long for Python; noise_floor: the length below which
-    Newton's steps do not shrink, as an integrator's steps change."""
+    Compiled code is cached by these functions, so they must be module-level or created once.
+
+    Attributes
+    ----------
+    function : callable
+        Residual F and its derivative, in a form that `solve` takes.
+    solve : callable
+        Solver of the system bordered by one row: (derivative, row, right-hand side) -> `LinearSolution`, as
+        `arclength.solve_bordered`.
+    dense_function : callable
+        Residual F and dF/dz as a matrix of shape (n, n + 1).
+    test_functions : tuple of TestFunction
+        Test functions besides those for folds and branch points.
+    runner : callable
+        Calls ``(function, *arrays, **static)`` inside a jit, in the form that suits the compiler.
+    is_valid : callable
+        Function of (z, args) that accepts or rejects a located special point.
+    compile_at_once : bool
+        Compile before the first evaluation, because the loops are too long for Python.
+    noise_floor : float
+        Length below which Newton's steps do not shrink, because the steps of an integrator change.
+    """
 
     function: Callable[[Any, Any], tuple[Float[jax.Array, " unknowns"], Any]]
     solve: Callable[[Any, Float[jax.Array, " z"], Float[jax.Array, " z *sides"]], LinearSolution]
@@ -57,17 +100,31 @@ class Problem(NamedTuple):
     noise_floor: float = 0.0
 
 
-SystemFunction = Callable[
-    [Float[jax.Array, " unknowns"], dict[str, Any], Any], Float[ArrayLike, " unknowns"]
-]  # of (u, p, args)
+# Function of (u, p, args).
+SystemFunction = Callable[[Float[jax.Array, " unknowns"], dict[str, Any], Any], Float[ArrayLike, " unknowns"]]
 
 
 class System(NamedTuple):
-    """Equations with parameters by name. function: of (u, p, args) -> (n,), u of shape (n,), p {name: number}; kind:
-    EQUILIBRIA, where the function is to be zero, FIXED_POINTS, where it gives u back after so many times, or ORBITS,
-    where u' = function is to be periodic. fly, segments: of ORBITS, (u, time, p, args) -> u that much later, and of
-    how many flights a period is. symmetry: S, linear, with S S u = u and function(S u) = S function(u), or None;
-    within: whether only solutions with S u = u are looked for."""
+    """Equations with named parameters.
+
+    Attributes
+    ----------
+    function : callable
+        Function of (u, p, args) that returns an array of shape (n,), with u of shape (n,) and p {name: number}.
+    kind : {"equilibria", "fixed points", "periodic orbits"}
+        Equilibria are zeros of the function, fixed points are mapped to themselves after `times` iterations, and
+        periodic orbits solve ``u' = function``.
+    times : int
+        Number of iterations of a map, or of rounds of an orbit.
+    fly : callable or None
+        Flow of the field of periodic orbits: (u, time, p, args) -> u after this time.
+    segments : int
+        Number of shooting segments in a period.
+    symmetry : callable or None
+        Linear symmetry S with S(S(u)) = u and function(S(u)) = S(function(u)).
+    within : bool
+        Restrict to symmetric solutions, S(u) = u.
+    """
 
     function: SystemFunction
     kind: str
@@ -79,41 +136,105 @@ class System(NamedTuple):
 
 
 EQUILIBRIA, FIXED_POINTS, ORBITS = "equilibria", "fixed points", "periodic orbits"
-NOISE_FACTOR = 10.0  # times the tolerance of an integrator: Newton's steps on its results become as short
+NOISE_FACTOR = 10.0  # Newton's steps shrink to this multiple of the tolerance of an integrator
 
 
 def noise_floor(system: System) -> float:
-    """The length below which Newton's steps do not shrink: that of an integrator's error; 0 without an integrator."""
+    """Return the length below which Newton's steps do not shrink, set by the integrator; 0 without an integrator."""
     return NOISE_FACTOR * getattr(system.fly, "tolerance", 0.0)
 
 
 @check_types
 def equilibria(function: SystemFunction, symmetry: Callable[[Any], Any] | None = None) -> System:
-    """The `System` of function(u, p, args) = 0: of the equilibria of u' = function. Besides folds (SN) and branch
-    points (BP), Hopf points (HB) are watched.
+    """Define the equilibria of a vector field.
 
-    u: (n,) unknowns; p: {name: number}, the parameters; args: a pytree, whatever the function needs besides, or None.
-    symmetry: a linear function S of u, its own inverse, with function(S u) = S function(u). A branch that begins with
-    S u = u keeps to that, and where one leaves it with another is a symmetry breaking (SB).
+    Solutions satisfy ``function(u, p, args) = 0``. Hopf points (HB) are located besides folds (SN) and branch points
+    (BP).
 
-    Raises ContinuationError for what is no function.
+    Parameters
+    ----------
+    function : callable
+        Vector field, a JAX function of (u, p, args): u is an array of shape (n,), p maps names to numbers, args is a
+        pytree or None. It returns an array of shape (n,).
+    symmetry : callable, optional
+        Linear function S of u with S(S(u)) = u and function(S(u)) = S(function(u)). A branch that starts with S(u) = u
+        keeps this symmetry. Points at which asymmetric branches emanate are symmetry breakings (SB).
+
+    Returns
+    -------
+    System
+        System for `trace`.
+
+    Raises
+    ------
+    ContinuationError
+        If an argument is not a function.
+
+    See Also
+    --------
+    fixed_points : Fixed points of a map.
+
+    Examples
+    --------
+    >>> system = co.equilibria(lambda u, p, args: p["a"] - 0.5 - u * u)
+    >>> branch = co.trace(system, [1.0], {"a": 1.5}, "a", bounds=(0.0, 2.0))
+    >>> [round(special.p["a"], 6) for special in branch.points("SN")]
+    [0.5]
     """
     return System(function, EQUILIBRIA, symmetry=symmetry)
 
 
 @check_types
 def fixed_points(move: SystemFunction, times: int = 1, symmetry: Callable[[Any], Any] | None = None) -> System:
-    """The `System` of the fixed points of a map, move(u, p, args) = u, or of the map taken so many times. Besides folds
-    (SN) and branch points (BP), period doublings (PD) and Neimark-Sacker points (NS) are watched. Arguments as in
-    `equilibria`.
+    """Define the fixed points of a map, or of an iterate of it.
 
-    Raises ContinuationError for what is no function, and times that are no whole number.
+    Solutions satisfy ``move(u, p, args) = u`` after `times` iterations. Period doublings (PD) and Neimark-Sacker points
+    (NS) are located besides folds (SN) and branch points (BP).
+
+    Parameters
+    ----------
+    move : callable
+        Map, a JAX function of (u, p, args): u is an array of shape (n,), p maps names to numbers, args is a pytree or
+        None. It returns an array of shape (n,).
+    times : int, optional
+        Number of iterations.
+    symmetry : callable, optional
+        Linear function S of u with S(S(u)) = u and move(S(u)) = S(move(u)), as in `equilibria`.
+
+    Returns
+    -------
+    System
+        System for `trace`.
+
+    Raises
+    ------
+    ContinuationError
+        If `move` or `symmetry` is not a function, or `times` is not a whole number.
+
+    See Also
+    --------
+    equilibria : Equilibria of a vector field.
+
+    Examples
+    --------
+    >>> system = co.fixed_points(lambda u, p, args: p["r"] * u * (1 - u))
+    >>> branch = co.trace(system, [0.5], {"r": 2.0}, "r", bounds=(1.5, 3.5))
+    >>> [round(special.p["r"], 6) for special in branch.points("PD")]
+    [3.0]
     """
     return System(move, FIXED_POINTS, times, symmetry=symmetry)
 
 
 class Constants(NamedTuple):
-    """Numbers of a `System` that stay along a branch. fixed_params: {name: number}, the other parameters; args."""
+    """Constants of a `System` along a branch.
+
+    Attributes
+    ----------
+    fixed_params : dict of str to float
+        Values of the other parameters.
+    args : Any
+        Further argument of the function.
+    """
 
     fixed_params: dict[str, float]
     args: Any
@@ -121,7 +242,20 @@ class Constants(NamedTuple):
 
 @lru_cache
 def problem_of(system, names):
-    """The `Problem` of a `System` along parameters: z = (u, values of the names), args a `Constants`."""
+    """Make the `Problem` of a `System` in the given parameters.
+
+    Parameters
+    ----------
+    system : System
+        The system.
+    names : tuple of str
+        Continuation parameters.
+
+    Returns
+    -------
+    Problem
+        Problem with z = (u, values of the names); its args are `Constants`.
+    """
 
     def make_test(kind, is_valid=always_true):
         return TestFunction(kind, partial(singular_matrix, system, kind, names), is_valid)
@@ -143,20 +277,20 @@ def problem_of(system, names):
 
 
 def split_unknowns(names, z, constants):
-    """(u, all parameters by name) at z = (u, values of the names)."""
+    """Return u and all parameters by name at z = (u, values of the names)."""
     n_unknowns = len(z) - len(names)
     return z[:n_unknowns], {**constants.fixed_params, **{name: z[n_unknowns + k] for k, name in enumerate(names)}}
 
 
 def residual_and_jacobian(system, names, z, constants):
-    """(F, dF/dz) at z = (u, values of the names): (n,) and (n, n + names)."""
+    """Compute F and dF/dz at z = (u, values of the names), shapes (n,) and (n, n + names)."""
     if system.kind == ORBITS:
         return multiple_shooting.shooting_equations(system, names, z, constants)
     return residual_at(system, names, z, constants), jax.jacfwd(partial(residual_at, system, names))(z, constants)
 
 
 def residual_at(system, names, z, constants):
-    """What is zero at z."""
+    """Compute the residual F at z, shape (n,)."""
     if system.kind == ORBITS:
         return multiple_shooting.shooting_equations(system, names, z, constants)[0]
     u_start, p = split_unknowns(names, z, constants)
@@ -171,19 +305,22 @@ def residual_at(system, names, z, constants):
 
 
 def symmetric_parts(system, u):
-    """(the part of u that the symmetry keeps, that which it reverses)."""
+    """Split u into its symmetric and its antisymmetric part."""
     image = system.symmetry(u)
     return 0.5 * (u + image), 0.5 * (u - image)
 
 
 def jacobian_at(system, names, z, constants):
-    """Its derivative, (n, n + names)."""
+    """Compute dF/dz, shape (n, n + names)."""
     return residual_and_jacobian(system, names, z, constants)[1]
 
 
 def stability_matrix(system, names, z, constants):
-    """The matrix whose eigenvalues say of what kind a solution is: of equilibria the derivative by u, of a map too, of
-    periodic orbits the monodromy's, but for the direction of the field."""
+    """Compute the matrix whose eigenvalues determine stability.
+
+    It is the derivative of the field or of the map with respect to u; for periodic orbits it is the monodromy matrix
+    without the direction of the field.
+    """
     jacobian = jacobian_at(system._replace(within=False), names, z, constants)
     if system.kind == ORBITS:
         u, p = split_unknowns(names, z, constants)
@@ -196,9 +333,11 @@ def stability_matrix(system, names, z, constants):
 
 
 def singular_matrix(system, kind, names, z, constants):
-    """The matrix that is singular at a special point of a kind, SN, PD, HB, NS or SB. The symmetry splits dF/du in two
-    blocks, of what it keeps and what it reverses: the second alone is singular at SB (Werner and Spence, SIAM J. Numer.
-    Anal. 21, 388, 1984)."""
+    """Compute the matrix that is singular at special points of a kind, SN, PD, HB, NS or SB.
+
+    The symmetry splits dF/du into a symmetric and an antisymmetric block. The antisymmetric block alone is singular at
+    SB (Werner and Spence, SIAM J. Numer. Anal. 21, 388, 1984).
+    """
     if kind in ("HB", "NS"):
         return (bialternate_sum if kind == "HB" else bialternate_product)(stability_matrix(system, names, z, constants))
     if kind == "SB":
@@ -223,18 +362,20 @@ def _compute_matrix(system, kind, names, z, constants):
 
 
 def matrix_at(system, kind, names, z, constants):
-    """The `singular_matrix` of a kind at one point, of none the `stability_matrix`, for the host."""
+    """Compute the `singular_matrix` of a kind at one point on the host; the `stability_matrix` if the kind is empty."""
     return np.asarray(_compute_matrix(system, kind, names, z, constants))
 
 
 def eigenvalues_at(system, names, z, constants):
-    """The eigenvalues of the `stability_matrix` at one point."""
+    """Compute the eigenvalues of the `stability_matrix` at one point."""
     return np.linalg.eigvals(matrix_at(system, "", names, z, constants)).astype(complex)
 
 
 def is_hopf(system, names, z, constants):
-    """Whether two complex eigenvalues are on the imaginary axis: two real ones whose sum is 0 are none (a neutral
-    saddle)."""
+    """Return True if two complex eigenvalues lie on the imaginary axis.
+
+    Two real eigenvalues with sum 0 are a neutral saddle, for which the result is False.
+    """
     eigenvalues = eigenvalues_at(system, names, z, constants)
     scale = max(1.0, abs(eigenvalues).max())
     return bool(
@@ -243,15 +384,20 @@ def is_hopf(system, names, z, constants):
 
 
 def is_neimark_sacker(system, names, z, constants):
-    """Whether two complex multipliers are on the unit circle: two real ones whose product is 1 are none (a neutral
-    saddle)."""
+    """Return True if two complex multipliers lie on the unit circle.
+
+    Two real multipliers with product 1 are a neutral saddle, for which the result is False.
+    """
     eigenvalues = eigenvalues_at(system, names, z, constants)
     return bool(np.any((abs(abs(eigenvalues) - 1.0) < CIRCLE_TOLERANCE) & (abs(eigenvalues.imag) > CIRCLE_TOLERANCE)))
 
 
 def bialternate_product(matrix):
-    """The products of two different eigenvalues less 1 are this matrix's eigenvalues: the bialternate product of the
-    matrix with itself, less the identity (Kuznetsov, Elements of Applied Bifurcation Theory, 10.2)."""
+    """Return the bialternate product of a matrix with itself, less the identity.
+
+    Its eigenvalues are the products of two different eigenvalues, less 1 (Kuznetsov, Elements of Applied Bifurcation
+    Theory, 10.2).
+    """
     rows, columns = jnp.triu_indices(len(matrix), 1)
     direct_terms = matrix[rows][:, rows] * matrix[columns][:, columns]
     crossed_terms = matrix[rows][:, columns] * matrix[columns][:, rows]
@@ -259,8 +405,10 @@ def bialternate_product(matrix):
 
 
 def bialternate_sum(matrix):
-    """The sums of two different eigenvalues are this matrix's eigenvalues: twice the bialternate product of the matrix
-    with the identity (the same place)."""
+    """Return twice the bialternate product of a matrix with the identity.
+
+    Its eigenvalues are the sums of two different eigenvalues (Kuznetsov, Elements of Applied Bifurcation Theory, 10.2).
+    """
     rows, columns = jnp.triu_indices(len(matrix), 1)
     identity = jnp.eye(len(matrix))
 

@@ -1,4 +1,4 @@
-"""What a rule's parameters and an array are in Python's text, so that a program can be read again."""
+"""Write the parameters of rules and arrays as Python text that can be read again."""
 
 from enum import Enum
 from functools import lru_cache
@@ -12,11 +12,11 @@ from .numpy_indexing import NoRuleError
 from .numpy_primitives import rules
 
 _NAMED_TYPES = (lax.GatherDimensionNumbers, lax.ScatterDimensionNumbers, lax.GatherScatterMode, lax.RoundingMethod)
-TYPES_BY_NAME = {named_type.__name__: named_type for named_type in _NAMED_TYPES}  # types that a text may name
+TYPES_BY_NAME = {named_type.__name__: named_type for named_type in _NAMED_TYPES}  # types that a text may contain
 
 
 def literal_text(value: Any) -> str:
-    """Python's text of a value. Raises Unknown where it has none."""
+    """Return the Python text of a value; raise NoRuleError if it has none."""
     if value is None or type(value) in (bool, int, float, str):
         return repr(value)
     if isinstance(value, np.ndarray | np.generic) and value.dtype.kind in "biuf" and value.dtype.isbuiltin:
@@ -34,7 +34,7 @@ def literal_text(value: Any) -> str:
 
 
 def rule_text(name: str, params: dict[str, Any]) -> str:
-    """The text of a primitive's rule with the parameters that it takes."""
+    """Return the text of a primitive's rule with its parameters."""
     argument_texts = [f"{key}={literal_text(params[key])}" for key in _rule_parameters(name) if key in params]
     return f"rules[{name!r}]({', '.join(argument_texts)})"
 

@@ -1,7 +1,8 @@
-"""A traced function's equations as one Python function: small arrays number by number, large ones by NumPy's rules.
+"""Translate the equations of a traced function into one Python function.
 
-On a few numbers Python's own arithmetic is ten times as fast as NumPy's, and moving numbers about, which is half of
-what jax traces, costs nothing: the rule of a move is asked once, where the numbers stand.
+Small arrays are translated entry by entry, large ones use NumPy's rules. On a few numbers, Python's arithmetic is ten
+times as fast as NumPy's. Moving entries, which is half of what JAX traces, then costs nothing: the rule of a move is
+applied once, while the program is written.
 """
 
 import marshal
@@ -21,47 +22,58 @@ from .numpy_primitives import UNSUPPORTED, rules
 from .python_literals import TYPES_BY_NAME, literal_text, rule_text
 from .python_source import Block, Conditional, Line, Loop, count_lines, prune_lines, write_lines
 
-MAX_SCALARS = 20  # numbers of an array that are written one by one
-PYTHON_DTYPES = tuple(map(np.dtype, (np.float64, bool, np.int32, np.int64)))  # of which Python has the same
+MAX_SCALARS = 20  # largest size of an array that is translated entry by entry
+PYTHON_DTYPES = tuple(map(np.dtype, (np.float64, bool, np.int32, np.int64)))  # types with a Python equivalent
 CALL_PRIMITIVES = {"closed_call", "core_call", "custom_jvp_call", "custom_vjp_call", "jit", "pjit", "checkpoint"}
-CALLED_JAXPR_KEYS = ("jaxpr", "call_jaxpr", "fun_jaxpr")  # names for the function that these call
+CALLED_JAXPR_KEYS = ("jaxpr", "call_jaxpr", "fun_jaxpr")  # names of the parameter with the called function
 
-Value = Any  # of a variable: the numbers of its entries, an array of its shape, where it is small; else its own number
+Value = Any  # variables of a value: an array of variable numbers if it is small, else one variable number
 
 
 def is_small(aval):
+    """Return True for arrays that are translated entry by entry."""
     return math.prod(aval.shape) <= MAX_SCALARS and np.dtype(aval.dtype) in PYTHON_DTYPES
 
 
 def divided(x, y):
-    """x / y where y is zero or no number, as the processor has it."""
+    """Divide by zero or nan as the processor does."""
     return float(np.divide(x, y))
 
 
 def wrapped(bits, x):
-    """A whole number of so many bits."""
+    """Wrap an integer to the given number of bits."""
     half = 1 << (bits - 1)
     return (x + half) % (2 * half) - half
 
 
 def kept_lanes(active, new, old):
-    """Of lanes: the new values of those that go on."""
+    """Return the new values of active lanes and the old values of the others."""
     return np.where(active.reshape(active.shape + (1,) * (new.ndim - active.ndim)), new, old)
 
 
 def without_unused(closed_jaxpr):
-    """A closed jaxpr without equations that no result needs, those within the functions that it calls among them."""
+    """Remove unused equations from a closed jaxpr, those in called functions included."""
     jaxpr, _ = partial_eval.dce_jaxpr(closed_jaxpr.jaxpr, [True] * len(closed_jaxpr.jaxpr.outvars), instantiate=True)
     return closed_jaxpr.replace(jaxpr=jaxpr)
 
 
+# Names that a program's text may contain.
 NAMESPACE: dict[str, Any] = {"np": np, "math": math, "nan": math.nan, "inf": math.inf, "rules": rules} | TYPES_BY_NAME
-NAMESPACE |= {function.__name__: function for function in (divided, wrapped, kept_lanes)}  # what a text may name
+NAMESPACE |= {function.__name__: function for function in (divided, wrapped, kept_lanes)}
 
 
 class Program(NamedTuple):
-    """run: (values of the arguments) -> (the results, how many lines were run); size: the lines; text: Python's, which
-    gives both, None where it would need what no text holds."""
+    """Python program of a function.
+
+    Attributes
+    ----------
+    run : callable
+        Function of the arguments that returns the results and the number of lines run.
+    size : int
+        Number of lines.
+    text : str or None
+        Python text that defines both; None if it needs objects that have no text.
+    """
 
     run: Callable[..., tuple[list[Any], int]]
     size: int
@@ -69,32 +81,50 @@ class Program(NamedTuple):
 
 
 def build_program(closed_jaxpr: core.ClosedJaxpr) -> Program:
-    """That of a closed jaxpr. Raises Unknown where an equation has no rule."""
+    """Build the program of a closed jaxpr.
+
+    Parameters
+    ----------
+    closed_jaxpr : ClosedJaxpr
+        Equations of a traced function.
+
+    Returns
+    -------
+    Program
+        The program.
+
+    Raises
+    ------
+    NoRuleError
+        If an equation has no rule.
+    """
     writer = Writer(closed_jaxpr)
     namespace = NAMESPACE | writer.objects
-    exec(writer.text, namespace)  # the text is the writer's own, of a jaxpr
+    exec(writer.text, namespace)  # the writer made this text from a jaxpr
     return Program(namespace["run"], namespace["size"], None if writer.objects else writer.text)
 
 
 def compile_text(text: str) -> bytes:
-    """Translate a program's text as Python does for its own cache, so that a later process need not."""
+    """Compile a program's text to byte code, as Python does for its own cache."""
     return marshal.dumps(compile(text, "<program>", "exec", dont_inherit=True))
 
 
 def load_program(content: bytes) -> Program:
-    """The program whose text `compile_text` has translated: executed, so the content must come from a source that is
-    trusted and be undamaged (`cache_file`)."""
+    """Load a program that `compile_text` compiled.
+
+    The content is executed: it must be undamaged and from a trusted source (`cache_file`).
+    """
     namespace = dict(NAMESPACE)
     exec(marshal.loads(content), namespace)
     return Program(namespace["run"], namespace["size"])
 
 
 class Writer:
-    """The text of a closed jaxpr's program. objects: functions and arrays that it names and cannot hold."""
+    """Writer of the text of a closed jaxpr's program; `objects` are functions and arrays without text."""
 
     def __init__(self, closed_jaxpr):
         self.last_number, self.texts, self.values, self.constant_numbers = 0, {}, {}, {}
-        self.names, self.objects = {}, {}  # {text of a function or an array: its name}, {name: what has no text}
+        self.names, self.objects = {}, {}  # {text of a function or an array: its name}, {name: object without text}
         self.block = Block()
         arguments, inputs = [self.new_number() for _ in closed_jaxpr.jaxpr.invars], []
         for number, var in zip(arguments, closed_jaxpr.jaxpr.invars, strict=True):
@@ -118,7 +148,7 @@ class Writer:
         return self.texts.get(number) or f"v{number}"
 
     def constant(self, value: Any) -> int:
-        """A number of Python's, or an array."""
+        """Return the variable of a Python number or an array."""
         is_scalar = isinstance(value, float | int)
         key = (type(value), repr(value)) if is_scalar else (value.shape, value.dtype, value.tobytes())
         if key not in self.constant_numbers:
@@ -132,13 +162,14 @@ class Writer:
         return self.constant_numbers[key]
 
     def constants_of(self, array: Any, aval: Any) -> Value:
+        """Return the value of a constant array."""
         array = np.asarray(array, aval.dtype)
         if not is_small(aval):
             return self.constant(array[()])
         return np.array([self.constant(entry) for entry in array.ravel().tolist()], int).reshape(array.shape)
 
     def constant_array(self, value: Value, aval: Any) -> Any:
-        """A constant as an array, None where it is none."""
+        """Return a constant as an array; None if the value is not constant."""
         if not isinstance(value, np.ndarray):
             return self.values.get(value)
         numbers = value.ravel().tolist()
@@ -147,7 +178,7 @@ class Writer:
         return np.array([self.values[number] for number in numbers], aval.dtype).reshape(value.shape)[()]
 
     def emit(self, text: str, inputs: Sequence[int], n_values: int | None = None, key: Any = None) -> Any:
-        """What a text gives of some values, once: one value, or a list of so many."""
+        """Emit a line once; returns the variable of its result, or a list of `n_values` variables."""
         key = (text if key is None else key, tuple(inputs))
         numbers = self.block.find(key)
         if numbers is None:
@@ -157,7 +188,7 @@ class Writer:
         return numbers[0] if n_values is None else numbers
 
     def pack(self, value: Value, aval: Any) -> int:
-        """As one value of NumPy's."""
+        """Pack a value into one NumPy variable."""
         if not isinstance(value, np.ndarray):
             return value
         constant = self.constant_array(value, aval)
@@ -172,13 +203,13 @@ class Writer:
         return self.emit(f"np.array([{placeholders}], {dtype}){reshape_text}", numbers)
 
     def unpack(self, number: int, aval: Any) -> Value:
-        """As numbers of Python's."""
+        """Unpack a NumPy variable into Python numbers."""
         if not aval.shape:
             return np.array(self.emit("{0}.item()", [number]))
         return np.array(self.emit("{0}.ravel().tolist()", [number], math.prod(aval.shape)), int).reshape(aval.shape)
 
     def object_name(self, value: Any, make_text: Callable[[], str]) -> str:
-        """The name of a function or an array. make_text: gives its text, raises Unknown where it has none."""
+        """Return the name of a function or an array; `make_text` gives its text or raises NoRuleError."""
         try:
             text = make_text()
         except NoRuleError:
@@ -190,7 +221,7 @@ class Writer:
     # equations
 
     def write_jaxpr(self, closed_jaxpr: Any, inputs: Sequence[Value]) -> list[Value]:
-        """The values of a closed jaxpr's results, those of its arguments being given."""
+        """Write a closed jaxpr and return the values of its results."""
         jaxpr = closed_jaxpr.jaxpr
         value_of_variable = dict(zip(jaxpr.invars, inputs, strict=True))
         for var, value in zip(jaxpr.constvars, closed_jaxpr.consts, strict=True):
@@ -240,20 +271,20 @@ class Writer:
         return self.unpack_small(results if is_list else [results], out_avals)
 
     def unpack_small(self, values, avals):
-        """Values of NumPy's, those that are small number by number."""
+        """Unpack those NumPy variables that are small."""
         pairs = zip(values, avals, strict=True)
         return [self.unpack(value, aval) if is_small(aval) else value for value, aval in pairs]
 
-    # loops and choices
+    # loops and conditionals
 
     def write_block(self, outer, closed_jaxpr, inputs):
-        """(lines, values of the results) of a closed jaxpr in a block of its own."""
+        """Write a closed jaxpr in a new block; returns the block and the values of the results."""
         self.block = Block(outer)
         results = self.write_jaxpr(without_unused(closed_jaxpr), inputs)
         return self.block, results
 
     def new_values(self, avals):
-        """New values of some kinds."""
+        """Create variables for values of given shapes and types."""
         return [
             np.array([self.new_number() for _ in range(math.prod(aval.shape))], int).reshape(aval.shape)
             if is_small(aval)
@@ -267,7 +298,7 @@ class Writer:
         carry = self.new_values(avals)
         cond_block, (is_active,) = self.write_block(outer, params["cond_jaxpr"], [*cond_args, *carry])
         (is_active_aval,) = _avals(params["cond_jaxpr"].jaxpr.outvars)
-        if is_active_aval.shape:  # of lanes, those that are through stay as they are
+        if is_active_aval.shape:  # finished lanes keep their values
             lanes = self.pack(is_active, is_active_aval)
             condition = self.emit("{0}.any()", [lanes])
         else:
@@ -340,5 +371,5 @@ def _avals(variables):
 
 
 def _flatten(values):
-    """The numbers of some values in a row."""
+    """Return the variables of values in one list."""
     return [item for value in values for item in (value.ravel().tolist() if isinstance(value, np.ndarray) else [value])]

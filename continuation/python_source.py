@@ -1,6 +1,6 @@
-"""A program as the text of one Python function: what its lines are, which of them are needed, how they are written.
+"""Represent a program as lines, remove unused lines and write them as the text of one Python function.
 
-A line gives values, each known by a number, from others. Loops and choices hold lines of their own, in blocks.
+A line computes variables, identified by numbers, from others. Loops and conditionals contain blocks of lines.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -10,7 +10,7 @@ INDENT = "    "
 
 
 class Block:
-    """Lines in a row, and what they have given already, by a key: what stands around a block is known within."""
+    """Lines and their results by key; results of the enclosing blocks are known too."""
 
     def __init__(self, outer_block=None):
         self.lines, self.known_results, self.outer_block = [], {}, outer_block
@@ -26,8 +26,10 @@ class Block:
 
 @dataclass(frozen=True)
 class Line:
-    """results: what it gives; operands: of what; text: of the latter, in braces. gives_list: the text gives them in a
-    row."""
+    """Line that computes `results` from `operands` by the text; braces stand for the operands.
+
+    The text gives a sequence if `gives_list` is true.
+    """
 
     results: Sequence[int]
     operands: Sequence[int]
@@ -49,11 +51,12 @@ class Line:
 
 @dataclass(frozen=True)
 class Loop:
-    """A loop. results: the numbers that it carries, at first begin, in the end of each turn after.
+    """Loop that carries `results`, which start as `initial` and become `updated` after each iteration.
 
-    test, condition: lines, and the value of theirs that says whether there is another turn, None: one for each row;
-    lines: of a turn. rows: (of which value's text the rows are, the values of one); outputs: (the name of a list,
-    values that a turn adds to it)."""
+    `test` lines compute `condition`, which is true for a further iteration; None stands for one iteration per row.
+    `lines` are those of an iteration. `rows` are (line with the text of the rows, variables of one row, is_array),
+    `outputs` are (variable of a list, variables that an iteration appends, is_array).
+    """
 
     results: Sequence[int]
     initial: Sequence[int]
@@ -66,7 +69,7 @@ class Loop:
     outputs: Sequence[tuple[int, Sequence[int], bool]] = ()
 
     def prune(self, needed_numbers: set[int]) -> "Loop":
-        """Itself with what is asked alone."""
+        """Remove unused variables and lines."""
         outputs = [entry for entry in self.outputs if entry[0] in needed_numbers]
         live_indices = {index for index, number in enumerate(self.results) if number in needed_numbers}
         while True:
@@ -132,7 +135,7 @@ class Loop:
 
 @dataclass(frozen=True)
 class Conditional:
-    """One of some blocks, by the number of which; each with the values that are to be found of it."""
+    """One of several blocks, selected by a branch number; each with the variables of its results."""
 
     results: Sequence[int]
     branch_number: int
@@ -167,8 +170,7 @@ Lines = Sequence[Line | Loop | Conditional]
 
 
 def prune_lines(lines: Lines, needed_numbers: set[int]) -> list[Line | Loop | Conditional]:
-    """The lines without which something asked would not be found; needed_numbers: then all that these are given,
-    too."""
+    """Return the lines that the needed variables require, and add the variables these require to `needed_numbers`."""
     pruned = []
     for line in reversed(list(lines)):
         if not needed_numbers.isdisjoint([*line.results, *(entry[0] for entry in getattr(line, "outputs", ()))]):
@@ -177,13 +179,13 @@ def prune_lines(lines: Lines, needed_numbers: set[int]) -> list[Line | Loop | Co
 
 
 def write_lines(lines: Lines, value_name: Callable[[int], str], indent: str) -> Iterator[str]:
-    """The text of lines, each within an indent; value_name: the text of a value."""
+    """Write lines as text with an indent; `value_name` gives the text of a variable."""
     for line in lines:
         yield from line.write(value_name, indent)
 
 
 def count_lines(lines: Lines) -> int:
-    """How many lines there are, those within others among them."""
+    """Count lines, those in loops and conditionals included."""
     n_lines = 0
     for line in lines:
         inner_lines = [*getattr(line, "test", ()), *getattr(line, "lines", ())]

@@ -1,10 +1,27 @@
-"""Where a function of one number changes its sign."""
+"""Find roots of functions of one variable."""
 
 
 def find_sign_change(function, upper):
-    """Where a function changes its sign between 0 and an end, to 1e-14: Chandrupatla's mix of halving and inverse
-    quadratics (Advances in Engineering Software 28, 145, 1997). SciPy's roots take as long to load as all the rest."""
-    newest, opposite, previous = upper, 0.0, 0.0  # the newest, that with the other sign, the one before
+    """Find the root of a function between 0 and `upper` to 1e-14 by Chandrupatla's method.
+
+    Parameters
+    ----------
+    function : callable
+        Function of one number with different signs at 0 and `upper`.
+    upper : float
+        Upper end of the interval.
+
+    Returns
+    -------
+    float
+        The root.
+
+    Notes
+    -----
+    The method combines bisection and inverse quadratic interpolation (Advances in Engineering Software 28, 145, 1997).
+    Loading SciPy's root finders would take as long as loading everything else.
+    """
+    newest, opposite, previous = upper, 0.0, 0.0  # newest point, point of opposite sign, previous point
     f_newest, f_opposite, f_previous = function(newest), function(opposite), 0.0
     fraction = 0.5
     while True:

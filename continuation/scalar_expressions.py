@@ -1,4 +1,4 @@
-"""How a primitive on small arrays is written number by number."""
+"""Write primitives on small arrays entry by entry."""
 
 import math
 from functools import reduce
@@ -8,7 +8,7 @@ from jax import lax
 
 from .numpy_primitives import rules
 
-LIST_PRIMITIVES = {"optimization_barrier", "sort", "split", "unstack"}  # their rules give lists
+LIST_PRIMITIVES = {"optimization_barrier", "sort", "split", "unstack"}  # primitives whose rules return lists
 MOVE_PRIMITIVES = {
     "broadcast_in_dim",
     "concatenate",
@@ -34,7 +34,7 @@ CONSTANT_OPERANDS = {
     "gather": (1,),
     "scatter": (1,),
 }
-OUT_OF_RANGE = -1  # for an entry that is not of the operand
+OUT_OF_RANGE = -1  # stands for an entry outside the operand
 MAXIMUM_TEXT = "{0} if {0} >= {1} or {0} != {0} else {1}"
 MINIMUM_TEXT = "{0} if {0} <= {1} or {0} != {0} else {1}"
 UFUNC_NAMES = ("cosh", "exp", "exp2", "expm1", "log", "log1p", "sinh", "tan", "tanh")
@@ -64,13 +64,13 @@ EXPRESSIONS = {
     "sub": "{0} - {1}",
     "xor": "{0} ^ {1}",
 } | {name: f"np.{name}({{0}}).item()" for name in UFUNC_NAMES}
-OVERFLOW_PRIMITIVES = {"abs", "add", "mul", "neg", "square", "sub"}  # of whole numbers they may go beyond their bits
+OVERFLOW_PRIMITIVES = {"abs", "add", "mul", "neg", "square", "sub"}  # primitives that may overflow for integers
 REDUCTION_OPERATIONS = {"reduce_sum": "add", "reduce_prod": "mul", "reduce_max": "max", "reduce_min": "min"}
 REDUCTION_OPERATIONS |= {"reduce_and": "and", "reduce_or": "or"}
 
 
 def write_scalars(writer, name, params, operands, constants, avals, result_avals):
-    """The values of the results of a primitive on small arrays; None where it is not written so."""
+    """Write a primitive on small arrays; returns the values of its results, or None if it is not supported."""
     dtype = np.dtype(avals[0].dtype) if avals else None
     if name in MOVE_PRIMITIVES:
         return move_entries(name, params, operands, len(result_avals))
@@ -101,18 +101,19 @@ def write_scalars(writer, name, params, operands, constants, avals, result_avals
 
 
 def expression(name, dtype):
+    """Return the text of a primitive, wrapped to its bits for integers that may overflow."""
     text = EXPRESSIONS[name]
     return f"wrapped({8 * dtype.itemsize}, {text})" if dtype.kind == "i" and name in OVERFLOW_PRIMITIVES else text
 
 
 def write_elementwise(writer, text, operands):
-    """A text of the entries, one after another; numbers go with all."""
+    """Write a text for each entry, with broadcasting."""
     rows, shape = broadcast_entries(operands)
     return np.array([writer.emit(text, row) for row in rows], int).reshape(shape)
 
 
 def broadcast_entries(operands):
-    """(the entries of values that go together, in rows, their shape)."""
+    """Return the corresponding entries of values in rows, and their shape."""
     shape = operands[0].shape
     if any(value.shape != shape for value in operands):
         shape = np.broadcast_shapes(*(value.shape for value in operands))
@@ -121,12 +122,13 @@ def broadcast_entries(operands):
 
 
 def move_entries(name, params, operands, n_results):
+    """Apply a primitive that only moves entries."""
     results = rules[name](**params)(*operands)
     return [np.asarray(value) for value in (results if name in LIST_PRIMITIVES else [results])]
 
 
 def move_by_constants(name, params, operands, constants):
-    """Entries moved to where constants say."""
+    """Move entries to constant indices."""
     if name == "gather":
         params = params | {"fill_value": OUT_OF_RANGE}
     result = np.asarray(
@@ -138,8 +140,10 @@ def move_by_constants(name, params, operands, constants):
 
 
 def write_gather(writer, params, x, index):
-    """Entries of an array at places that are known later: each is one of those that it may be. None where the places
-    have several coordinates, or may lie beyond the array."""
+    """Write a gather with variable indices as a selection among all possible entries.
+
+    Returns None if indices have several coordinates or may lie outside the array.
+    """
     dimensions, sizes = params["dimension_numbers"], params["slice_sizes"]
     if len(dimensions.start_index_map) != 1 or params["mode"] == lax.GatherScatterMode.FILL_OR_DROP:
         return None
@@ -155,7 +159,7 @@ def write_gather(writer, params, x, index):
 
 
 def write_select(writer, case_index, *cases):
-    """Entries of the cases, each as its entry of which says."""
+    """Write a selection among cases, entry by entry."""
     rows, shape = broadcast_entries([case_index, *cases])
     text = (
         "{2} if {0} else {1}"
@@ -172,6 +176,7 @@ def write_select(writer, case_index, *cases):
 
 
 def write_conversion(writer, value, old_dtype, new_dtype):
+    """Write a conversion between types; None for floats to integers."""
     if old_dtype == new_dtype or (old_dtype.kind == new_dtype.kind == "i" and old_dtype.itemsize <= new_dtype.itemsize):
         return [value]
     if new_dtype.kind == "i" and old_dtype.kind == "f":
@@ -181,6 +186,7 @@ def write_conversion(writer, value, old_dtype, new_dtype):
 
 
 def write_integer_power(writer, value, dtype, exponent):
+    """Write an integer power as repeated products."""
     unity = np.array(writer.constant(dtype.type(1).item()))
     product = np.broadcast_to(unity, value.shape) if exponent == 0 else value
     for _ in range(abs(exponent) - 1):
@@ -189,7 +195,7 @@ def write_integer_power(writer, value, dtype, exponent):
 
 
 def write_reduction(writer, text, value, axes):
-    """An operation on the entries along some axes, one after another; None where there is none."""
+    """Write a reduction along axes, one entry after another; None for an empty one."""
     remaining_axes = [axis for axis in range(value.ndim) if axis not in axes]
     rows = value.transpose([*axes, *remaining_axes]).reshape(-1, *(value.shape[axis] for axis in remaining_axes))
     if not len(rows):
@@ -202,7 +208,7 @@ def write_reduction(writer, text, value, axes):
 
 
 def write_dot_general(writer, dimensions, x, y, dtype):
-    """Sums of products (dot_general); None of none."""
+    """Write dot_general as sums of products; None for empty sums."""
     (x_summed, y_summed), (x_batch, y_batch) = dimensions
     grouped_operands = []
     for value, summed_axes, batch_axes in ((x, x_summed, x_batch), (y, y_summed, y_batch)):

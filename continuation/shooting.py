@@ -1,7 +1,7 @@
-"""Periodic orbits of u' = f(u, p, args), flown by diffrax: the only file that imports it.
+"""Define periodic orbits of u' = f(u, p, args) by multiple shooting; the only module that imports diffrax.
 
-In: a field. Out: `periodic_orbits`, the `System` for `trace`, `switch` and `curve`; `settled`, an orbit to begin with
-where there is no Hopf point to `switch` from.
+`periodic_orbits` makes the `System` of a field for `trace`, `switch` and `curve`. `settled` integrates the field to a
+starting orbit if there is no Hopf point to `switch` from.
 """
 
 from collections.abc import Mapping, Sequence
@@ -18,20 +18,30 @@ from jaxtyping import ArrayLike, Float, Real
 from .errors import ContinuationError, check_types, first_line
 from .problem import ORBITS, System, SystemFunction
 
-MAX_SOLVER_STEPS = 16**3  # of a solver in a segment: more is taken for a failure
-TOLERANCE = 1e-13  # of the solver, relative and absolute
+MAX_SOLVER_STEPS = 16**3  # largest number of steps of the solver in a segment; beyond it the solver fails
+TOLERANCE = 1e-13  # relative and absolute tolerance of the solver
 
 
 @dataclass(frozen=True)
 class FieldFlow:
-    """Flies along a field. solver: of diffrax; tolerance: of its steps, relative and absolute."""
+    """Flow of a vector field.
+
+    Attributes
+    ----------
+    field : callable
+        Vector field, a function of (u, p, args).
+    solver : diffrax.AbstractSolver
+        Solver of diffrax.
+    tolerance : float
+        Relative and absolute tolerance of the steps.
+    """
 
     field: SystemFunction
     solver: diffrax.AbstractSolver
     tolerance: float
 
     def __call__(self, x: Any, time: Any, p: Any, args: Any) -> Any:
-        """u at a time, from x on; not finite where the solver fails."""
+        """Integrate from x for a time; the result is not finite if the solver fails."""
 
         def scaled_field(_, u, ode_args):
             time, p, args = ode_args
@@ -50,7 +60,7 @@ class FieldFlow:
             max_steps=MAX_SOLVER_STEPS,
             throw=False,
         )
-        assert solution.ys is not None  # it is asked for the end
+        assert solution.ys is not None  # diffrax returns the final state
         return jnp.where(solution.result == diffrax.RESULTS.successful, solution.ys[-1], jnp.nan)
 
 
@@ -58,18 +68,53 @@ class FieldFlow:
 def periodic_orbits(
     field: SystemFunction, segments: int = 8, solver: diffrax.AbstractSolver | None = None, tolerance: float = TOLERANCE
 ) -> System:
-    """The `System` of the periodic orbits of u' = field(u, p, args), by multiple shooting with diffrax. Besides folds
-    (SN) and branch points (BP), period doublings (PD) and Neimark-Sacker points (NS) are watched.
+    """Define the periodic orbits of a vector field by multiple shooting.
 
-    Its u is that many points, evenly spread in time, one after another, and the period: (segments n + 1,); its
-    eigenvalues are the n - 1 multipliers but for that of the field's own direction, 1. segments: the more, the milder
-    the growth within each; solver: of diffrax, Dopri8 where None; tolerance: of its steps, relative and absolute. The
-    tolerance of `trace`, `switch` and `curve` is at least 10 times as large: Newton's steps do not become shorter.
+    Solutions satisfy ``u' = field(u, p, args)`` and are integrated by diffrax. Period doublings (PD) and Neimark-Sacker
+    points (NS) are located besides folds (SN) and branch points (BP).
 
-    Raises ContinuationError for arguments that cannot be.
+    Parameters
+    ----------
+    field : callable
+        Vector field, a JAX function of (u, p, args) that returns an array of shape (n,).
+    segments : int, optional
+        Number of shooting segments. More segments reduce the growth of perturbations within each.
+    solver : diffrax.AbstractSolver, optional
+        Solver of diffrax. None stands for Dopri8.
+    tolerance : float, optional
+        Relative and absolute tolerance of the solver.
+
+    Returns
+    -------
+    System
+        System for `trace`. Its u, of shape ``(segments*n + 1,)``, contains one point per segment, evenly spaced in
+        time, and the period. Its eigenvalues are the n - 1 multipliers without the trivial one.
+
+    Raises
+    ------
+    ContinuationError
+        If an argument is invalid.
+
+    See Also
+    --------
+    settled : Integrate the field to a starting orbit.
+
+    Notes
+    -----
+    The tolerance of `trace`, `switch` and `curve` is at least 10 times that of the solver, because Newton's steps do
+    not become shorter.
+
+    Examples
+    --------
+    >>> from continuation.shooting import periodic_orbits
+    >>> def field(u, p, args):
+    ...     return jnp.stack([u[1], p["m"] * (1 - u[0] ** 2) * u[1] - u[0]])
+    >>> system = periodic_orbits(field, segments=4)
+    >>> system.kind, system.segments
+    ('periodic orbits', 4)
     """
     if not isinstance(segments, int) or segments < 1:
-        raise ContinuationError("segments", "must be a whole number from 1 on", segments)
+        raise ContinuationError("segments", "must be a whole number of at least 1", segments)
     if not (isinstance(tolerance, float) and 0 < tolerance < 1):
         raise ContinuationError("tolerance", "must be between 0 and 1", tolerance)
     return System(
@@ -86,22 +131,57 @@ def settled(
     args: Any = None,
     rounds: int = 0,
 ) -> Float[np.ndarray, " unknowns"]:
-    """The u of `periodic_orbits` to begin a `trace` with: (segments n + 1,), from a run of its field.
+    """Integrate a field and return an approximate periodic orbit for `trace`.
 
-    start: (n,), where it begins; period: about that of the orbit; at: {name: number}, the parameters; rounds: how
-    many periods it runs before. Raises ContinuationError for what is no system of periodic orbits.
+    Parameters
+    ----------
+    system : System
+        System made by `periodic_orbits`.
+    start : array_like
+        Initial state. Array of shape (n,).
+    period : float
+        Approximate period of the orbit.
+    at : mapping of str to float
+        Values of the parameters.
+    args : Any, optional
+        Further argument of the field.
+    rounds : int, optional
+        Number of periods that are integrated before the orbit is sampled.
+
+    Returns
+    -------
+    ndarray
+        Approximate solution u of the system. Array of shape ``(segments*n + 1,)``.
+
+    Raises
+    ------
+    ContinuationError
+        If `system` is not a system of periodic orbits or the field does not take `start`.
+
+    See Also
+    --------
+    periodic_orbits : Define the system.
+
+    Examples
+    --------
+    >>> from continuation.shooting import periodic_orbits, settled
+    >>> def field(u, p, args):
+    ...     return jnp.stack([u[1], p["m"] * (1 - u[0] ** 2) * u[1] - u[0]])
+    >>> u = settled(periodic_orbits(field, segments=4), [2.0, 0.0], 6.66, {"m": 1.0}, rounds=3)
+    >>> u.shape
+    (9,)
     """
     if not isinstance(system, System) or system.fly is None:
-        raise ContinuationError("system", "must be one of `periodic_orbits`", system)
+        raise ContinuationError("system", "must be a system made by `periodic_orbits`", system)
     p = {name: float(value) for name, value in at.items()}
     n_segments = system.segments * system.times
     fly = jax.jit(partial(_fly, system.fly))
     points = [np.asarray(start, float)]
     if points[0].ndim != 1 or not points[0].size:
-        raise ContinuationError("start", "must be a state, one number for each equation", start)
+        raise ContinuationError("start", "must be a state with one number per equation", start)
     try:
         jax.eval_shape(fly, points[0], period / n_segments, p, args)
-    except Exception as error:  # whatever a user's field falls over
+    except Exception as error:  # a user's field may raise any exception
         rule = f"must be a state that the field takes with these `at` and `args` ({first_line(error)})"
         raise ContinuationError("start", rule, start) from error
     for _ in range(n_segments * (rounds + 1) - 1):

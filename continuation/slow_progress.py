@@ -1,27 +1,25 @@
-"""Warn of a continuation that hardly moves along its parameter."""
+"""Warn if a continuation hardly changes its parameter."""
 
 import warnings
 
 import numpy as np
 
-SLOW_POINTS, NARROW_WIDTH = (
-    100,
-    1e-7,
-)  # points in a row, and 1 + abs of the parameter: as many within as little are slow progress
+# Number of consecutive points within a width, relative to 1 + abs(parameter), that count as slow progress.
+SLOW_POINTS, NARROW_WIDTH = 100, 1e-7
 
 
 class SlowProgress(UserWarning):
-    """A continuation takes many steps without a change of its parameter."""
+    """Warning for a continuation that takes many steps at nearly one value of its parameter."""
 
 
 def is_slow(segment):
-    """Return True if many points of a `Stretch` lie at nearly one value of the parameter."""
+    """Return True if many points of a `BranchSegment` lie at nearly one value of the parameter."""
     values = segment.points.z[:, -1]
     return len(values) > SLOW_POINTS and float(np.ptp(values)) < NARROW_WIDTH * (1.0 + abs(values[-1]))
 
 
 def warn_if_slow(control, segment):
-    """Warn where many points in a row lie at nearly one value of the parameter."""
+    """Warn if many consecutive points lie at nearly one value of the parameter."""
     if is_slow(segment):
         values, steps = segment.points.z[:, -1], segment.points.step
         width, n_steps = float(np.ptp(values)), len(values) - 1

@@ -1,8 +1,8 @@
-"""`curve`: a special point's curve in two parameters, with the points of codimension two on it.
+"""Continue special points in two parameters (`curve`) and locate codimension-two points.
 
-To F(u, p) = 0 the determinant of the matrix that is singular at the point is added: dF/du at SN, that of the second
-iterate's at PD, a bialternate product at HB and NS, the block of dF/du that the symmetry reverses at SB. Its gradient
-is not zero where the matrix has one null vector.
+The determinant of the matrix that is singular at the point augments F(u, p) = 0: dF/du at SN, that of the second
+iterate at PD, a bialternate product at HB and NS, the antisymmetric block of dF/du at SB. Its gradient does not vanish
+if the matrix has one null vector.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -24,7 +24,7 @@ from .problem import Constants, Problem, TestFunction, noise_floor, residual_and
 from .validation import require_settings
 
 KINDS = ("SN", "PD", "HB", "NS", "SB")
-TOLERANCE = 1e-12  # of Newton's method, a length
+TOLERANCE = 1e-12  # tolerance of Newton's method, a length
 
 
 @check_types
@@ -41,18 +41,61 @@ def curve(
     max_seconds: float | None = None,
     progress: Callable[[int], object] | None = None,
 ) -> Branch:
-    """The curve of a special point in two parameters: a `Branch` of its kind.
+    """Continue a special point in two parameters.
 
-    special: a `Special` of kind SN, PD, HB, NS or SB; names: two parameters of its system; bounds: {name: (low, high)}.
-    The rest as in `trace`; a tolerance of None is 1e-12.
+    Parameters
+    ----------
+    special : Special
+        Special point of kind SN, PD, HB, NS or SB.
+    names : sequence of str
+        Two parameters of its system.
+    bounds : mapping of str to sequence of float
+        Lower and upper bound of each parameter.
+    first_step : float, optional
+        Length of the first step, measured in (u, parameters).
+    largest_step : float, optional
+        Largest step length, measured in (u, parameters).
+    tolerance : float, optional
+        Tolerance of Newton's method, as in `trace`. None stands for 1e-12.
+    stop : sequence of str, optional
+        Kinds of special point at which the continuation ends.
+    max_points : int, optional
+        Largest number of points. None stands for no limit.
+    max_seconds : float, optional
+        Largest wall-clock time, in s. None stands for no limit.
+    progress : callable, optional
+        Function called with the number of computed points.
 
-    Located are, of equilibria, cusps (CP), Bogdanov-Takens (BT), zero-Hopf (ZH), double Hopf
-    (HH) and generalized Hopf points (GH); of maps and orbits cusps, generalized period doublings (GPD), Chenciner
-    points (CH), fold-flips (FF), the resonances R1 to R4, NS with a fold (FN), a period doubling (PN) or another NS
-    (NN); GPD and CH of maps alone; of SB the degenerate ones (DSB). A curve of HB or NS ends where the eigenvalues
-    become real.
+    Returns
+    -------
+    Branch
+        The curve, with its codimension-two points. Its `kind` is that of the point.
 
-    Raises ContinuationError for points of other kinds and arguments that cannot be.
+    Raises
+    ------
+    ContinuationError
+        If the point is of another kind or an argument is invalid.
+
+    See Also
+    --------
+    trace : Continue a solution in one parameter.
+    sensitivity : Derivative of the parameter value of a special point.
+
+    Notes
+    -----
+    Located points of equilibria are cusps (CP), Bogdanov-Takens (BT), zero-Hopf (ZH), double Hopf (HH) and generalized
+    Hopf points (GH). Those of maps and periodic orbits are cusps, generalized period doublings (GPD), Chenciner points
+    (CH), fold-flips (FF), the resonances R1 to R4, and NS with a fold (FN), a period doubling (PN) or another NS (NN);
+    GPD and CH of maps only. Those of SB are degenerate symmetry breakings (DSB). A curve of HB or NS ends where the
+    eigenvalues become real.
+
+    Examples
+    --------
+    >>> system = co.equilibria(lambda u, p, args: p["a"] + p["b"] * u - u**3)
+    >>> branch = co.trace(system, [1.0], {"a": 0.0, "b": 1.0}, "a", bounds=(-1.0, 1.0))
+    >>> folds = co.curve(branch.points("SN")[0], ("a", "b"), {"a": (-1.0, 1.0), "b": (-0.5, 1.5)})
+    >>> [special.kind for special in folds.special]
+    ['EP', 'CP', 'EP']
     """
     if not isinstance(special, Special) or special.kind not in KINDS:
         raise ContinuationError("special", f"must be a special point of kind {', '.join(KINDS)}", special)
@@ -60,7 +103,7 @@ def curve(
     if len(name_pair) != 2 or name_pair[0] == name_pair[1]:
         raise ContinuationError("names", "must be two different parameters", names)
     if set(bounds) != set(name_pair):
-        raise ContinuationError("bounds", f"must be given for {name_pair[0]} and {name_pair[1]}", bounds)
+        raise ContinuationError("bounds", f"must contain the intervals of {name_pair[0]} and {name_pair[1]}", bounds)
     require_settings("both", None, stop)
     bounds = validate_bounds(special.p, {name: bounds[name] for name in name_pair})
     limits = limits_of(max_points, max_seconds, progress, ContinuationError)
@@ -77,7 +120,7 @@ def curve(
 
 @lru_cache
 def curve_problem(system, kind, names):
-    """The `Problem` of special points of a kind along two parameters: z = (u, values of the names)."""
+    """Make the `Problem` of special points of a kind in the given parameters, with z = (u, values of the names)."""
 
     def determinant(z, constants):
         return jnp.linalg.det(singular_matrix(system, kind, names, z, constants))
@@ -97,22 +140,54 @@ def curve_problem(system, kind, names):
 
 @check_types
 def sensitivity(special: Special, names: str | Sequence[str]) -> Float[np.ndarray, " names"]:
-    """How the value of a special point's parameter changes with other parameters of its system: (names,).
+    """Compute the derivative of the parameter value of a special point with respect to other parameters.
 
-    special: a `Special` of a branch, SN, PD, HB, NS or SB; names: of parameters but its own. With z = (u, p) the
-    curve's equations G(z, q) = 0 are regular in z: dz/dq = -G_z^-1 G_q.
+    Parameters
+    ----------
+    special : Special
+        Special point of kind SN, PD, HB, NS or SB on a branch in one parameter.
+    names : str or sequence of str
+        Parameters of its system other than the continuation parameter.
 
-    Raises ContinuationError for points of other kinds and names that cannot be.
+    Returns
+    -------
+    ndarray
+        Derivatives. Array of shape (names,).
+
+    Raises
+    ------
+    ContinuationError
+        If the point is of another kind or a name is invalid.
+
+    See Also
+    --------
+    curve : Continue the special point in two parameters.
+
+    Notes
+    -----
+    With z = (u, p), the equations G(z, q) = 0 of the special point are regular in z, so that ``dz/dq = -G_z^-1 G_q``.
+
+    Examples
+    --------
+    >>> system = co.equilibria(lambda u, p, args: p["a"] - p["b"] - u * u)
+    >>> branch = co.trace(system, [1.0], {"a": 1.5, "b": 0.5}, "a", bounds=(0.0, 2.0))
+    >>> (fold,) = branch.points("SN")
+    >>> np.round(co.sensitivity(fold, "b"), 6)
+    array([1.])
     """
     if not isinstance(special, Special) or special.kind not in KINDS or len(special.names) != 1:
-        raise ContinuationError("special", f"must be a special point of a branch, {', '.join(KINDS)}", special)
+        raise ContinuationError(
+            "special", f"must be a special point of kind {', '.join(KINDS)} on a branch in one parameter", special
+        )
     other_names = (names,) if isinstance(names, str) else tuple(names)
     if (
         not other_names
         or len({*special.names, *other_names}) <= len(other_names)
         or not set(other_names) <= set(special.p)
     ):
-        raise ContinuationError("names", f"must be different parameters, none {special.names[0]}", other_names)
+        raise ContinuationError(
+            "names", f"must be one or more different parameters other than {special.names[0]}", other_names
+        )
     all_names = (*special.names, *other_names)
     constants = Constants({name: value for name, value in special.p.items() if name not in all_names}, special.args)
     z = np.append(special.u, [special.p[name] for name in all_names])

@@ -1,4 +1,4 @@
-"""Whether a system, a start and parameters fit together: one clear error in place of what JAX would say later."""
+"""Check that a system, a start and parameters are consistent, and raise clear errors."""
 
 from collections.abc import Mapping
 
@@ -13,36 +13,38 @@ DIRECTIONS = ("both", "forward", "backward")
 
 
 def validate_start(u, params):
-    """(u, (n,); {name: number}). Raises ContinuationError."""
+    """Return u of shape (n,) and {name: number}; raise ContinuationError for invalid values."""
     leaves = jax.tree.leaves((u, params))
     if any(isinstance(leaf, jax.core.Tracer) for leaf in leaves):
-        raise ContinuationError("u", "must be known numbers: branches are followed outside jit, grad and vmap", u)
+        raise ContinuationError("u", "must be concrete numbers; continue branches outside jit, grad and vmap", u)
     if not isinstance(params, Mapping):
-        raise ContinuationError("at", "must give each parameter's number by its name, {name: number}", params)
+        raise ContinuationError("at", "must map the names of the parameters to numbers", params)
     param_values = {}
     for name, value in params.items():
         if not isinstance(name, str) or np.ndim(value) or np.asarray(value).dtype.kind not in "fiu":
-            raise ContinuationError(f"at.{name}", "must be a number; what else a function needs goes into args", value)
+            raise ContinuationError(f"at.{name}", "must be a number; pass other data in args", value)
         param_values[name] = float(value)
     try:
         u_array = np.atleast_1d(np.asarray(u, float))
     except (TypeError, ValueError):
-        raise ContinuationError("u", "must be a row of finite numbers", u) from None
+        raise ContinuationError("u", "must be a sequence of finite numbers", u) from None
     if u_array.ndim != 1 or not len(u_array) or not np.isfinite(u_array).all():
-        raise ContinuationError("u", "must be a row of finite numbers", u)
+        raise ContinuationError("u", "must be a sequence of finite numbers", u)
     return u_array, param_values
 
 
 def require_system(system, u, p, args):
-    """Raises ContinuationError where a system's function does not give n numbers of n, in JAX."""
+    """Raise ContinuationError if the function of a system does not return an array of the shape of u in JAX."""
     if not isinstance(system, System):
-        raise ContinuationError("system", "must be one of `equilibria` or `fixed_points`", system)
+        raise ContinuationError(
+            "system", "must be a system made by `equilibria`, `fixed_points` or `periodic_orbits`", system
+        )
     for leaf in jax.tree.leaves(args):
         if not isinstance(leaf, bool | int | float | complex | np.generic | np.ndarray | jax.Array):
-            raise ContinuationError("args", "must be numbers and arrays, or a tree of them", leaf)
+            raise ContinuationError("args", "must be numbers and arrays, or a pytree of them", leaf)
     n_segments = system.segments * system.times
     if system.kind == ORBITS and (len(u) <= n_segments or (len(u) - 1) % n_segments or u[-1] <= 0):
-        raise ContinuationError("u", f"must be {n_segments} points, one after another, and the period", u)
+        raise ContinuationError("u", f"must be {n_segments} concatenated points of the orbit and a positive period", u)
     state_size = (len(u) - 1) // n_segments if system.kind == ORBITS else len(u)
 
     def evaluate_field(u_state, params):
@@ -50,20 +52,20 @@ def require_system(system, u, p, args):
 
     try:
         result = jax.eval_shape(evaluate_field, jax.ShapeDtypeStruct((state_size,), float), p)
-    except Exception as error:  # whatever a user's function falls over
+    except Exception as error:  # a user's function may raise any exception
         rule = (
-            f"must be a function of (u, p, args) in jax.numpy that takes u of {state_size} numbers"
+            f"must be a function of (u, p, args) in jax.numpy that accepts u of shape ({state_size},)"
             f" ({first_line(error)})"
         )
         raise ContinuationError("function", rule, system.function) from error
     if getattr(result, "shape", None) != (state_size,):
-        rule = f"must give an array of as many numbers as it is given, {state_size}, in one row"
+        rule = f"must return an array of shape ({state_size},)"
         result_text = f"shape {result.shape}" if hasattr(result, "shape") else f"a {type(result).__name__}"
         raise ContinuationError("function", rule, result_text)
 
 
 def require_settings(direction, monitors, stop):
-    """Raises ContinuationError for directions, monitors and kinds of special points that are none."""
+    """Raise ContinuationError for unknown directions and kinds of special points."""
     if direction not in DIRECTIONS:
         raise ContinuationError("direction", f"must be one of {', '.join(DIRECTIONS)}", direction)
     known_kinds = [*KIND_MEANINGS, *(monitors or {})]

@@ -1,11 +1,14 @@
-"""Vibro-impact oscillators with rigid and soft walls: exact flight, certified impacts, studies built on them."""
+"""Simulate driven impact oscillators, find attractors, locate bifurcations, and differentiate through all of it.
+
+The flight between the walls, rigid or soft, is exact, and impacts are certified.
+"""
 
 import sys
 from importlib import import_module
 
 __version__ = "0.1.0"
 
-# Where each public name lives. A name is loaded when it is first asked for: `jaxvibro --help` never imports jax.
+# Module of each public name. A name is loaded at its first use, so that `jaxvibro --help` never imports jax.
 _HOMES = {
     "Scene": "scene.scene",
     "Wall": "scene.wall",

@@ -1,4 +1,4 @@
-"""`python -m jaxvibro` is the command `jaxvibro`."""
+"""Run the command `jaxvibro` as `python -m jaxvibro`."""
 
 import sys
 

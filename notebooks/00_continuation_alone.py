@@ -12,10 +12,12 @@
 # ---
 
 # %% [markdown]
-# # What if there is no wall at all?
+# # The package `continuation`: equilibria, maps and cycles
 #
-# `jaxvibro` follows orbits with a package that knows no oscillator, `continuation`. Here it is used alone, on a
-# chemical reaction, a map and a model of the atmosphere: equations of your own, written for JAX, need nothing more.
+# This notebook applies numerical continuation to problems without impacts. It is for users who have equations of their
+# own, written for JAX. `jaxvibro` continues orbits with the package `continuation`, which does not depend on any
+# oscillator model. Here the package is used alone, on a chemical reaction, a map and a model of the atmosphere. Such
+# equations require nothing else.
 
 # %%
 from pathlib import Path
@@ -33,10 +35,11 @@ OUT = Path("out")
 OUT.mkdir(exist_ok=True)
 
 # %% [markdown]
-# ## Equilibria, and where they begin to swing
+# ## Equilibria and the Hopf point
 #
-# The Brusselator is two concentrations and two parameters. `equilibria` takes the right side of u' = f; `trace` follows
-# the equilibrium along b, from about a guess. In closed form the Hopf point (HB) is at b = 1 + a^2.
+# The Brusselator has two concentrations and two parameters. `equilibria` takes the right-hand side of u' = f. `trace`
+# continues the equilibrium along b, starting from an approximate solution. In closed form the Hopf point (HB) is at
+# b = 1 + a^2.
 
 
 # %%
@@ -50,10 +53,11 @@ branch = co.trace(co.equilibria(brusselator), [1.0, 1.0], {"a": 1.0, "b": 1.0}, 
 print(branch.table())
 
 # %% [markdown]
-# ## The oscillations that are born there
+# ## Periodic orbits that emanate from the Hopf point
 #
-# `periodic_orbits` of the same function makes multiple shooting of it, flown by diffrax; `switch` leaves the Hopf
-# point. u holds the points of an orbit one after another, and at its end the period.
+# `periodic_orbits` formulates the periodic orbits of the same function as a multiple-shooting problem, which diffrax
+# integrates. `switch` leaves the Hopf point. u contains the points of an orbit one after another and, as its last
+# entry, the period.
 
 # %%
 (cycles,) = co.switch(hopf, orbits=periodic_orbits(brusselator, segments=4), first_step=0.05, largest_step=0.5)
@@ -67,13 +71,13 @@ for stable, style in ((True, "-"), (False, ":")):
     ax.plot(branch.p["b"], np.where(branch.stable == stable, branch.u[:, 0], np.nan), style, color="black")
 ax.plot(cycles.p["b"], cycles.u[:, :-1:2], color="#0072B2", linewidth=0.8)
 ax.plot(hopf.p["b"], hopf.u[0], "o", color="#D55E00")
-ax.set(xlabel="$b$", ylabel="$x$ at rest, and at four phases of the oscillation")
+ax.set(xlabel="$b$", ylabel="$x$ of the equilibrium, and at four phases of the orbit")
 figure.savefig(OUT / "00_brusselator.png", dpi=120)
 
 # %% [markdown]
-# ## A map that doubles its period
+# ## Period doublings of a map
 #
-# `fixed_points` takes a map. `switch` leaves a period doubling (PD) for the orbit of twice as many times.
+# `fixed_points` takes a map. At a period doubling (PD), `switch` continues along the orbit of twice the period.
 
 
 # %%
@@ -86,14 +90,18 @@ doublings = []
 for _ in range(4):
     doublings.append(found.points("PD")[0].p["a"])
     (found,) = co.switch(found.points("PD")[0], stop=["PD"])
-print("doublings at", ", ".join(f"{value:.14g}" for value in doublings))
+print("period doublings at", ", ".join(f"{value:.14g}" for value in doublings))
 
 # %% [markdown]
-# ## Two parameters
+# ## Bifurcation curves in two parameters
 #
-# `curve` follows a special point in two parameters, and locates what is special on its way: in this model of the
-# atmosphere a curve of Hopf points begins at a Bogdanov-Takens point (BT), changes at GH from a soft beginning of the
-# oscillations to a hard one or back, and meets another such curve (HH).
+# `curve` continues a special point in two parameters and locates the codimension-two points on the curve. In this model
+# of the atmosphere, a curve of Hopf points has three such points:
+#
+# - It begins at a Bogdanov-Takens point (BT).
+# - At the generalised Hopf point (GH) the onset of the oscillations changes between soft (supercritical) and hard
+#   (subcritical).
+# - At the double Hopf point (HH) it meets another curve of Hopf points.
 
 
 # %%
@@ -108,10 +116,10 @@ hopfs = co.curve(found.points("HB")[0], ("F", "T"), {"F": (0.0, 4.0), "T": (-0.5
 print(hopfs.table())
 
 # %% [markdown]
-# ## A number of yours that is to stay
+# ## User-defined constraints
 #
-# `hold` keeps a function of the solution at a value, for one parameter more: here of the Brusselator the ratio of both
-# concentrations, which is b / a^2 at rest.
+# `hold` keeps a function of the solution at a given value, in exchange for one more free parameter. Here the function
+# is the ratio of the two concentrations of the Brusselator, which is b / a^2 at the equilibrium.
 
 # %%
 start = {"a": 1.0, "b": 1.5}
@@ -126,14 +134,14 @@ held = co.trace(
 print(held)
 
 # %% [markdown]
-# A branch is kept in a file; its function is given again.
+# `save` stores a branch in a file, without its function. `load` takes the function again.
 
 # %%
 co.save(branch, OUT / "00_branch.npz")
 again = co.load(OUT / "00_branch.npz", co.equilibria(brusselator))
 
 # %%
-# What the text says holds, or this script fails.
+# Checks: the script fails if a statement of the text does not hold.
 assert abs(hopf.p["b"] - 2.0) < 1e-12 and cycles.stable.all() and abs(cycles.u[-1, -1] - 7.15691992117988) < 1e-10
 assert np.allclose(doublings, [0.3675, 0.9125, 1.02585540507378, 1.05112566203517], rtol=0, atol=1e-12)
 assert [one.kind for one in hopfs.special if one.kind != "EP"] == ["BT", "GH", "HH"]

@@ -12,12 +12,15 @@
 # ---
 
 # %% [markdown]
-# # Does the tube hit its supports, and how often?
+# # Impacts of a tube on its supports: scene, stroboscopic map and sweeps
 #
-# A tube of a heat exchanger shakes in the flow. Where it passes a baffle it has some play: 0.4 mm to either side. We
-# want to know at which shaking force it starts to knock against the baffle, how often it then does, and how hard.
+# This notebook introduces the scene, the stroboscopic map, attractors and sweeps. It is for new users. The example is a
+# tube of a heat exchanger that vibrates in the flow. The tube passes a baffle with a gap of 0.4 mm on either side.
+# Three quantities are of interest: the exciting force at which impacts against the baffle begin, the number of impacts
+# per drive period, and the impact speed.
 #
-# The tube's first bending mode moves like a mass on a spring, the baffle's hole is a pair of rigid walls.
+# The first bending mode of the tube is modelled as a mass on a spring, and the hole in the baffle as a pair of rigid
+# walls.
 
 # %%
 from pathlib import Path
@@ -34,15 +37,15 @@ OUT.mkdir(exist_ok=True)
 
 
 def keep(figure, name):
-    """Save a picture beside the others."""
+    """Save a figure to the output folder."""
     figure.savefig(OUT / f"01_{name}.png", dpi=120)
 
 
 # %% [markdown]
 # ## The scene
 #
-# In SI units: modal mass, damping, stiffness, and a force of 5 N. `scene_from_physical` makes the numbers that the
-# rest works with: lengths in units of the play d = 0.4 mm, time in 1/w0.
+# The model (scene) is given in SI units: modal mass, damping, stiffness, and a force of 5 N. `scene_from_physical`
+# computes the dimensionless parameters. Lengths are in units of the gap d = 0.4 mm, time is in units of 1/w0.
 
 # %%
 MASS, STIFFNESS, PLAY, SPEED = 0.8, 8.0e3, 4.0e-4, 210.0  # kg, N/m, m, rad/s
@@ -59,37 +62,39 @@ for name in ("amplitude", "frequency", "damping", "restitution"):
     print(f"{name:12}{float(scene.parameter(name)):.4f}")
 
 # %% [markdown]
-# ## One drive period
+# ## The stroboscopic map
 #
-# `strobe` takes a state at phase 0 of the drive one period further, counts the impacts on the way, and records four of
-# them, or as many as `slots` asks for. It takes many states as easily as one, and what comes back has the shape of what
-# went in. Here: from the middle, with velocities from -3 to 3.
+# `strobe` is the stroboscopic (Poincaré) map. It advances a state at phase 0 of the drive by one drive period and
+# counts the impacts. It records the first four impacts, or as many as `slots` specifies. It accepts one state or an
+# array of states, and its results have the same shape. Here the initial position is 0, and the initial velocities range
+# from -3 to 3.
 
 # %%
 speeds = np.linspace(-3.0, 3.0, 201)
 states, impacts = jv.strobe(scene, jv.State(x=0.0, v=speeds))
 figure, axes = plt.subplots(2, 1, figsize=(7, 6), layout="constrained", sharex=True)
 axes[0].plot(speeds, states.x, ".", markersize=3, color="black")
-axes[0].set_ylabel("position a period later, $x = X/d$")
+axes[0].set_ylabel("position one period later, $x = X/d$")
 axes[1].step(speeds, impacts.count, where="mid", color="black")
 axes[1].set_yticks(range(3))
-axes[1].set(xlabel=r"velocity at the start, $v = \dot X/(d\,\omega_0)$", ylabel="impacts in that period")
+axes[1].set(xlabel=r"initial velocity, $v = \dot X/(d\,\omega_0)$", ylabel="impacts in the period")
 keep(figure, "strobe")
 
 # %% [markdown]
-# ## All that it settles on
+# ## Attractors
 #
-# `find_attractors` takes many random starts, runs them on until they recur, and names what it found: P n p q is n drive
-# periods with p impacts on the left and q on the right wall.
+# `find_attractors` simulates many random initial states until their motions recur, and labels the attractors that they
+# approach. The label P n p q denotes n drive periods with p impacts on the left wall and q on the right wall.
 
 # %%
 attractors = jv.find_attractors(scene, starts=100)
 for one in attractors:
-    print(f"{one.label}: {100 * one.share:.0f} % of the starts")
+    print(f"{one.label}: {100 * one.share:.0f} % of the initial states")
 
 # %% [markdown]
-# So at this force the tube swings freely for good, or knocks for good, depending on how it started: P100 and P111.
-# `simulate` gives the trajectories for a picture: position against time, and velocity against position.
+# At this force the tube has two attractors. Depending on its initial state, it vibrates permanently without impacts
+# (P100) or with impacts (P111). `simulate` computes the trajectories for a figure: position against time, and velocity
+# against position.
 
 # %%
 figure, axes = plt.subplots(2, 2, figsize=(10, 7), layout="constrained")
@@ -98,13 +103,14 @@ for row, one in zip(axes, attractors, strict=True):
     motions[one.label] = jv.simulate(scene, one.state, periods=3, samples=300)
     jv.plot.trace(motions[one.label], scene, row[0])
     jv.plot.portrait(motions[one.label], scene, row[1])
-    row[0].set_title(f"{one.label}: {motions[one.label].sizes['impact'] / 3:g} impacts a drive period")
+    row[0].set_title(f"{one.label}: {motions[one.label].sizes['impact'] / 3:g} impacts per drive period")
 keep(figure, "motions")
 
 # %% [markdown]
-# ## At which force it starts, and at which it stops
+# ## Onset and end of the impacts
 #
-# A sweep: the force rises from 0, slowly, and falls again. The signs are the attractors from above.
+# Two sweeps change the force slowly. The first increases it from 0, the second decreases it again. The markers are the
+# attractors from above.
 
 # %%
 amplitudes = np.linspace(0.0, 4.0, 201)
@@ -118,33 +124,33 @@ for ax, leg in zip(axes, (up, down), strict=True):
 keep(figure, "sweep")
 
 # %% [markdown]
-# Whether it knocks at a force can be read off the impacts of one more period from where a sweep has settled. The force
-# is the amplitude A times K d.
+# One more period, simulated from the last state of a sweep at each force, shows at which forces impacts occur. The
+# force is the amplitude A times K d.
 
 
 # %%
 def knocking(leg):
-    """The forces of a sweep at which there is an impact in the period after the last one kept."""
+    """Return the forces of a sweep with an impact in the period after the last recorded one."""
     last, values = leg.isel(period=-1), leg["amplitude"].values
     _, impacts = jv.strobe(scene.replace(amplitude=values), jv.State(x=last["x"].values, v=last["v"].values))
     return values[np.asarray(impacts.count) > 0] * STIFFNESS * PLAY
 
 
 starts_at, stops_at = knocking(up).min(), knocking(down).min()
-print(f"rising, the knocking starts at {starts_at:.2f} N; falling, it goes on down to {stops_at:.2f} N")
+print(f"increasing force: impacts from {starts_at:.2f} N; decreasing force: impacts down to {stops_at:.2f} N")
 
 # %% [markdown]
-# ## The answer
+# ## Conclusions
 #
-# At 5 N a tube that is left alone swings freely. One that gets a push may go on knocking for good, twice a drive
-# period, once at each side. By itself the knocking starts at about twice that force; to stop it again the force has to
-# fall to about a seventh of where it started. How hard it knocks:
+# At 5 N an undisturbed tube vibrates without impacts. After a perturbation it may continue permanently with impacts,
+# two per drive period, one on each side. If the force increases from 0, impacts begin at about twice this force. To end
+# them, the force must decrease to about a seventh of its value at onset. The impact speed is:
 
 # %%
 hardest = motions["P111"]["speed"].values.max()
 print(f"impact speed {hardest:.2f} d w0, that is {hardest * PLAY * np.sqrt(STIFFNESS / MASS) * 1e3:.0f} mm/s")
 
-# What the text says holds, or this script fails.
+# Checks: the script fails if a statement of the text does not hold.
 assert {one.label for one in attractors} == {"P100", "P111"}
 assert motions["P111"].sizes["impact"] == 6 and motions["P100"].sizes["impact"] == 0
 assert 1.9 < starts_at / 5.0 < 2.4 and 6 < starts_at / stops_at < 8

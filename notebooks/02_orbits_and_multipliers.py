@@ -12,11 +12,13 @@
 # ---
 
 # %% [markdown]
-# # What lies between two motions that both last?
+# # Periodic orbits and Floquet multipliers
 #
-# The mass between two walls of the picture in the README knocks in four ways at A = 4.65, each for good; which one
-# depends on how it started. We want to know how firmly it holds on to each, what lies between them, and how a motion
-# ends when the drive grows.
+# This notebook computes stable and unstable periodic orbits with their Floquet multipliers. It is for users with
+# coexisting attractors. The example is the oscillator between two walls of the figure in the README. At A = 4.65 it has
+# four attractors with impacts, and the initial state selects one of them. The notebook determines how fast
+# perturbations of each attractor decay, which orbits lie between the attractors, and how a stable orbit disappears as
+# the drive amplitude increases.
 
 # %%
 from pathlib import Path
@@ -34,17 +36,18 @@ OUT.mkdir(exist_ok=True)
 
 
 def keep(figure, name):
-    """Save a picture beside the others."""
+    """Save a figure to the output folder."""
     figure.savefig(OUT / f"02_{name}.png", dpi=120)
 
 
 scene = jv.make_scene(amplitude=4.65, frequency=2.1, damping=0.05, restitution=0.7, walls=(-1.0, 1.0))
 
 # %% [markdown]
-# ## The motion from rest
+# ## The orbit reached from rest
 #
-# `find_orbit` follows a state until it has settled, sees after how many drive periods it comes back, and then solves
-# for the times and speeds of the impacts. The residual is the error left in those equations: that of rounding.
+# `find_orbit` simulates a state until it has settled and determines after how many drive periods it recurs. It then
+# solves for the times and speeds of the impacts. The residual is the remaining error of these equations, here of the
+# order of rounding.
 
 # %%
 orbit = jv.find_orbit(scene, jv.State(x=0.0, v=0.0))
@@ -53,16 +56,16 @@ for time, side, speed in zip(orbit.impacts.time, orbit.impacts.side, orbit.impac
     print(f"  {'left' if side < 0 else 'right':6}at t = {time:.6f} with speed {speed:.6f}")
 
 # %% [markdown]
-# ## How firmly it holds
+# ## Stability
 #
-# A small disturbance of the state has become M times the disturbance a period later. M is the derivative of `strobe`:
-# `monodromy` makes it as a product over flights and impacts, `jax.jacfwd` differentiates the program. The two share
-# little, and agree.
+# The monodromy matrix M maps a small perturbation of the state to the perturbation one period later. M is the
+# derivative of `strobe`. `monodromy` computes it as a product over flights and impacts, and `jax.jacfwd` differentiates
+# the program. The two methods share little code, and their results agree.
 
 
 # %%
 def end(point, scene=scene):
-    """The state (x, v) a period after a state (x, v) at phase 0."""
+    """Return the state (x, v) one period after a state (x, v) at phase 0."""
     state, _ = jv.strobe(scene, jv.State(point[0], point[1]))
     return jnp.array([state.x, state.v])
 
@@ -73,20 +76,21 @@ apart = abs(matrix - jax.jacfwd(end)(point)).max()
 print(matrix, f"product and differentiation differ by {apart:.0e}", sep="\n")
 
 # %% [markdown]
-# Its eigenvalues are the multipliers, which an `Orbit` brings along. Both are smaller than 1 in size, so a disturbance
-# dies out: here it turns as it shrinks, to 0.42 of its size a period. Their product needs no orbit at all: the damping
-# gives exp(-4 pi gamma / omega) a period, each impact the square of the restitution.
+# The eigenvalues of M are the Floquet multipliers. An `Orbit` contains them. Both are smaller than 1 in modulus, and a
+# perturbation therefore decays. Here it rotates and shrinks to 0.42 of its size per period. The product of the
+# multipliers is known without the orbit: the damping contributes exp(-4 pi gamma / omega) per period, and each impact
+# contributes the square of the restitution.
 
 # %%
 size = abs(orbit.multipliers[0])
 known = np.exp(-4 * np.pi * float(scene.damping) / float(scene.frequency)) * float(scene.restitution) ** 4
-print(f"multipliers {orbit.multipliers.round(6)}, size {size:.4f}; product {known:.6f}")
+print(f"multipliers {orbit.multipliers.round(6)}, modulus {size:.4f}; product {known:.6f}")
 
 # %% [markdown]
-# ## And when a number of the scene is a little different?
+# ## Sensitivity to the parameters
 #
-# Derivatives by the scene's numbers come in reverse mode, all at once: how far does the end of one period move, from
-# the same start?
+# Reverse-mode differentiation gives the derivatives by all parameters of the scene at once. The next cell
+# differentiates the state after one period for a fixed initial state:
 
 # %%
 by_scene = jax.grad(lambda scene: end(point, scene)[0])(scene)
@@ -94,8 +98,9 @@ for name in ("amplitude", "frequency", "damping", "restitution"):
     print(f"d x / d {name:12}{float(getattr(by_scene, name)):9.4f}")
 
 # %% [markdown]
-# The orbit itself moves by another amount, as its start moves too: (1 - M) times its shift is the shift of that end.
-# For the restitution, compared with the orbit of a slightly harder wall:
+# The orbit itself shifts by a different amount, because its initial state shifts too. (1 - M) times the shift of the
+# orbit equals the shift of the final state for a fixed initial state. The next cell computes the shift for the
+# restitution and compares it with the orbit at a slightly larger restitution:
 
 # %%
 step = 1e-4
@@ -103,13 +108,14 @@ ends = jax.jacfwd(lambda value: end(point, scene.replace(restitution=value)))(0.
 shift = np.linalg.solve(np.eye(2) - matrix, ends)
 harder = jv.find_orbit(scene.replace(restitution=0.7 + step), orbit.state, periods=1, settle=0)
 found = (np.array([harder.state.x, harder.state.v]) - point) / step
-print(f"shift of x and v for a restitution larger by 1: by derivatives {shift}, by a second orbit {found}")
+print(f"derivative of x and v by the restitution: {shift}, by finite differences {found}")
 
 # %% [markdown]
-# ## What repels
+# ## Unstable orbits
 #
-# A motion that repels can be found as well, from a state near it: with `settle=0` nothing is followed, Newton's method
-# starts at once. Or all that 20 random starts come near, by `find_orbits`; only orbits of one drive period here.
+# `find_orbit` also finds an unstable orbit, from a state near it. With `settle=0` it simulates no transient and starts
+# Newton's method at once. `find_orbits` finds the orbits that trajectories from 20 random initial states approach. Here
+# it is restricted to orbits of one drive period.
 
 # %%
 near = jv.find_orbit(scene, jv.State(x=0.74, v=2.62), periods=1, settle=0)
@@ -127,9 +133,9 @@ axes.flat[-1].set_axis_off()
 keep(figure, "orbits")
 
 # %% [markdown]
-# The four that last come in two pairs of mirror images. Between the two P111 lies a third one that is its own mirror
-# image, and which no sweep shows: its larger multiplier is 2.333. A push off it of a millionth grows by that factor a
-# period, and leads to one twin or, the other way, to the other.
+# The four stable orbits form two pairs of mirror images. A third P111 lies between the two stable ones. It is its own
+# mirror image, and no sweep shows it: its larger multiplier is 2.333. A perturbation of 1e-6 grows by this factor per
+# period. It leads to one of the two stable P111 and, in the opposite direction, to the other.
 
 # %%
 (middle,) = (one for one in orbits if one.label == "P111" and not one.stable)
@@ -146,26 +152,26 @@ distance = np.linalg.norm(path - [middle.state.x, middle.state.v], axis=-1)
 
 # %%
 figure, axes = plt.subplots(1, 2, figsize=(11, 4), layout="constrained")
-for k, (colour, marker, name) in enumerate((("#0072B2", "o", "one way"), ("#E69F00", "s", "the other way"))):
+for k, (colour, marker, name) in enumerate((("#0072B2", "o", "+1e-6"), ("#E69F00", "s", "-1e-6"))):
     look = {"marker": marker, "color": colour, "markersize": 7 - 3 * k}
-    axes[0].semilogy(distance[:31, k], linestyle="none", label=f"pushed {name}", **look)
+    axes[0].semilogy(distance[:31, k], linestyle="none", label=f"perturbation {name}", **look)
     axes[1].plot(path[:31, k, 0], linewidth=0.8, **look)
-axes[0].semilogy(1e-6 * 2.333002 ** np.arange(17), color="black", linewidth=0.8, label="2.333 a period")
+axes[0].semilogy(1e-6 * 2.333002 ** np.arange(17), color="black", linewidth=0.8, label="factor 2.333 per period")
 axes[0].set(xlabel="drive periods", ylabel="distance from the unstable P111", ylim=(5e-7, 10))
 axes[1].set(xlabel="drive periods", ylabel="position $x$ at phase 0")
-axes[1].set_title("grey: the twins, and dashed the one between", fontsize="medium")
+axes[1].set_title("grey: P111, stable (solid) and unstable (dashed)", fontsize="medium")
 for one in orbits[:3]:
     axes[1].axhline(one.state.x, color="0.55", linewidth=1.0, linestyle="-" if one.stable else "--", zorder=0)
 axes[0].legend()
 keep(figure, "between")
 
 # %% [markdown]
-# ## How a motion ends
+# ## Disappearance of a stable orbit
 #
-# In the picture in the README the orange dots, which are the P111 that we found from rest, go on to A = 5.30 and no
-# further, though its multipliers stay small: 0.42 in size there as well. The unstable P112 has to do with it. It is
-# like that P111 but for one slow impact more, on the right wall. Both followed to larger A, each orbit from the one
-# before:
+# The orange dots in the figure of the README are the P111 that is reached from rest. They end at A = 5.30, although the
+# multipliers remain small: their modulus is 0.42 there as well. The cause is the unstable P112. It resembles this P111,
+# with one additional slow impact on the right wall. The next cell follows both orbits to larger A, each from the orbit
+# at the previous value:
 
 # %%
 amplitudes = (4.65, 4.8, 4.95, 5.1, 5.2, 5.25, 5.28, 5.295, 5.3)
@@ -177,7 +183,7 @@ for amplitude in amplitudes[1:]:
 clear = np.array([one.least_clearance for one in lasting])
 speeds = np.array([one.least_speed for one in slow])
 larger = np.array([one.multipliers[0].real for one in slow])
-print("    A   P111 turns short of the wall by   P112 least speed   P112 multiplier")
+print("     A   P111 min. clearance  P112 least impact speed   P112 multiplier")
 for row in zip(amplitudes, clear, speeds, larger, strict=True):
     print("{:6.3f}{:22.6f}{:25.6f}{:18.3f}".format(*row))
 
@@ -197,12 +203,12 @@ axes[1].legend()
 keep(figure, "end")
 
 # %% [markdown]
-# The P111 turns nearer and nearer to the wall, the P112 hits it there slower and slower; at A = 5.304 both graze it,
-# are one orbit, and are gone. An impact with the speed u makes M as large as 1/u, so the multiplier of the P112 grows
-# beyond all bounds on the way: 1968 at A = 5.3.
+# As A increases, the P111 turns ever closer to the wall, and the impact of the P112 on this wall becomes ever slower.
+# At A = 5.304 both orbits graze the wall and coincide. Beyond this value neither exists. An impact of speed u makes M
+# of order 1/u. The multiplier of the P112 therefore grows without bound towards the grazing; it is 1968 at A = 5.3.
 #
-# Beyond it `find_orbit` says that there is no such orbit, why, and what may help. And from rest at A = 5.4 the mass
-# settles on no short motion at all:
+# Beyond the grazing `find_orbit` reports that no such orbit exists, with the reason and a possible remedy. From rest at
+# A = 5.4 the mass does not settle on any orbit of short period:
 
 # %%
 reasons = []
@@ -217,15 +223,18 @@ for amplitude, start, more in (
         print(f"A = {amplitude}: {error}")
 
 # %% [markdown]
-# ## The answer
+# ## Conclusions
 #
-# Each of the four motions forgets a small push within a few periods: what is left shrinks to 0.42 or 0.40 of its size a
-# period. Between them lie motions that repel, with multipliers of 2.33 and 4.76; from there the smallest push decides.
-# A motion with small multipliers may end all the same, and without warning by them: the P111 does when it grazes the
-# wall, together with the P112 that repels. What warns is the distance to the wall, `least_clearance`.
+# A small perturbation of each of the four attractors decays within a few periods, to 0.42 or 0.40 of its size per
+# period. Unstable orbits with multipliers of 2.33 and 4.76 lie between the attractors. On an unstable orbit the
+# smallest perturbation decides which attractor is reached.
+#
+# A stable orbit with small multipliers may nevertheless disappear, and its multipliers give no warning. The P111
+# disappears when it grazes the wall, together with the unstable P112. The quantity that gives warning is the distance
+# to the wall, `least_clearance`.
 
 # %%
-# What the text says holds, or this script fails.
+# Checks: the script fails if a statement of the text does not hold.
 assert apart < 1e-12 and abs(np.prod(orbit.multipliers) - known) < 1e-12
 assert np.allclose(shift, found, rtol=1e-3) and abs(near.multipliers[0] - 2.333002) < 1e-6
 assert sorted(one.label for one in orbits if one.stable) == ["P111", "P111", "P112", "P121"]

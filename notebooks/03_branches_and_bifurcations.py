@@ -12,11 +12,13 @@
 # ---
 
 # %% [markdown]
-# # Why does the motion jump?
+# # Branches of periodic orbits and their bifurcations
 #
-# The picture in the README: as the drive's amplitude changes slowly, the settled motion changes little by little,
-# and then all at once. It jumps at one amplitude on the way up and at another on the way down. We want to know at which
-# amplitudes exactly, and what happens there.
+# This notebook follows branches of periodic orbits along a parameter and locates their bifurcations. It is for users
+# who want to know where and why a motion jumps. The example is the figure in the README. As the drive amplitude changes
+# slowly, the attractor changes gradually, and at some amplitudes the motion jumps. It jumps at one amplitude as the
+# drive amplitude increases, and at another as it decreases. The notebook computes these amplitudes exactly and
+# identifies the bifurcations.
 
 # %%
 from pathlib import Path
@@ -33,17 +35,18 @@ OUT.mkdir(exist_ok=True)
 
 
 def keep(figure, name):
-    """Save a picture beside the others."""
+    """Save a figure to the output folder."""
     figure.savefig(OUT / f"03_{name}.png", dpi=120)
 
 
 scene = jv.make_scene(amplitude=2.0, frequency=2.1, damping=0.05, restitution=0.7, walls=(-1.0, 1.0))
 
 # %% [markdown]
-# ## One motion, along the drive's amplitude
+# ## A branch along the drive amplitude
 #
-# At A = 2 the mass can go on hitting each wall once a drive period. `follow` takes this orbit along the amplitude, both
-# ways, whether it is stable or not. What it finds on the way stands in the branch's table.
+# At A = 2 an orbit that hits each wall once per drive period is stable. `follow` continues this orbit along the
+# amplitude in both directions, through stable and unstable parts (numerical continuation). The table of the branch
+# lists the special points.
 
 # %%
 orbit = jv.find_orbit(scene, jv.State(x=0.9, v=-1.1))
@@ -51,13 +54,18 @@ main = jv.follow(orbit, "amplitude", (0.0, 6.0))
 print(main.table())
 
 # %% [markdown]
-# Read from the end: the P111 that hits both walls alike comes from A = 6 unstable, and becomes stable at a symmetry
-# breaking (SB) at A = 3.544. Its impacts get slower with the drive, down to a saddle-node (SN) at 0.508. There the
-# branch turns round: it goes back to larger A, unstable. At the grazing (GR) at 3.416 the impacts have lost all their
-# speed, and it is one with P100, which touches no wall. "P100< P111<" says that both are on the side of smaller A:
-# beyond there is neither.
+# The table, read from its end:
 #
-# Over what sweeps show, one falling and one rising; thick where stable, dashed where not. The arrows are the jumps.
+# - At A = 6 the symmetric P111, whose impacts on both walls are alike, is unstable. It becomes stable at a symmetry
+#   breaking (SB) at A = 3.544.
+# - Its impacts become slower as A decreases, down to a saddle-node (SN) at 0.508. There the branch turns round and
+#   returns to larger A, unstable.
+# - At the grazing (GR) at 3.416 the speeds of the impacts vanish, and the orbit coincides with P100, which touches no
+#   wall. The entry "P100< P111<" states that both orbits exist on the side of smaller A. Beyond the grazing neither
+#   exists.
+#
+# The figure shows the branch over two sweeps, one with decreasing and one with increasing A. Thick lines are stable,
+# dashed lines unstable. The arrows mark the jumps.
 
 # %%
 amplitudes = np.linspace(0.0, 6.0, 301)
@@ -66,7 +74,7 @@ swept = jv.sweep(scene, "amplitude", np.stack([amplitudes[::-1], amplitudes], ax
 
 
 def over_sweeps(variable, ax, *branches):
-    """Branches over the sweeps."""
+    """Plot branches over the sweeps."""
     jv.plot.diagram(swept, variable, ax)
     for branch in branches:
         jv.plot.branch(branch, variable, ax)
@@ -83,11 +91,12 @@ for value, before, after in ((0.508, 1.46, 0.02), (3.416, 0.13, 2.23)):
 keep(figure, "main")
 
 # %% [markdown]
-# So between 0.508 and 3.416 there are two motions that last, and a third one between them that repels. As A rises the
-# mass stays with P100 up to where it grazes, and then can only jump. As A falls it stays with P111 down to the
-# saddle-node, and jumps there. This is the hysteresis.
+# Between 0.508 and 3.416 two attractors coexist, and an unstable orbit lies between them. As A increases, the mass
+# follows P100 to the grazing, where it must jump. As A decreases, the mass follows P111 to the saddle-node and jumps
+# there. This is the hysteresis.
 #
-# At which values do the sweeps jump? Without impacts the motion is proportional to A, which tells whether it is P100.
+# The next cell reads the values of the jumps from the sweeps. Without impacts the motion is proportional to A, which
+# identifies P100.
 
 # %%
 grazing, fold, breaking = (main.points(kind)[0] for kind in ("GR", "SN", "SB"))
@@ -96,31 +105,32 @@ falling, rising = (swept.isel(lane=k) for k in range(2))
 
 
 def is_free(leg):
-    """Whether a sweep is on P100 at each of its values."""
+    """Test for each value of a sweep if the motion is P100."""
     return abs(leg["v"].values[:, -1] / free.state.v - leg["amplitude"].values / free.scene.amplitude) < 0.01
 
 
 free_up, free_down = (leg["amplitude"].values[is_free(leg)].max() for leg in (rising, falling))
-print(f"rising, on P100 up to A = {free_up:.2f}; falling, from {free_down:.2f} on")
+print(f"increasing A: P100 up to {free_up:.2f}; decreasing A: P100 from {free_down:.2f} on")
 
 # %% [markdown]
-# So they jump between 3.38 and 3.40, and between 0.52 and 0.50. The first is a little early, as P100 lasts up to 3.416:
-# each step of 0.02 is a push, and at 3.40 P100 turns at a distance of 0.005 from the walls. The branch has no such
-# steps.
+# The sweeps jump between 3.38 and 3.40, and between 0.52 and 0.50. The first jump is slightly early, because P100 is
+# stable up to 3.416. Each step of 0.02 perturbs the motion, and at 3.40 P100 turns at a distance of 0.005 from the
+# walls. The branch is free of such perturbations.
 #
-# ## Where the symmetry goes
+# ## Symmetry breaking
 #
-# At the symmetry breaking nothing jumps. P111 becomes unstable, and two others leave it, each the mirror image of the
-# other. `switch` follows both. Here is the one that later hits the right wall twice:
+# No motion jumps at the symmetry breaking. P111 becomes unstable, and two other orbits emanate from it, mirror images
+# of each other. `switch` follows both. The table is that of the branch that later hits the right wall twice:
 
 # %%
 one, twin = sorted(jv.switch(breaking), key=lambda half: half.segments[-1].label)
 print(one.table())
 
 # %% [markdown]
-# Stable, it goes up to a grazing at 5.304 and meets an unstable P112 there. This one comes from a saddle-node at 4.525.
-# The stable P112 that is born there too doubles its period at 4.787 (PD). `switch` goes on from there as well; `stop`
-# ends the new branch where its period doubles again. The 1 in its first line is the multiplier -1 of P112, squared.
+# The new orbit is stable up to a grazing at 5.304, where it meets an unstable P112. This P112 originates in a
+# saddle-node at 4.525. The stable P112 from the same saddle-node has a period doubling (PD) at 4.787. `switch`
+# continues from this point as well, and `stop` ends the new branch at its own period doubling. The multiplier 1 in the
+# first line of its table is the square of the multiplier -1 of P112.
 
 # %%
 (doubling,) = one.points("PD")
@@ -136,12 +146,12 @@ ax.legend(loc="lower left", ncols=2, fontsize="small")
 keep(figure, "all")
 
 # %% [markdown]
-# So the sweep that rises jumps a second time at a grazing: it follows P111 up to 5.28, and at 5.30 no two of the 20
-# periods kept are alike. Such a motion is on no branch, as a branch holds orbits of one period. Nor does any of the
-# points found mark where the sweep that falls comes back to P111, between 5.04 and 5.02.
+# The sweep with increasing A jumps a second time, at a grazing: it follows P111 up to 5.28, and at 5.30 no two of the
+# 20 recorded periods are equal. Such a motion is on no branch, because a branch contains orbits of one period. None of
+# the located points marks the return of the sweep with decreasing A to P111, between 5.04 and 5.02.
 #
-# Neither sweep sees P112, though it is stable from 4.525 to 4.787. Any point of a branch is an `Orbit`: here it is,
-# beside the two that end by grazing.
+# Neither sweep shows P112, although it is stable from 4.525 to 4.787. Each point of a branch is an `Orbit`. The figure
+# shows this P112 and the two orbits that end by grazing.
 
 # %%
 touching, slow = one.points("GR")[0].meets
@@ -154,10 +164,10 @@ for ax, each in zip(axes, (free, touching, unseen), strict=True):
 keep(figure, "orbits")
 
 # %% [markdown]
-# ## What the multipliers tell, and what they do not
+# ## Multipliers along the branches
 #
-# A motion lasts as long as both multipliers are smaller than 1 in size. On the left those of P100 and the symmetric
-# P111, on the right those of the asymmetric P111 and of P112:
+# An orbit is stable as long as both multipliers are smaller than 1 in modulus. The left panel shows the multipliers of
+# P100 and of the symmetric P111, the right panel those of the asymmetric P111 and of P112:
 
 # %%
 figure, axes = plt.subplots(1, 2, figsize=(13, 5), layout="constrained", sharey=True)
@@ -171,17 +181,17 @@ for ax, branch in zip(axes, (main, one), strict=True):
     ax.set(xlabel="drive amplitude $A$", ylim=(1e-4, 1e4))
     jv.plot.mark_points([branch], ax)
     ax.legend(loc="lower left")
-axes[0].set_ylabel("size of both multipliers")
+axes[0].set_ylabel("modulus of the multipliers")
 keep(figure, "multipliers")
 
 # %% [markdown]
-# At SN, SB and PD the size of one goes through 1. Before the two grazings nothing of the kind is seen on the stable
-# side: P100 ends with 0.86, P111 with 0.42. The unstable side has a pole there. Near 5.304 the larger multiplier of
-# P112 is 5.57 / speed, with the speed of its slowest impact; at 3.416 two impacts lose their speed at once, and it is
-# 48.2 / speed^2.
+# At SN, SB and PD the modulus of one multiplier passes through 1. Before the two grazings the stable orbits show
+# nothing of the kind: the modulus is 0.86 where P100 ends and 0.42 where P111 ends. The multipliers of the unstable
+# orbits have a pole at the grazing. Near 5.304 the larger multiplier of P112 is 5.57 / speed, with the speed of its
+# slowest impact. At 3.416 the speeds of two impacts vanish at once, and the larger multiplier is 48.2 / speed^2.
 #
-# The times and speeds of the impacts, which `follow` solves for, have no such pole. Those of P111 and P112 run into one
-# another with a corner, and the speed of the impact that comes in starts from 0 in a straight line:
+# The times and speeds of the impacts, for which `follow` solves, have no such pole. The curves of P111 and P112 join at
+# a corner, and the speed of the additional impact grows linearly from 0:
 
 # %%
 figure, axes = plt.subplots(1, 2, figsize=(13, 4.5), layout="constrained")
@@ -191,26 +201,27 @@ for part in one.segments:
     for ax, values in zip(axes, (turns, one.data["speed"].values), strict=True):
         lines = ax.plot(one.values[here], values[here], ".-", color=colours[part.label], markersize=4)
         lines[0].set_label(part.label)
-axes[0].set(ylabel="times of the impacts, in drive periods", ylim=(0.0, 1.0))
-axes[1].set(ylabel=r"speeds of the impacts$\,/\,(d\,\omega_0)$")
+axes[0].set(ylabel="impact times, in drive periods", ylim=(0.0, 1.0))
+axes[1].set(ylabel=r"impact speeds$\,/\,(d\,\omega_0)$")
 for ax in axes:
     ax.set(xlabel="drive amplitude $A$", xlim=(4.5, 5.35))
     ax.legend(loc="lower left")
 keep(figure, "grazing")
 
 # %% [markdown]
-# ## Other questions to the same orbit
+# ## Other parameters, monitors and files
 #
-# Any number of the scene will do in place of the amplitude. Along the frequency from 1 to 4, at A = 2, P111 is unstable
-# between two symmetry breakings, and stable below and above:
+# Any parameter of the scene can replace the amplitude. Along the frequency from 1 to 4, at A = 2, P111 is unstable
+# between two symmetry breakings, and stable below and above them:
 
 # %%
 by_frequency = jv.follow(orbit, "frequency", (1.0, 4.0))
 print(by_frequency.table())
 
 # %% [markdown]
-# A monitor is a function of a point, and where it changes its sign is a special point. At which A do the impacts reach
-# the speed 2? Given to `stop`, it ends the branch. (P100 has no speeds: hence `initial`.)
+# A monitor is a user-defined test function of a point. Its sign changes are located as special points. The monitor
+# below locates the value of A at which the largest impact speed is 2. The branch ends there, because `stop` names the
+# monitor. (`initial` is required because P100 has no impact speeds.)
 
 # %%
 fast = {"speed 2": lambda point: point.speeds.max(initial=0.0) - 2.0}
@@ -218,7 +229,7 @@ reached = jv.follow(orbit, "amplitude", (0.0, 6.0), direction="forward", monitor
 print(reached.table())
 
 # %% [markdown]
-# A branch can be kept in a file, read again and followed further. Up to A = 8 the symmetric P111 stays unstable:
+# A branch can be saved to a file, loaded and extended. Up to A = 8 the symmetric P111 stays unstable:
 
 # %%
 main.save(OUT / "03_main.nc", force=True)
@@ -227,22 +238,23 @@ longer = jv.extend(again, (0.0, 8.0))
 print(longer.table())
 
 # %% [markdown]
-# ## The answer
+# ## Conclusions
 #
-# The settled motion jumps where the branch it is on ends or turns round:
+# The motion jumps where its branch ends or turns round:
 #
-# | A | what happens there | and the mass |
+# | A | bifurcation | motion |
 # |---|---|---|
-# | 0.508057896812 | saddle-node of P111 | jumps to P100 as A falls |
-# | 3.416460156361 | P100 grazes both walls | jumps to P111 as A rises |
-# | 3.543892249375 | P111 breaks its symmetry | goes over to one of two twins, without a jump |
-# | 5.304177743857 | the asymmetric P111 grazes a wall | jumps to a motion without a short period as A rises |
+# | 0.508057896812 | saddle-node of P111 | jumps to P100 as A decreases |
+# | 3.416460156361 | P100 grazes both walls | jumps to P111 as A increases |
+# | 3.543892249375 | symmetry breaking of P111 | continues as one of two asymmetric P111, without a jump |
+# | 5.304177743857 | the asymmetric P111 grazes a wall | jumps to a motion without a short period as A increases |
 #
-# Both jumps upwards are grazings, of which the multipliers give no warning. Besides, a stable P112 and its mirror image
-# lie from 4.525079701581 to 4.787450372300, and with twice the period up to 4.929889076580, where no sweep has come.
+# Both jumps at increasing A are grazings, of which the multipliers give no warning. In addition, a stable P112 and its
+# mirror image exist from 4.525079701581 to 4.787450372300, and orbits of twice their period are stable up to
+# 4.929889076580. No sweep reaches these orbits.
 
 # %%
-# What the text says holds, or this script fails.
+# Checks: the script fails if a statement of the text does not hold.
 for special, value in (
     (fold, 0.508057896812),
     (grazing, 3.416460156361),
@@ -259,7 +271,7 @@ assert [each.label for each in grazing.meets] == ["P100", "P111"] and touching.s
 assert all(each.scene.amplitude < grazing.value for each in grazing.meets)
 assert all(each.scene.amplitude < one.points("GR")[0].value for each in (touching, slow))
 
-# Where each motion is stable; the sizes are those of a point that is no special one.
+# Stability of each orbit between the special points.
 stable = main.stable
 assert stable[: grazing.place].all() and not stable[grazing.place : fold.place].any()
 assert stable[fold.place + 1 : breaking.place].all() and not stable[breaking.place + 1 :].any()
@@ -268,7 +280,7 @@ assert not one.stable[one.points("GR")[0].place + 1 : born].any() and not one.st
 assert double.stable[1:-1].all() and np.allclose(twin.values, one.values) and twin.segments[-1].label == "P121"
 assert (unseen.label, unseen.stable) == ("P112", True) and np.allclose(double.multipliers[0, 0], 1.0)
 
-# The sweeps: where they jump, to what, and that they keep to P111 where P112 is stable.
+# The sweeps: the values of the jumps, the motions after them, and P111 where P112 is stable too.
 assert np.allclose((free_up, free_down), (3.38, 0.50)) and abs(1 - 3.40 / grazing.value - 0.005) < 0.0005
 down, up = falling["x"].values[::-1], rising["x"].values
 assert np.isclose(*(leg[np.isclose(amplitudes, 3.40), -1] for leg in (down, up)))
@@ -281,7 +293,7 @@ for leg, end in ((down, 5.02), (up, 5.28)):
     assert abs(leg[alike, -1] - known[alike]).max() < 0.005
 assert len(np.unique(up[np.isclose(amplitudes, 5.30)].round(4))) == 20
 
-# Multipliers at the grazings; the speed of the impact that comes in.
+# Multipliers at the grazings; the speed of the additional impact.
 assert abs(abs(free.multipliers[0]) - 0.86) < 0.005 and abs(abs(touching.multipliers[0]) - 0.42) < 0.005
 pole, double_pole = abs(slow.multipliers[0]) * slow.least_speed, abs(grazing.meets[1].multipliers[0])
 assert abs(pole - 5.57) < 0.005 and abs(double_pole * grazing.meets[1].least_speed ** 2 - 48.2) < 0.05
@@ -289,7 +301,7 @@ near = one.segments[1].first + np.array([1, 2])
 slopes = one.data["least_speed"].values[near] / (one.points("GR")[0].value - one.values[near])
 assert abs(slopes[1] / slopes[0] - 1) < 0.01
 
-# Other questions.
+# Other parameters, monitors and files.
 low, high = (each.place for each in by_frequency.points("SB"))
 assert by_frequency.stable[:low].all() and by_frequency.stable[high + 1 :].all()
 assert not by_frequency.stable[low + 1 : high].any() and len(by_frequency.special) == 4

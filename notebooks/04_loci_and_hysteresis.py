@@ -12,11 +12,13 @@
 # ---
 
 # %% [markdown]
-# # For which drives are there two motions?
+# # Loci and the region of hysteresis
 #
-# At one frequency of the drive, the notebook before this one found two motions that last between two amplitudes: one
-# that keeps off the walls, P100, and one that hits both, P111. Here we ask where that is so at all frequencies, and how
-# damping and the walls' restitution change it. This is figure 12 of Cheng and Xu (2007).
+# This notebook continues bifurcations in two parameters (loci) and computes the region in which two motions coexist. It
+# is for users who need stability boundaries in a plane of parameters. At one frequency of the drive, the previous
+# notebook finds two coexisting attractors in a range of amplitudes: P100, which touches no wall, and P111, which hits
+# both walls. Here this range is computed for all frequencies, with its dependence on the damping and on the restitution
+# of the walls. The result is figure 12 of Cheng and Xu (2007).
 
 # %%
 from pathlib import Path
@@ -35,21 +37,22 @@ BOUNDS = {"amplitude": (0.0, 9.0), "frequency": (0.6, 3.0)}
 
 
 def keep(figure, name):
-    """Save a picture beside the others."""
+    """Save a figure to the output folder."""
     figure.savefig(OUT / f"04_{name}.png", dpi=120)
 
 
 # %% [markdown]
-# ## The two edges
+# ## The two boundaries
 #
-# Along the amplitude, P111 begins at a saddle-node (SN) and P100 ends at a grazing (GR). Both are points of one branch:
+# Along the amplitude, P111 begins at a saddle-node (SN) and P100 ends at a grazing (GR). Both are special points of one
+# branch:
 
 # %%
 scene = jv.make_scene(amplitude=2.0, frequency=2.1, damping=0.05, restitution=0.7, walls=(-1.0, 1.0))
 
 
 def edges(scene):
-    """The saddle-node of P111 and the grazing of P100, along the amplitude, from a little below the grazing."""
+    """Return the SN of P111 and the GR of P100 along the amplitude, from an orbit just below the grazing."""
     grazing = np.hypot(1 - scene.frequency**2, 2 * scene.damping * scene.frequency)  # equation (8)
     orbit = jv.find_orbit(scene.replace(amplitude=0.9 * grazing), jv.State(x=0.9, v=-1.1), periods=1)
     branch = jv.follow(orbit, "amplitude", (0.0, 6.0))
@@ -57,10 +60,10 @@ def edges(scene):
 
 
 fold, grazing = edges(scene)
-print(f"both last from A = {fold.value:.6f} to {grazing.value:.6f} at frequency 2.1")
+print(f"P100 and P111 coexist from A = {fold.value:.6f} to {grazing.value:.6f} at frequency 2.1")
 
 # %% [markdown]
-# `locus` takes a special point along two parameters, so that it stays one:
+# `locus` continues a special point along two parameters, such that it remains a point of the same kind:
 
 # %%
 folds, grazings = (jv.locus(point, PAIR, BOUNDS) for point in (fold, grazing))
@@ -68,9 +71,9 @@ print(folds.table())
 print(grazings.table())
 
 # %% [markdown]
-# The saddle-node does not exist at all frequencies. Its locus ends on the grazing's (GR), at a frequency just below 1,
-# the natural one. On the locus of the grazing this point is told as a resonant grazing (RG). Between the two loci is
-# the region of hysteresis:
+# The saddle-node does not exist at all frequencies. Its locus ends on the locus of the grazing (GR), at a frequency
+# just below 1, the natural frequency. On the locus of the grazing this point is reported as a resonant grazing (RG).
+# The region of hysteresis lies between the two loci:
 
 # %%
 figure, ax = plt.subplots(figsize=(9, 6), layout="constrained")
@@ -81,10 +84,10 @@ ax.legend()
 keep(figure, "region")
 
 # %% [markdown]
-# ## Is it so?
+# ## Comparison with sweeps
 #
-# Sweeps at two frequencies, falling (blue) and rising (orange): one above the point where the loci meet, one below.
-# Lines are where the loci are at these frequencies.
+# Sweeps at two frequencies, with decreasing (blue) and increasing (orange) amplitude, test the result. One frequency is
+# above the point at which the loci meet, the other below it. The vertical lines mark the loci at these frequencies.
 
 # %%
 frequencies = (1.5, 0.8)
@@ -103,13 +106,14 @@ for ax, frequency, (low, high) in zip(figure.subplots(1, 2), frequencies, spans,
 keep(figure, "sweeps")
 
 # %% [markdown]
-# At 1.5 the two differ between the lines and nowhere else. At 0.8 no motion with impacts lasts where P100 does, though
-# just below the grazing it may take hundreds of periods to die out. Beyond it other motions follow each other closely.
+# At 1.5 the two sweeps differ between the lines and nowhere else. At 0.8 no motion with impacts persists where P100
+# exists, although just below the grazing its transient may last hundreds of periods. Beyond the grazing other motions
+# follow each other in close succession.
 #
-# ## More damping, softer walls
+# ## Influence of damping and restitution
 #
-# The same for three dampings, and then for three restitutions. The grazing knows nothing of restitution, as P100 has no
-# impacts.
+# The next cell repeats the computation for three dampings and for three restitutions. The grazing does not depend on
+# the restitution, because P100 has no impacts.
 
 # %%
 DAMPINGS, RESTITUTIONS = (0.05, 0.35, 0.65), (0.5, 0.7, 0.9)
@@ -117,7 +121,7 @@ COLOURS = ("#0072B2", "#E69F00", "#000000")
 
 
 def both(scene):
-    """The loci of both edges."""
+    """Return the loci of both boundaries."""
     return [jv.locus(point, PAIR, BOUNDS) for point in edges(scene)]
 
 
@@ -135,20 +139,20 @@ for k, ((locus, _), colour) in enumerate(zip(softer, COLOURS, strict=True)):
     edge = locus
 jv.plot.locus(softer[0][1], axes[1])
 for ax, name in zip(axes, ("damping", "restitution"), strict=True):
-    ax.set_title(f"where P100 and P111 coexist: {name} as written there")
+    ax.set_title(f"regions of P100 and P111, labelled by {name}")
 axes[1].set_ylabel("")
 keep(figure, "damping_and_restitution")
 
 # %% [markdown]
-# The region shrinks as damping grows, and as restitution falls. How wide is it, in amplitude, on average over the
-# frequencies up to 3?
+# The region shrinks as the damping increases and as the restitution decreases. The next cell computes its width in
+# amplitude, averaged over the frequencies from 1 to 3:
 
 # %%
 grid = np.linspace(1.0, 3.0, 201)
 
 
 def width(pair):
-    """The mean difference of the two amplitudes over frequencies from 1 to 3."""
+    """Return the mean difference of the two amplitudes over the frequencies from 1 to 3."""
     low, high = (np.interp(grid, *one.values[np.argsort(one.values[:, 1])].T[::-1]) for one in pair)
     return float(np.mean(high - low))
 
@@ -158,23 +162,24 @@ for name, pairs, values in (("damping", damped, DAMPINGS), ("restitution", softe
         print(f"{name} {value:4.2f}: {width(pair):.3f}")
 
 # %% [markdown]
-# ## The answer
+# ## Conclusions
 #
-# P100 and P111 coexist between the saddle-node of P111 and the grazing of P100, as long as the frequency is above that
-# at which the two loci meet. This is where half a drive period is half a swing of the free oscillator, at the frequency
-# sqrt(1 - gamma^2), whatever the restitution:
+# P100 and P111 coexist between the saddle-node of P111 and the grazing of P100, if the frequency is above the value at
+# which the two loci meet. At this value half a drive period equals half a period of the free oscillator: the frequency
+# is sqrt(1 - gamma^2), for any restitution.
 #
-# | damping | the loci meet at |
+# | damping | frequency at which the loci meet |
 # |---|---|
 # | 0.05 | 0.998749 |
 # | 0.35 | 0.936750 |
 # | 0.65 | 0.759934 |
 #
-# Below it there is no such saddle-node, down to the frequency 0.6 looked at. That P111 exists does not make it stable:
-# at a symmetry breaking, whose locus crosses the region too, it gives way to lopsided motions.
+# At lower frequencies this saddle-node does not exist, down to 0.6, the lowest frequency examined. The existence of
+# P111 does not imply its stability: at a symmetry breaking, whose locus also crosses the region, it is replaced by
+# asymmetric motions.
 
 # %%
-# What the text says holds, or this script fails.
+# Checks: the script fails if a statement of the text does not hold.
 assert abs(fold.value - 0.508057896812) < 1e-11 and abs(grazing.value - 3.416460156361) < 1e-11
 assert [one.kind for one in folds.special] == ["GR", "EP"] and [one.kind for one in grazings.special] == [
     "EP",
@@ -193,7 +198,7 @@ for pairs, dampings, restitutions in ((damped, DAMPINGS, 3 * [0.7]), (softer, 3 
 for pairs, way in ((damped, -1), (softer, 1)):
     assert (np.diff([width(pair) for pair in pairs]) * way > 0).all()
 
-# The sweeps differ between the loci and nowhere else, but for a step or two.
+# The sweeps differ between the loci and nowhere else, up to one or two steps.
 falling, rising = (legs[0]["v"].values[:, k, -1] for k in range(2))
 amplitudes = np.linspace(*spans[0], 401)
 differ = amplitudes[abs(falling[::-1] - rising) > 0.1]

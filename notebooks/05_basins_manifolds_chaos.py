@@ -12,11 +12,12 @@
 # ---
 
 # %% [markdown]
-# # Which start ends where, and what lies between?
+# # Basins of attraction, invariant manifolds and chaos
 #
-# At one amplitude the oscillator between two walls has several motions that last. Which of them it settles on depends
-# on where it starts. Here we draw that for figure 5 of Cheng and Xu (2007), find what separates the starts, and look
-# for the chaos that the paper shows.
+# This notebook computes basins of attraction, the invariant manifolds that bound them, and Lyapunov exponents. It is
+# for users with coexisting attractors. At one amplitude the oscillator between two walls has several attractors, and
+# the initial state determines which of them it approaches. The notebook computes the basins for figure 5 of Cheng and
+# Xu (2007), finds the sets that separate them, and searches for the chaos that the paper shows.
 
 # %%
 from pathlib import Path
@@ -34,41 +35,42 @@ X, V = np.linspace(-1.0, 1.0, 161), np.linspace(-4.0, 4.0, 241)
 
 
 def keep(figure, name):
-    """Save a picture beside the others."""
+    """Save a figure to the output folder."""
     figure.savefig(OUT / f"05_{name}.png", dpi=120)
 
 
 # %% [markdown]
-# ## What lasts
+# ## Attractors
 #
-# The paper's figure is at A = 4.65. Two hundred random starts settle on four motions, two pairs of mirror images. None
-# is chaotic: their largest Lyapunov exponents are negative.
+# The figure of the paper is at A = 4.65. Two hundred random initial states approach four attractors, two pairs of
+# mirror images. None is chaotic: their largest Lyapunov exponents are negative.
 
 # %%
 scene = jv.make_scene(amplitude=4.65, frequency=2.1, damping=0.05, restitution=0.7, walls=(-1.0, 1.0))
 attractors = jv.find_attractors(scene)
 for one in attractors:
-    print(f"{one.label}: {100 * one.share:.1f} % of the starts, largest exponent {one.exponent:+.3f} a period")
+    print(f"{one.label}: {100 * one.share:.1f} % of initial states, largest exponent {one.exponent:+.3f} per period")
 
 # %% [markdown]
-# ## Which start ends where
+# ## Basins of attraction
 #
-# `basins` runs each start of a grid until it is certain where it ends.
+# `basins` simulates each initial state of a grid until its attractor is certain.
 
 # %%
 basins = jv.basins(scene, X, V, attractors=attractors)
 for name, share, error in zip(
     basins["name"].values, basins["fraction"].values, basins["fraction_error"].values, strict=True
 ):
-    print(f"{name}: {100 * share:.2f} +- {100 * error:.2f} % of the starts")
-print(f"dimension of the boundary {basins.attrs['boundary_dimension']:.2f}")
+    print(f"{name}: {100 * share:.2f} +- {100 * error:.2f} % of initial states")
+print(f"dimension of the basin boundary {basins.attrs['boundary_dimension']:.2f}")
 
 # %% [markdown]
-# ## What lies between
+# ## Saddles between the basins
 #
-# Between two basins lies a curve of starts that end on neither: they come to an unstable motion, a saddle. There are
-# three: the symmetric P111, which lost its stability at 3.544, and the two partners of P112 and P121, born with them at
-# 4.525. All are on the branches of figure 4.
+# Two basins are separated by a curve of initial states that approach neither attractor. They approach an unstable
+# orbit, a saddle. There are three saddles: the symmetric P111, which loses its stability at 3.544, and the unstable
+# partners of P112 and P121, which originate with them in saddle-nodes at 4.525. All three are on the branches of figure
+# 4.
 
 # %%
 diagram = jv.explore(scene, "amplitude", (0.0, 6.0), max_period=1)
@@ -89,10 +91,10 @@ for orbit in saddles:
 keep(figure, "basins")
 
 # %% [markdown]
-# The curves are the saddles' stable manifolds, grown backward in time from the saddles: they are the edges of the
-# basins. The paper says so of the symmetric saddle alone; the smaller basins are bounded by the two others.
+# The curves are the stable manifolds of the saddles, grown backward in time from the saddles. They are the boundaries
+# of the basins. The paper states this for the symmetric saddle only; the other two saddles bound the smaller basins.
 #
-# The unstable manifolds lead from each saddle to the motions on both sides of it:
+# The unstable manifolds lead from each saddle to the attractors on both sides of it:
 
 # %%
 figure, ax = plt.subplots(figsize=(6, 8), layout="constrained")
@@ -102,10 +104,11 @@ for orbit in saddles:
 keep(figure, "unstable")
 
 # %% [markdown]
-# ## Where is the chaos?
+# ## Lyapunov exponents
 #
-# The Lyapunov exponents tell, along the amplitude. Each value starts from the same state, on the way to P112 where that
-# lasts. Where the larger exponent is above 0, nearby motions part: chaos.
+# The Lyapunov exponents along the amplitude (`spectrum`) show where chaos occurs. All values use the same initial
+# state, which leads to P112 where that orbit is stable. Where the larger exponent is positive, nearby motions diverge:
+# the motion is chaotic.
 
 # %%
 values = np.linspace(4.55, 5.45, 46)
@@ -118,8 +121,8 @@ chaotic = spectrum["exponent"].values[:, 0] > 3 * spectrum["error"].values[:, 0]
 print("chaotic at A =", ", ".join(f"{value:.2f}" for value in values[chaotic]))
 
 # %% [markdown]
-# ## The answer
+# ## Conclusions
 #
-# The paper's figure 5 is said to be at A = 4.65 and shows a chaotic attractor in white. At 4.65 there is none: P112
-# and P121 are still periodic there. They double their periods from 4.787 on and become chaotic before 5.0, where the
-# chaotic sets have the basins that P112 and P121 had: `jaxvibro paper fig5` draws both.
+# According to the paper, its figure 5 is at A = 4.65. It shows a chaotic attractor in white. At 4.65 there is none,
+# because P112 and P121 are still periodic there. They have period doublings from 4.787 on and become chaotic before
+# 5.0, where the chaotic attractors have the basins that P112 and P121 had. `jaxvibro paper fig5` draws both amplitudes.

@@ -12,13 +12,14 @@
 # ---
 
 # %% [markdown]
-# # What of the paper is true?
+# # Reproduction of a paper: claims and verdicts
 #
-# Cheng and Xu (2007) drew figures of an oscillator between two walls and read numbers from them. `jaxvibro paper`
-# computes all of them again and judges each claim by numbers. Here we look at how that is done, for the formulas and
-# for one wall; the whole takes some minutes:
+# This notebook shows how `jaxvibro paper` recomputes the figures of Cheng and Xu (2007) and compares each claim with
+# the computed numbers. It is for readers of the paper and for users who want to verify jaxvibro. The paper shows
+# figures of an oscillator between two walls and states numbers read from them. The notebook covers the formulas and the
+# case of one wall. The complete reproduction takes some minutes:
 #
-#     jaxvibro paper            # everything, into out/paper/report.html
+#     jaxvibro paper            # all figures and claims, into out/paper/report.html
 #     jaxvibro paper fig5       # one figure
 
 # %%
@@ -38,16 +39,17 @@ OUT.mkdir(exist_ok=True)
 # %% [markdown]
 # ## Formulas
 #
-# A claim has what is printed, what was computed with an error bar, and a verdict that follows from these: a printed
-# number agrees if the computed one lies within half a unit of its last digit, a claim in words holds if its number is
-# where the words say. "Printed" is as our copy reads, which is a scan. Rows marked "ours" are no claims of the paper.
+# A claim has a printed value, a computed value with an error bar, and a verdict that follows from both. A printed
+# number agrees if the computed one lies within half a unit of its last digit. A claim in words holds if its number is
+# in the range that the words state. "Printed" refers to our copy of the paper, which is a scan. Rows marked "ours" are
+# not claims of the paper.
 
 # %%
 report = jv.paper(["formulas"], OUT / "paper")
 
 
 def show(claims):
-    """A claim a line, and why where it is not right."""
+    """Print each claim with its verdict, and the reason if it is not right."""
     for one in claims:
         printed = f", printed {one.printed}" if one.printed else ""
         print(f"{one.figure:12s} {'(ours) ' if one.ours else ''}{one.text}{printed}")
@@ -59,12 +61,12 @@ def show(claims):
 show(one for one in report.claims if one.figure.startswith("("))
 
 # %% [markdown]
-# ## Where P111 begins, and where it does not
+# ## Onset of P111
 #
 # The paper gives the amplitude at which the symmetric P111 begins as the double root A_c of an equation for its impact
-# speed u. That is a saddle-node only where the double root has u > 0; a mass cannot arrive at a wall backwards. The
-# sign of u is that of sin(pi r / omega) with r = sqrt(1 - gamma^2), which the paper does not say: above r, and again
-# from r / 3 to r / 2, from r / 5 to r / 4, ...
+# speed u. The double root is a saddle-node only if it has u > 0, because a mass cannot arrive at a wall with a negative
+# speed. The sign of u is that of sin(pi r / omega) with r = sqrt(1 - gamma^2), which the paper does not state. It is
+# positive for omega above r, and again from r / 3 to r / 2, from r / 5 to r / 4, ...
 
 # %%
 DAMPING, RESTITUTION = 0.05, 0.7
@@ -84,8 +86,8 @@ for each in (ax, below):
 figure.savefig(OUT / "06_where_p111_begins.png", dpi=120)
 
 # %% [markdown]
-# Is it so? The branch through the motion that lasts at a larger amplitude tells: at 1.5 it has the saddle-node at A_c,
-# at 0.8 none of P111 at all.
+# The branch through the attractor at a larger amplitude confirms this. At 1.5 it has the saddle-node at A_c. At 0.8
+# P111 has no saddle-node.
 
 # %%
 for frequency, high in ((1.5, 3.0), (0.8, 0.6)):
@@ -96,7 +98,8 @@ for frequency, high in ((1.5, 3.0), (0.8, 0.6)):
     print(f"frequency {frequency}: A_c = {exact:.12f} with u = {speed:+.3f}; saddle-nodes of P111 found: {found}")
 
 # %% [markdown]
-# At frequency 0.4, in the first of the tongues below, P111 is there a little above A_c, where P100 has not yet grazed.
+# At frequency 0.4, in the first of the intervals below r (r / 3 to r / 2), P111 exists slightly above A_c, where P100
+# has not yet grazed.
 
 # %%
 begin, speed = (float(one) for one in symmetric_fold(0.4, DAMPING, RESTITUTION))
@@ -111,8 +114,8 @@ print(f"    at A = {float(scene.amplitude):.6f} {orbit.label} is {'stable' if or
 # %% [markdown]
 # ## One wall
 #
-# With one wall the paper says that "the condition is the same". It has the same form, but a full period and the other
-# sign: P101 begins in a saddle-node where sin(r T) < 0.
+# For one wall the paper states that "the condition is the same". The condition has the same form, but with a full
+# period and the opposite sign: P101 begins in a saddle-node where sin(r T) < 0.
 
 # %%
 for frequency in (1.5, 0.55, 2.1):
@@ -126,13 +129,13 @@ for frequency in (1.5, 0.55, 2.1):
     print(f"    A_c = {exact:.12f}; saddle-nodes of P101 found: {found}")
 
 # %% [markdown]
-# ## The answer
+# ## Conclusions
 #
-# | what the paper says, as our copy reads | what is true |
+# | statement of the paper, as in our copy | correct statement |
 # |---|---|
 # | gamma = C / (M w0) | C / (2 M w0) |
 # | A_c = 1.334 at frequency 2.1, damping 0.05, restitution 0.7 | 0.508057896812 |
-# | P111 begins at A_c | where sin(pi r / omega) > 0; else at the grazing, without hysteresis |
+# | P111 begins at A_c | where sin(pi r / omega) > 0; elsewhere at the grazing, without hysteresis |
 # | A_c and the grazing meet near frequency 1 | at r / m; hysteresis above r and in every second interval below |
 # | multipliers are eigenvalues of P | of M, the product of all P and Q |
-# | one wall: the condition is the same | sin(r T) < 0 in place of sin(r T / 2) > 0 |
+# | one wall: the condition is the same | sin(r T) < 0 instead of sin(r T / 2) > 0 |

@@ -12,12 +12,19 @@
 # ---
 
 # %% [markdown]
-# # How far is a design from trouble, and what should be changed?
+# # Margin, sensitivity and placement of bifurcations
 #
-# A machine runs on P111: the mass hits both stops once a drive period. Its numbers are known to within tolerances.
-# Which change of them ends this motion first, and how many tolerances away is that? What moves the boundary, and what
-# is the least change that puts it where it does no harm? A located bifurcation is a root of equations, so it has
-# derivatives by every number of the scene; each of these questions is one call.
+# This notebook computes the distance from a design to the nearest bifurcation, the sensitivity of the bifurcation, and
+# the smallest change of the design that moves it. It is for users who design a vibro-impact system. The example is a
+# machine that runs on P111: the mass hits both stops once per drive period. The parameters are known to within
+# tolerances. The design requires three results:
+#
+# - the change of the parameters that first ends this motion, and its size in tolerances;
+# - the parameters that move the bifurcation;
+# - the smallest change that moves the bifurcation to a harmless value.
+#
+# A located bifurcation is a root of equations and therefore has derivatives by all parameters of the scene. Each of the
+# three results takes one call.
 
 # %%
 from pathlib import Path
@@ -34,7 +41,7 @@ OUT.mkdir(exist_ok=True)
 
 
 def keep(figure, name):
-    """Save a picture beside the others."""
+    """Save a figure to the output folder."""
     figure.savefig(OUT / f"08_{name}.png", dpi=120)
 
 
@@ -45,8 +52,8 @@ print(orbit)
 # %% [markdown]
 # ## The margin
 #
-# A tolerance for each number: 0.1 of the drive's amplitude, 0.05 of its frequency. The distance of a boundary is then
-# counted in tolerances, the root of the sum of their squares.
+# Each parameter has a tolerance: 0.1 for the amplitude of the drive, 0.05 for its frequency. The distance to a
+# bifurcation (`margin`) is measured in tolerances, as the root of the sum of their squares.
 
 # %%
 tolerances = {"amplitude": 0.1, "frequency": 0.05}
@@ -54,8 +61,8 @@ near = jv.margin(orbit, free=tolerances)
 print(near.table())
 
 # %% [markdown]
-# The nearest point lies where the boundary touches the ellipse of that distance. The boundary itself is the locus of
-# the same saddle-node, followed from the branch: it comes no nearer.
+# At the nearest point the bifurcation curve touches the ellipse of this distance. The curve is the locus of the same
+# saddle-node, continued from the branch. No point of it is nearer.
 
 # %%
 branch = jv.follow(orbit, "amplitude", bounds=(0.0, 6.0))
@@ -71,11 +78,11 @@ keep(figure, "margin")
 
 offsets = [(locus.data[name].values - float(scene.parameter(name))) / unit for name, unit in tolerances.items()]
 nearest = np.hypot(*offsets).min()
-print(f"nearest point of the locus as it was followed: {nearest:.6f}; by margin: {near.distance:.6f}")
+print(f"nearest computed point of the locus: {nearest:.6f}; margin: {near.distance:.6f}")
 assert near.distance <= nearest
 
 # %% [markdown]
-# With more numbers the picture is that of the change of each, in its tolerances, that leads to the point.
+# For more parameters the figure shows the change of each one, in its tolerances, that leads to the nearest point.
 
 # %%
 more = tolerances | {"damping": 0.01, "restitution": 0.02, "right.position": 0.02}
@@ -86,26 +93,29 @@ jv.plot.margin(wide, ax)
 keep(figure, "changes")
 
 # %% [markdown]
-# ## What moves the boundary
+# ## Sensitivity
 #
-# The amplitude below which P111 is lost, and its derivative by every number of the scene.
+# `sensitivity` computes the derivatives of the amplitude below which P111 does not exist, by all parameters of the
+# scene.
 
 # %%
 print(f"the saddle-node is at A = {fold.value:.6f}")
 print(jv.sensitivity(fold).to_series())
 
 # %% [markdown]
-# ## The least change that gives room
+# ## The smallest change of the design
 #
-# The motion should last down to A = 0.4. Which stop, and which material?
+# P111 should exist down to A = 0.4. `place` computes the required change of the right stop, the restitution and the
+# damping.
 
 # %%
 placed = jv.place(fold, "amplitude", 0.4, free={"right.position": 0.1, "restitution": 0.05, "damping": 0.01})
 print(placed.table())
 
 # %% [markdown]
-# Between the saddle-node and the amplitude at which the motion without impacts grazes, both motions are stable: a
-# hysteresis. Its width is the difference of two located points, itself a function of the scene, and may be placed too.
+# Between the saddle-node and the amplitude at which the motion without impacts grazes, both motions are stable: there
+# is hysteresis. Its width is the difference of two located points. The width is itself a function of the scene and may
+# be placed too.
 
 # %%
 rest = jv.find_orbit(scene.replace(amplitude=0.5), jv.State(x=0.0, v=0.0))
@@ -114,17 +124,17 @@ upper, lower = jv.located(grazing, wall="right"), jv.located(fold)
 
 
 def width(scene):
-    """How wide the range of amplitudes is in which both motions are stable."""
+    """Return the width of the range of amplitudes in which both motions are stable."""
     return upper(scene) - lower(scene)
 
 
-print(f"width {float(width(scene)):.6f}, by the damping {float(jax.grad(width)(scene).damping):+.6f}")
+print(f"width {float(width(scene)):.6f}, derivative by the damping {float(jax.grad(width)(scene).damping):+.6f}")
 halved = jv.place(width, None, 0.5 * float(width(scene)), free={"frequency": 0.1, "damping": 0.05}, scene=scene)
 print(halved.table())
 
 # %%
 figure, ax = plt.subplots(figsize=(7, 4), layout="constrained")
-for told, each, colour in (("as it is", scene, "#0072B2"), ("halved", halved.scene, "#D55E00")):
+for told, each, colour in (("original", scene, "#0072B2"), ("halved", halved.scene, "#D55E00")):
     there = float(lower(each)), float(upper(each))
     ax.axvspan(*there, color=colour, alpha=0.25, label=f"both stable, {told}: {there[1] - there[0]:.4g}")
     motion = jv.find_orbit(each.replace(amplitude=2.0), jv.State(x=0.9, v=-1.1))
@@ -133,9 +143,10 @@ ax.legend(fontsize="small")
 keep(figure, "width")
 
 # %% [markdown]
-# ## Boundaries that nobody has met yet
+# ## Bifurcations in a box of parameters
 #
-# Where in a whole box of drives does an attractor double its period? No orbit is needed to begin with.
+# `search` finds the points in a box of drive parameters at which an attractor has a period doubling. It requires no
+# initial orbit.
 
 # %%
 box = {"amplitude": (0.5, 6.0), "frequency": (1.8, 2.6)}

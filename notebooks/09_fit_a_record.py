@@ -12,11 +12,13 @@
 # ---
 
 # %% [markdown]
-# # Which numbers made this record?
+# # Parameter estimation from a record
 #
-# A microphone hears a mass hit its stops: times, known to a thousandth, and from the sound which stop it was. Some
-# hits were not heard. Which damping, which restitutions, which gap is that? The scene is fitted to the times; the
-# errors tell how well each number is known, and what the record does not say at all.
+# This notebook estimates parameters of a scene from measurements (`fit`), first from impact times and then from samples
+# of the position. It is for experimenters. A microphone records the impacts of a mass on its stops. The times have an
+# error of 1e-3, and the sound identifies the stop. Some impacts are missing from the record. The unknowns are the
+# damping, the restitutions, the gap and the frequency. The scene is fitted to the times. The standard errors show how
+# well each parameter is determined, and which parameters the record does not determine at all.
 
 # %%
 from pathlib import Path
@@ -34,12 +36,12 @@ NOISE = 1e-3
 
 
 def keep(figure, name):
-    """Save a picture beside the others."""
+    """Save a figure to the output folder."""
     figure.savefig(OUT / f"09_{name}.png", dpi=120)
 
 
 def heard(scene, state, periods):
-    """(times, sides) of all impacts of some drive periods."""
+    """Return (times, sides) of all impacts in a number of drive periods."""
     times, sides, length = [], [], 2.0 * np.pi / float(scene.frequency)
     for k in range(periods):
         state, impacts = jv.strobe(scene, state, slots=32)
@@ -50,10 +52,11 @@ def heard(scene, state, periods):
 
 
 # %% [markdown]
-# ## A record that we make ourselves, so that the answer is known
+# ## A synthetic record
 #
-# The motion is not periodic: neighbouring ones part, so that no single flight from the start explains it all. Fifty
-# impacts are kept, with noise, and three of them are lost.
+# The record is synthetic, and its parameters are known. The motion is not periodic. Nearby motions diverge, and a
+# single simulation from the initial state therefore does not explain the whole record. The record contains fifty
+# impacts with noise, from which three are removed.
 
 # %%
 true = jv.make_scene(5.3, 1.75, 0.043, 0.7, (jv.Wall(-0.9, 0.83), jv.Wall(1.12, 0.71)))
@@ -67,7 +70,8 @@ data = jv.ImpactRecord(*told, sigma=NOISE)
 # %% [markdown]
 # ## The fit
 #
-# It begins with numbers that are some per cent off; a scale says by how much each may be.
+# The initial guess differs from the true parameters by some per cent. The scale of each parameter states by how much it
+# may differ.
 
 # %%
 begun = true.replace(
@@ -78,7 +82,7 @@ fit = jv.fit(begun, data, free)
 print(fit.table())
 assert fit.status == jv.FitStatus.OK
 found = np.array([time for time, _ in fit.missed])
-print("lost:", times[lost], "found:", found)
+print("removed:", times[lost], "detected as missing:", found)
 assert np.allclose(found, times[lost], atol=20 * NOISE)
 
 # %%
@@ -87,17 +91,17 @@ figure, (above, below) = plt.subplots(2, 1, figsize=(7, 6), layout="constrained"
 above.errorbar(errors, range(len(free)), xerr=1.0, fmt="o", color="#0072B2", capsize=4)
 above.axvline(0.0, color="black", linewidth=0.8)
 above.set_yticks(range(len(free)), list(free))
-above.set_xlabel("fitted less true (standard errors)")
-below.plot(data.times, fit.residuals, "o", color="#0072B2", markersize=4, label="heard")
+above.set_xlabel("fitted minus true (standard errors)")
+below.plot(data.times, fit.residuals, "o", color="#0072B2", markersize=4, label="recorded")
 for time, _ in fit.missed:
     below.axvline(time, color="#D55E00", linewidth=1.0, linestyle=(0, (4, 2)))
-below.plot([], [], color="#D55E00", linestyle=(0, (4, 2)), label="lost, and found by the fit")
-below.set(xlabel=r"time $\omega_0 t$", ylabel="measured less fitted (errors)")
+below.plot([], [], color="#D55E00", linestyle=(0, (4, 2)), label="missing, detected by the fit")
+below.set(xlabel=r"time $\omega_0 t$", ylabel="measured minus fitted (errors)")
 below.legend(fontsize="small")
 keep(figure, "fit")
 
 # %% [markdown]
-# The numbers hang together: the covariance tells how. Its ellipse of two of them holds the true pair.
+# The estimates are correlated, as the covariance shows. The 95 % ellipse of two of them contains the true pair.
 
 # %%
 pair = ["left.restitution", "damping"]
@@ -114,10 +118,10 @@ ax.legend(fontsize="small")
 keep(figure, "ellipse")
 
 # %% [markdown]
-# ## What a settled record does not say
+# ## Limits of a periodic record
 #
-# P111 hits each wall once a period, at the same phases for ever: fifty impacts say no more than two. More free numbers
-# than that are refused, and the combinations that the record does hold are named.
+# P111 hits each wall once per period, always at the same phases. Fifty such impacts contain no more information than
+# two. `fit` refuses a larger number of free parameters and names the combinations that the record determines.
 
 # %%
 calm = jv.make_scene(2.0, 2.1, 0.05, 0.7, (-1.0, 1.0))
@@ -130,10 +134,11 @@ except jv.ArgumentError as error:
     print(error)
 
 # %% [markdown]
-# ## A camera in place of a microphone
+# ## Samples of the position
 #
-# x is measured twenty times a period, and the right stop is soft: how stiff is it? The fit goes along the record and
-# flies through every contact; which samples fall into one need not be known.
+# A camera replaces the microphone and measures x twenty times per period. The right stop is soft, and its stiffness is
+# unknown. The fit proceeds along the record and integrates the motion through all contact phases. It does not require
+# the user to state which samples fall into a contact phase.
 
 # %%
 soft = jv.make_scene(2.2, 1.2, 0.05, 0.7, (jv.Wall(-0.8, 0.75), jv.Wall(0.9, stiffness=45.0, damping=0.4)))
@@ -150,7 +155,7 @@ assert all(abs(fit.values[name] - float(soft.parameter(name))) < 4.0 * fit.sigma
 # %%
 figure, (above, below) = plt.subplots(2, 1, figsize=(7, 6), sharex=True, layout="constrained")
 above.plot(times, states.x, color="0.6", linewidth=0.9, label="true motion")
-above.plot(times, seen.x, ".", color="#0072B2", markersize=4, label="seen")
+above.plot(times, seen.x, ".", color="#0072B2", markersize=4, label="measured")
 above.axhline(0.9, color="black", linewidth=0.8, linestyle=(0, (4, 2)), label="soft stop")
 above.set(ylabel="x")
 above.legend(fontsize="small", loc="lower center", ncols=3, bbox_to_anchor=(0.5, 1.0))

@@ -12,10 +12,12 @@
 # ---
 
 # %% [markdown]
-# # What if it is no spring?
+# # User-defined forces
 #
-# Between the walls the mass may be under any smooth force that JAX can trace. Two are looked at here: a spring that
-# stiffens, which changes what the linear scene does, and a gear pair, which has no spring and does something else.
+# This notebook replaces the linear spring and damper by other forces. It is for users with a nonlinear oscillator.
+# Between the walls any smooth force that JAX can trace may act on the mass. The notebook has two examples: a stiffening
+# spring, which modifies the behaviour of the linear scene, and a gear pair, which has no spring and behaves
+# differently.
 
 # %%
 from pathlib import Path
@@ -33,14 +35,15 @@ COLOURS = ("#000000", "#0072B2", "#D55E00")
 
 
 def keep(figure, name):
-    """Save a picture beside the others."""
+    """Save a figure to the output folder."""
     figure.savefig(OUT / f"10_{name}.png", dpi=120)
 
 
 # %% [markdown]
-# ## A spring that stiffens, between two walls
+# ## A stiffening spring between two walls
 #
-# The force is a function of the time, x, v and its own numbers, in place of -x - 2 damping v. The drive is not in it.
+# The force is a function of the time, x, v and its own parameters. It replaces -x - 2 damping v. The drive is not part
+# of it.
 
 # %%
 OMEGA, R, DAMPING = 2.1, 0.7, 0.05
@@ -48,18 +51,19 @@ START = jv.State(x=0.9, v=-1.1)
 
 
 def duffing(t, x, v, p):
-    """A spring that pulls by x and by its cube, and a damper."""
+    """Return the force of a spring with a linear and a cubic term, and of a damper."""
     return -x - p["cubic"] * x**3 - 2.0 * p["damping"] * v
 
 
 force = jv.Force(duffing, {"cubic": 0.0, "damping": DAMPING})
 scene = jv.make_scene(amplitude=2.0, frequency=OMEGA, restitution=R, walls=(-1.0, 1.0), force=force)
 print("parameters:", ", ".join(scene.names))
-print("areas never grow, proved:", scene.dissipative)
+print("dissipative (areas provably never grow):", scene.dissipative)
 
 # %% [markdown]
-# Without the cube it is the linear scene. That one is flown in closed form, the force by Taylor steps: two ways to the
-# same branch, P111 along the drive's amplitude, with the same special points.
+# Without the cubic term the scene is the linear one. The linear scene has a closed-form solution between impacts, and
+# the user-defined force is integrated by Taylor steps. Both methods give the same branch, P111 along the amplitude of
+# the drive, with the same special points.
 
 # %%
 linear = jv.make_scene(2.0, OMEGA, DAMPING, R, (-1.0, 1.0))
@@ -67,7 +71,7 @@ exact = jv.follow(jv.find_orbit(linear, START), "amplitude", (0.0, 4.0))
 
 
 def branch(cubic):
-    """P111 along the amplitude, and what it becomes."""
+    """Return the branch of P111 along the amplitude."""
     return jv.follow(jv.find_orbit(scene.replace(**{"force.cubic": cubic}), START), "amplitude", (0.0, 4.0))
 
 
@@ -75,14 +79,15 @@ CUBIC = np.array([0.0, 0.5, 1.0])
 branches = [branch(value) for value in CUBIC]
 print(exact.table())
 off = max(abs(one.value - two.value) for one, two in zip(exact.special, branches[0].special, strict=True))
-print(f"the same by Taylor steps, to {off:.0e}")
+print(f"largest difference of the special points by Taylor steps: {off:.0e}")
 
 # %% [markdown]
-# Now the cube grows. The saddle-node (SN), where P111 is lost as the drive weakens, and the grazing (GR), where the
-# motion without impacts first touches the walls, both come at weaker drives; the symmetry breaking (SB) comes later.
+# Next, the cubic coefficient increases. The saddle-node (SN), at which P111 disappears as the drive amplitude
+# decreases, and the grazing (GR), at which the motion without impacts first touches the walls, both move to smaller
+# amplitudes. The symmetry breaking (SB) moves to larger amplitudes.
 
 # %%
-KINDS = {"SN": "P111 is lost", "GR": "P100 touches", "SB": "P111 tilts"}
+KINDS = {"SN": "P111 ends", "GR": "P100 grazes", "SB": "P111 loses its symmetry"}
 points = {kind: np.array([one.points(kind)[0].value for one in branches]) for kind in KINDS}
 print("cubic  " + "".join(f"{kind:>14}" for kind in KINDS))
 for k, value in enumerate(CUBIC):
@@ -93,30 +98,32 @@ for one, value, colour in zip(branches, CUBIC, COLOURS, strict=True):
     hits, edges = one.data["side"].values[:, 0] != 0, [each.place for each in one.special]
     for stable, style in ((True, "-"), (False, ":")):
         shown = one.stable == stable
-        shown[edges] = True  # both kinds meet at a special point
+        shown[edges] = True  # a special point belongs to the stable and to the unstable line
         speed = np.where(hits & shown, one.data["speed"].values[:, 0], np.nan)
         ax.plot(one.values, speed, style, color=colour, label=f"{value:g}" if stable else None)
     for kind, mark in (("SN", "o"), ("SB", "D")):
         point = one.points(kind)[0]
         ax.plot(point.value, one.data["speed"].values[point.place, 0], mark, color=colour, markersize=5)
     ax.plot(one.points("GR")[0].value, 0.0, "v", color=colour, markersize=7, clip_on=False)
-ax.set(xlabel="drive amplitude $A$", ylabel="speed at which P111 comes to a wall", ylim=(0, None))
-ax.legend(title="cubic term\n(dots unstable;\no SN, v GR, D SB)", fontsize="small")
+ax.set(xlabel="drive amplitude $A$", ylabel="impact speed of P111", ylim=(0, None))
+ax.legend(title="cubic term\n(dotted: unstable;\no SN, v GR, D SB)", fontsize="small")
 keep(figure, "duffing")
 
 # %% [markdown]
-# Why: the drive is faster than the free swing. A spring that stiffens swings faster, nearer to the drive, so that less
-# drive is enough.
+# The reason is that the frequency of the drive is above the natural frequency. A stiffening spring oscillates faster,
+# closer to the frequency of the drive, and a smaller drive amplitude suffices.
 
 # %% [markdown]
 # ## A gear pair
 #
-# Two gears with backlash 2 b, x the play between their teeth (after Karagiannis and Pfeiffer, Nonlinear Dynamics 2,
-# 1991). The driving gear does not turn evenly; the driven one has a drag. Nothing pulls x to the middle:
+# Two gears have a backlash 2 b, and x is the relative displacement of their teeth (after Karagiannis and Pfeiffer,
+# Nonlinear Dynamics 2, 1991). The driving gear rotates unevenly, and a drag acts on the driven gear. No force pulls x
+# to the middle:
 #
 #     x'' = -c0 - 2 damping v + A cos(omega t),    teeth at -b and b, restitution R
 #
-# That is the named force "polynomial" with c0 alone. There is no natural frequency: units of time and length are free.
+# This is the named force "polynomial" with c0 alone. There is no natural frequency, and the units of time and length
+# are arbitrary.
 
 # %%
 C0, R_TEETH = 0.1, 0.6
@@ -128,11 +135,12 @@ family = jv.follow(rattle, "amplitude", (0.02, 0.24), stop="GR")
 print(family.table())
 
 # %% [markdown]
-# P110 throws the teeth apart once a period and back on the same flank. Between two impacts the play is a parabola and a
-# cosine, so without damping it is known in closed form where the rattling begins and where it doubles its period:
+# In P110 the teeth separate once per period and return to the same flank. Between two impacts x is a parabola plus a
+# cosine. Without damping, the amplitude at which rattling begins and the amplitude of its period doubling are therefore
+# known in closed form:
 #
 #     SN: A = pi c0 (1 - R) / (1 + R)
-#     PD: A^2 = (the same)^2 + (2 c0 (1 + R^2) / (1 + R)^2)^2
+#     PD: A^2 = (A at SN)^2 + (2 c0 (1 + R^2) / (1 + R)^2)^2
 
 # %%
 begins = np.pi * C0 * (1 - R_TEETH) / (1 + R_TEETH)
@@ -142,10 +150,10 @@ print(f"SN {fold.value:.13f}, closed form {begins:.13f}")
 print(f"PD {flip.value:.13f}, closed form {doubles:.13f}")
 
 # %% [markdown]
-# Teeth that lie on each other are parted by the drive where A > c0, and not before. But rattling, once it is there,
-# goes on down to 0.785 c0: one blow makes a quiet gear rattle for good. And beyond c0 the teeth part in small hops that
-# die out before the period is over: up to some 1.46 c0 they come to rest on the flank each time. Swept slowly up and
-# down:
+# The drive separates teeth in contact where A > c0, and not below. Rattling, however, persists down to 0.785 c0 once it
+# exists: one shock makes a quiet gear rattle permanently. Above c0 the teeth separate in small bounces that decay
+# before the end of the period. Up to about 1.46 c0 they stick to the flank in each period. The figure shows slow sweeps
+# with increasing and decreasing amplitude:
 
 # %%
 values = np.linspace(0.06, 0.17, 56)
@@ -157,28 +165,29 @@ jv.plot.branch(family, "x", ax, colour="0.4")
 for (told, data), colour, size in zip(swept.items(), ("#0072B2", "#D55E00"), (5, 2.5), strict=True):
     ax.plot(data["amplitude"], data["x"].values, "o", color=colour, markersize=size, label=told)
 ax.axvline(C0, color="black", linewidth=0.8, linestyle="--", label="$A = c_0$")
-ax.set(xlim=(0.06, 0.17), ylim=(-0.55, 0.55), xlabel="drive amplitude $A$", ylabel="play between the teeth at phase 0")
+ax.set(xlim=(0.06, 0.17), ylim=(-0.55, 0.55), xlabel="drive amplitude $A$", ylabel="relative displacement at phase 0")
 handles = dict(zip(*reversed(ax.get_legend_handles_labels()), strict=True))
 ax.legend(handles.values(), handles, fontsize="small", loc="upper left")
 keep(figure, "gears")
 
 # %% [markdown]
-# ## Where it differs from the linear scene
+# ## Differences from the linear scene
 #
-# Under a spring a weak drive leaves the mass swinging in the middle, and it comes to a wall as its swing grows. Here
-# nothing holds it in the middle: the quiet motion rests on a flank, and rattling is there beside it, not born from it.
-# More drag and more damping put off its beginning; teeth that give back more, and a spring, which would pull x off the
-# flank to the middle, bring it nearer:
+# With a spring and a weak drive, the mass oscillates about the middle, and it reaches a wall as the amplitude of this
+# oscillation grows. Without a spring nothing holds the mass in the middle. The quiet motion sticks to a flank, and
+# rattling coexists with it and does not emanate from it. More drag and more damping raise the amplitude at which
+# rattling begins. A larger restitution of the teeth lowers it, and so does a spring, which pulls x away from the flank
+# towards the middle:
 
 # %%
 names = ["force.c0", "force.c1", "force.damping", "restitution"]
 moves = jv.sensitivity(fold, names)
 for name, value in zip(names, moves.values, strict=True):
-    print(f"{name:>14}: the amplitude at which rattling begins moves by {value:+.6f} a unit")
+    print(f"{name:>14}: derivative of the amplitude at which rattling begins {value:+.6f}")
 
 # %% [markdown]
-# With c1 = 1 the polynomial is a spring and a constant pull. This is the linear scene again, about -c0, with walls that
-# lie as much further to the right; both are asked for the same motion.
+# With c1 = 1 the polynomial is a spring and a constant force. This is the linear scene about -c0, with walls that are
+# shifted to the right by c0. The next cell computes the same motion in both scenes.
 
 # %%
 sprung = gears.replace(**{"force.c1": 1.0, "force.damping": 0.05, "amplitude": 0.8, "frequency": 1.6})
@@ -187,7 +196,7 @@ pair = [jv.find_orbit(one, jv.State(place, 0.5)) for one, place in ((sprung, 0.0
 print(pair[0].label, pair[0].multipliers, pair[1].multipliers)
 
 # %%
-# What the text says holds, or this script fails.
+# Checks: the script fails if a statement of the text does not hold.
 assert scene.dissipative is True and gears.dissipative is True
 assert off < 1e-11 and [one.kind for one in exact.special] == [one.kind for one in branches[0].special]
 assert (np.diff(points["SN"]) < 0).all() and (np.diff(points["GR"]) < 0).all() and (np.diff(points["SB"]) > 0).all()

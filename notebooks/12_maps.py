@@ -12,10 +12,11 @@
 # ---
 
 # %% [markdown]
-# # Maps over parameters
+# # Parameter maps
 #
-# What papers on impact oscillators print: the label of the motion at each cell of a grid, its exponent, how many
-# motions there are side by side, and how hard they are to throw out. Each by one call, and kept as it is worked out.
+# This notebook computes maps over two parameters, as papers on impact oscillators show them: the label of the motion at
+# each cell of a grid, its Lyapunov exponent, the number of coexisting attractors, and their resistance to shocks. It is
+# for users who need such figures. Each map takes one call, and a store saves its results during the computation.
 
 # %%
 import tempfile
@@ -33,18 +34,18 @@ OUT.mkdir(exist_ok=True)
 
 
 def keep(figure, name):
-    """Save a picture beside the others."""
+    """Save a figure to the output folder."""
     figure.savefig(OUT / f"12_{name}.png", dpi=120)
 
 
 scene = jv.make_scene(amplitude=4.65, frequency=2.1, damping=0.05, restitution=0.7, walls=(-1.0, 1.0))
 
 # %% [markdown]
-# ## Labels, with the loci over them
+# ## Labels and loci
 #
-# From rest at each cell. A label has its own colour in every map: a hue for the periods, chaos nearly black, grey what
-# is not decided. The loci are followed from one point each of the branch of P111: the saddle-node at which it begins,
-# and where it loses its symmetry.
+# Each cell starts from rest. A label has the same colour in every map: the hue denotes the number of periods, chaos is
+# nearly black, and undecided cells are grey. Each locus is followed from one point of the branch of P111: the
+# saddle-node at which it begins, and its symmetry breaking.
 
 # %%
 grid = {"amplitude": np.linspace(0.5, 6.0, 60), "frequency": np.linspace(1.6, 3.6, 60)}
@@ -59,16 +60,16 @@ for special in (branch.points("SN")[0], branch.points("SB")[0]):
 keep(figure, "labels")
 
 # %% [markdown]
-# Below the saddle-node there is no P111; where the map shows P100 above it, rest lies in the basin of the motion
-# without impacts. Undecided cells lie where motions settle as slowly as one likes, as along the symmetry breaking. The
-# same store, gone on with after any end, or asked again, costs nothing:
+# Below the saddle-node P111 does not exist. Where the map shows P100 above it, the state of rest lies in the basin of
+# the motion without impacts. Undecided cells lie where motions settle arbitrarily slowly, as along the symmetry
+# breaking. An interrupted study resumes from its store, and a repeated call costs nothing:
 
 # %%
 again = jv.map_parameters(scene, grid, store=store)
-print("alike:", again.identical(found), "- undecided cells:", int((found.label == 0).sum()))
+print("identical:", again.identical(found), "- undecided cells:", int((found.label == 0).sum()))
 
 # %% [markdown]
-# The exponent of the same map; chaos is where it is positive.
+# The exponent of the same map is positive where the motion is chaotic.
 
 # %%
 figure, axes = plt.subplots(figsize=(7, 5.5), layout="constrained")
@@ -76,27 +77,28 @@ jv.plot.map(found, axes, "exponent")
 keep(figure, "exponents")
 
 # %% [markdown]
-# ## Carried both ways: hysteresis
+# ## Hysteresis: attractors carried in both directions
 #
-# One motion carried up and down the frequency at each amplitude. Where both ways end on different motions there is
-# hysteresis.
+# At each amplitude one motion is carried up and down the frequency. Where the two directions end on different motions
+# there is hysteresis.
 
 # %%
 grid = {"amplitude": np.linspace(1.0, 6.0, 26), "frequency": np.linspace(2.2, 3.6, 36)}
 carried = jv.map_parameters(scene, grid, along="frequency", quantities=("label",))
 figure, panels = plt.subplots(1, 2, figsize=(12, 6), layout="constrained")
-for way, axes, title in zip((1, -1), panels, ("frequency up", "frequency down"), strict=True):
+for way, axes, title in zip((1, -1), panels, ("increasing frequency", "decreasing frequency"), strict=True):
     jv.plot.map(carried.sel(way=way), axes)
     axes.set_title(title)
 keep(figure, "both_ways")
 apart = (carried.label.sel(way=1) != carried.label.sel(way=-1)).mean()
-print(f"both ways differ at {100 * float(apart):.1f} % of the cells")
+print(f"the two directions differ at {100 * float(apart):.1f} % of the cells")
 
 # %% [markdown]
-# ## Side by side: attractors and shares
+# ## Coexisting attractors, shares and minimal fatal shocks
 #
-# Many random starts a cell tell how many attractors there are. Along one parameter `fractions` keeps each under its
-# name, with bounds of its share; and `shocks` asks of each how small an impulse throws it out.
+# Many random initial states per cell give the number of attractors. Along one parameter, `fractions` follows each
+# attractor under one name and gives its share (basin stability) with bounds. `shocks` adds the minimal fatal shock of
+# each attractor: the smallest impulse that makes the motion leave it.
 
 # %%
 grid = {"amplitude": np.linspace(3.5, 6.0, 11), "frequency": np.linspace(1.9, 2.6, 15)}
@@ -112,6 +114,6 @@ jv.plot.fractions(shares, above)
 for place in range(shares.sizes["attractor"]):
     label = "/".join(dict.fromkeys(text for text in shares.label.values[:, place] if text))
     below.plot(shares.amplitude, shares.least_shock.isel(attractor=place), ".-", label=label)
-below.set(xlabel="drive amplitude A", ylabel="least impulse at phase 0 (length w0)")
+below.set(xlabel="drive amplitude A", ylabel="minimal fatal shock at phase 0 (length w0)")
 below.legend(frameon=False, fontsize="small")
 keep(figure, "shares_and_shocks")

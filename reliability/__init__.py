@@ -1,1 +1,1 @@
-"""Where methods fail, ours and others': a file for each part of docs/reliability.md."""
+"""Measure where methods fail, this package and others: one file for each part of docs/reliability.md."""

@@ -1,14 +1,14 @@
-"""Branches of simple periodic orbits along the amplitude, in closed form: what continuation is judged by.
+"""Branches of simple periodic orbits in the amplitude, in closed form, as a reference for continuation.
 
-One impact in n periods on a wall at 1 (P n 0 1), or symmetric P111 between walls at -1 and 1. With u the speed before
-an impact the free part of the motion is u (a, b) there, and so
+The orbits have one impact in n periods on a wall at 1 (P n 0 1), or are symmetric P111 between walls at -1 and 1. With
+the speed u before an impact, the free part of the motion there is u (a, b), so that
 
     A(u)^2 = D ((1 - a u)^2 + b^2 u^2 / omega^2),
     trace M = -R trace E - (1 + R) E12 (omega^2 / u + (1 - omega^2) a + 2 gamma b),
 
-E the free flow and M the derivative from an impact to the next (of half a period where symmetric). A multiplier is 1 or
--1 where trace M = 1 + det M or -(1 + det M), each at one u. Where the motion passes through a wall on the way, orbits
-end: that is sought along u. gamma < 1.
+where E is the free flow and M the derivative from an impact to the next (over half a period if symmetric). A multiplier
+is 1 or -1 where trace M = 1 + det M or -(1 + det M), each at one u. Orbits end where the motion penetrates a wall
+between impacts; this point is searched along u. gamma < 1.
 """
 
 from typing import NamedTuple
@@ -16,11 +16,11 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import brentq
 
-GRID, FLIGHT = 800, 600  # speeds and times at which a motion's clearance is looked at
+GRID, FLIGHT = 800, 600  # numbers of speeds and times at which the clearance of a motion is evaluated
 
 
 class Family(NamedTuple):
-    """A branch's numbers: gamma, omega, R, the period n of the drive, whether symmetric P111."""
+    """Parameters of a branch: gamma, omega, R, number n of drive periods, symmetric P111 or not."""
 
     gamma: float
     omega: float
@@ -35,16 +35,16 @@ class Family(NamedTuple):
 
     @property
     def label(self):
-        """Of its orbits."""
+        """Label of its orbits."""
         return "P111" if self.symmetric else f"P{self.periods}01"
 
     @property
     def resonance(self):
-        """D."""
+        """D, the squared dynamic stiffness."""
         return (1 - self.omega**2) ** 2 + (2 * self.gamma * self.omega) ** 2
 
     def flow(self, time):
-        """Rows of the free flow."""
+        """Return the rows of the free flow matrix."""
         root = np.sqrt(1 - self.gamma**2)
         decay = np.exp(-self.gamma * time)
         s, c = decay * np.sin(root * time) / root, decay * np.cos(root * time)
@@ -52,19 +52,19 @@ class Family(NamedTuple):
 
     @property
     def shares(self):
-        """(a, b)."""
+        """Coefficients (a, b) of the free part of the motion."""
         (e, f), (g, h) = self.flow(self.length)
         mirror = -1.0 if self.symmetric else 1.0
         matrix = np.array([[e - mirror, f], [g, h - mirror]])
         return np.linalg.solve(matrix, np.array([f * self.restitution, mirror + h * self.restitution]))
 
     def amplitude(self, speed):
-        """A of the orbit with this impact speed."""
+        """Return A of the orbit with this impact speed."""
         a, b = self.shares
         return np.sqrt(self.resonance * ((1 - a * speed) ** 2 + (b * speed / self.omega) ** 2))
 
     def speeds(self, amplitude):
-        """Both roots of A(u), nan where there are none."""
+        """Return both roots of A(u), nan if there are none."""
         a, b = self.shares
         size = a**2 + (b / self.omega) ** 2
         with np.errstate(invalid="ignore"):
@@ -72,12 +72,12 @@ class Family(NamedTuple):
         return np.stack([(a + root) / size, (a - root) / size])
 
     def steady(self, speed):
-        """Inphase and behind: the answer to the drive since an impact is the first times cos, the second times sin."""
+        """Return the cosine and sine coefficients of the steady response, with time measured from an impact."""
         a, b = self.shares
         return 1 - a * speed, -b * speed / self.omega
 
     def motion(self, speed, time):
-        """(x, v) so long after the impact at 1."""
+        """Return (x, v) at a time after the impact at 1."""
         a, b = self.shares
         inphase, behind = self.steady(speed)
         (e, f), (g, h) = self.flow(time)
@@ -87,10 +87,10 @@ class Family(NamedTuple):
         return e * x + f * v + forced[0], g * x + h * v + forced[1]
 
     def sections(self, speed):
-        """States at phase 0 of the drive, one of each period: [(x, v), ...]."""
+        """Return the states at phase 0 of the drive, one per period: [(x, v), ...]."""
         p, q = self.steady(speed)
         stiff, drag = 1 - self.omega**2, 2 * self.gamma * self.omega
-        phase = np.arctan2(drag * p - stiff * q, stiff * p + drag * q)  # of the drive at the impact
+        phase = np.arctan2(drag * p - stiff * q, stiff * p + drag * q)  # phase of the drive at the impact
         time = np.mod(-phase, 2 * np.pi) / self.omega
         if not self.symmetric:
             return [self.motion(speed, time + 2 * np.pi * k / self.omega) for k in range(self.periods)]
@@ -99,7 +99,7 @@ class Family(NamedTuple):
         return [(np.where(over, -x, x), np.where(over, -v, v))]
 
     def turning(self, sign):
-        """The impact speed with which a multiplier is sign 1, of the half map where symmetric; below 0 or inf: none."""
+        """Return the impact speed with a multiplier `sign`, of the half map if symmetric; below 0 or inf: none."""
         a, b = self.shares
         (e, f), (_, h) = self.flow(self.length)
         r, det = self.restitution, self.restitution**2 * np.exp(-2 * self.gamma * self.length)
@@ -110,11 +110,11 @@ class Family(NamedTuple):
         return 1 / inverse if inverse else np.inf
 
     def clearance(self, speed):
-        """The least distance to a wall between impacts, negative beyond it."""
+        """Return the smallest distance to a wall between impacts, negative beyond it."""
         speed = np.asarray(speed, float)[..., None]
         times = self.length * (np.arange(FLIGHT) + 0.5) / FLIGHT
         _, v = self.motion(speed, times)
-        # where it turns between two times: two steps of Newton's method, along the slope between them
+        # Turning points between two times: two steps of Newton's method along the secant.
         turn, step = v[..., :-1] * v[..., 1:] < 0, self.length / FLIGHT
         slope = np.where(turn, (v[..., 1:] - v[..., :-1]) / step, 1.0)
         near = times[:-1] - v[..., :-1] / slope
@@ -124,8 +124,11 @@ class Family(NamedTuple):
 
 
 class Truth(NamedTuple):
-    """A branch in closed form. family; bounds: of A; start: an impact speed on it; low, high: the impact speeds between
-    which it is; ends: what is at each, "GR" or "bound"; special: ((kind, A), ...) between and at the ends."""
+    """Branch in closed form.
+
+    `bounds` are those of A, `start` an impact speed on the branch, `low` and `high` the impact speeds at its ends,
+    `ends` their kinds, "GR" or "bound", and `special` ((kind, A), ...) the special points, ends included.
+    """
 
     family: Family
     bounds: tuple[float, float]
@@ -137,7 +140,7 @@ class Truth(NamedTuple):
 
 
 def draw(rng, symmetric, periods=1):
-    """A random branch, a `Truth`, or None where it is short or has two special points that nearly coincide."""
+    """Draw a random branch, a `Truth`; None if it is short or two special points nearly coincide."""
     family = Family(*(float(rng.uniform(*each)) for each in ((0.01, 0.4), (0.4, 4.0), (0.3, 0.95))), periods, symmetric)
     graze = np.sqrt(family.resonance)
     high = float(rng.uniform(1.5, 4.0)) * graze
@@ -170,7 +173,7 @@ def draw(rng, symmetric, periods=1):
 
 
 def run_of(flags, place):
-    """First and last place of the run of true flags around a place."""
+    """Return the first and last index of the run of true flags around an index."""
     first = last = place
     while first > 0 and flags[first - 1]:
         first -= 1
@@ -180,6 +183,6 @@ def run_of(flags, place):
 
 
 def lowest_amplitude(family, low, high):
-    """The least A between two speeds."""
+    """Return the smallest A between two speeds."""
     fold = family.turning(1.0)
     return min(family.amplitude(each) for each in (low, high, *([fold] if low < fold < high else [])))

@@ -1,5 +1,7 @@
-"""Continuation's failures over random scenes whose branches are known in closed form: ends that are not reached, points
-on another branch, special points that are missed or that are none."""
+"""Count failures of continuation over random scenes with branches in closed form.
+
+Failures are ends that are not reached, points on another branch, and missing or spurious special points.
+"""
 
 import time
 from typing import NamedTuple
@@ -11,36 +13,49 @@ import jaxvibro as jv
 from benchmarks import page
 from reliability import branch_truth, jaxcont_branch, scipy_branch
 
-SCENES, SECONDS = 200, 120  # of ours; the rival follows as many of them as fit
-KINDS = [(True, 1), (False, 1), (False, 2)]  # P111, P101, P201, in turn
-NEAR = 1e-3  # a point's state, over 1 + its size, further than this from every orbit of the branch is on another
-LABEL = 1e-2  # of A: a special point further away than this from a true one is none
-END = 0.05  # of the branch's impact speeds: an end further away than this is not reached
-STEP = 0.02  # of the same: the first step of a rival, which takes steps of four times that at most
+SCENES, SECONDS = 200, 120  # scenes of this package; a rival follows as many of them as fit into the time
+KINDS = [(True, 1), (False, 1), (False, 2)]  # (symmetric, periods): P111, P101, P201 in turn
+NEAR = 1e-3  # a point whose relative distance from every orbit of the branch is larger lies on another branch
+LABEL = 1e-2  # relative distance in A beyond which a special point matches no true one
+END = 0.05  # distance, relative to the range of impact speeds, beyond which an end is not reached
+STEP = 0.02  # first step of a rival, relative to this range; its largest step is four times that
 NAMED = {"jaxvibro": ("SN", "SB", "PD", "GR"), "SciPy arclength": ("SN", "SB", "PD"), "jaxcont on our map": ("SN",)}
-HEAD = ("method", "branches", "lost", "jumped", "with a special point missed", "with one that is none", "seconds each")
+HEAD = (
+    "method",
+    "branches",
+    "lost",
+    "jumped",
+    "with a missed special point",
+    "with a spurious one",
+    "seconds per branch",
+)
 NOTES = (
-    "Random scenes, in turn symmetric P111 between two walls, P101 and P201 at one, along A from the middle; "
-    "a closed form tells A and the state of every orbit, SN, SB, PD and where it ends: at a grazing or at the bound.",
-    "Lost: an end that is not reached. Jumped: a point whose state is no orbit of the branch at that A: mostly past a "
-    "grazing, where a follower of the map's fixed points goes on along the motion without impacts and says nothing.",
-    "Special points count where they are within 1 % of A. SciPy and jaxcont follow fixed points of the map at phase 0, "
-    "by differences and by exact derivatives; it is not smooth where an impact passes phase 0. Of jaxcont folds alone "
-    "are asked, of SciPy SN, SB and PD, of ours grazings too.",
-    "AUTO-07p does not build here: there is no Fortran compiler.",
+    "Random scenes with, in turn, symmetric P111 between two walls and P101 and P201 at one wall, followed in A "
+    "from the middle. A closed form gives A and the state of every orbit, SN, SB, PD, and the end: a grazing or the "
+    "bound.",
+    "Lost: an end is not reached. Jumped: the state of a point is no orbit of the branch at that A. This happens "
+    "mostly past a grazing, where a method for fixed points of the map silently continues along the motion without "
+    "impacts.",
+    "Special points count if they are within 1 % of A. SciPy and jaxcont follow fixed points of the map at phase 0, "
+    "with differences and with exact derivatives; the map is not smooth where an impact passes phase 0. jaxcont is "
+    "evaluated on folds only, SciPy on SN, SB and PD, jaxvibro on grazings too.",
+    "AUTO-07p is not included, because the machine has no Fortran compiler.",
 )
 
 
 class Path(NamedTuple):
-    """What a method gives: states (points, 3), x, v and A at phase 0 along the branch; special points [(kind, A)]."""
+    """Result of a method: points (points, 3), x, v and A at phase 0 along the branch; special points [(kind, A)]."""
 
     places: np.ndarray
     special: list[tuple[str, float]]
 
 
 class Judged(NamedTuple):
-    """lost: ends of two that were not reached; jumped: points on another branch; missed, wrong: [(kind, A)]; error: the
-    largest of A of the special points that are right, relative."""
+    """Failures on a branch.
+
+    `lost` is the number of ends (of two) that were not reached, `jumped` the number of points on another branch,
+    `missed` and `wrong` are [(kind, A)], `error` is the largest relative error of A of the correct special points.
+    """
 
     lost: int
     jumped: int
@@ -50,7 +65,7 @@ class Judged(NamedTuple):
 
 
 class Count(NamedTuple):
-    """A method's branches: how many, and of how many each failure; error: of A of special points; seconds each."""
+    """Failures of a method: branches, failures of each kind, error of A of special points, seconds per branch."""
 
     method: str
     branches: int
@@ -63,13 +78,13 @@ class Count(NamedTuple):
 
 
 def measure(size):
-    """[`Count`]: ours on all scenes, each rival's on the first of them, as many as fit. size: a `Size`."""
+    """Return the list of `Count` of this package on all scenes and of each rival on as many of the first as fit."""
     truths, seconds = drawn(size.states(SCENES)), SECONDS / (1 + 11 * size.quick)
     return [counted(method, follow, truths, seconds) for method, follow in METHODS.items()]
 
 
 def drawn(count, seed=12):
-    """So many `Truth`s, the kinds in turn."""
+    """Draw `Truth` objects, the kinds in turn."""
     rng, found = np.random.default_rng(seed), []
     while len(found) < count:
         truth = branch_truth.draw(rng, *KINDS[len(found) % len(KINDS)])
@@ -79,7 +94,7 @@ def drawn(count, seed=12):
 
 
 def ours(truth):
-    """The `Path` by `find_orbit` and `follow`, up to grazings, where another branch goes on."""
+    """Return the `Path` by `find_orbit` and `follow`, up to grazings, where another branch continues."""
     family, (state, amplitude) = truth.family, begun(truth)
     left = -1.0 if family.symmetric else None
     scene = jv.make_scene(amplitude, family.omega, family.gamma, family.restitution, (left, 1.0))
@@ -90,7 +105,7 @@ def ours(truth):
 
 
 def by(module):
-    """The function that gives the `Path` by a rival's `followed`."""
+    """Make the function that returns the `Path` by a rival's `followed`."""
 
     def path(truth):
         state, amplitude = begun(truth)
@@ -104,13 +119,13 @@ METHODS = {"jaxvibro": ours, "SciPy arclength": by(scipy_branch), "jaxcont on ou
 
 
 def begun(truth):
-    """((x, v), A) at phase 0 of the orbit that a branch is followed from."""
+    """Return ((x, v), A) at phase 0 of the starting orbit of a branch."""
     x, v = truth.family.sections(truth.start)[0]
     return (float(x), float(v)), float(truth.family.amplitude(truth.start))
 
 
 def judge(truth, path, named):
-    """`Judged`: a path against the closed form; named: the kinds of special points that the method tells."""
+    """Judge a path by the closed form; `named` are the kinds of special points that the method reports."""
     speeds, apart = nearest(truth.family, path.places)
     on = apart < NEAR
     wide = END * (truth.high - truth.low)
@@ -127,32 +142,34 @@ def judge(truth, path, named):
 
 
 def off(special, others):
-    """How far A of a special point is from the nearest of its kind, relative; inf: there is none."""
+    """Return the relative distance of A of a special point from the nearest of its kind; inf if there is none."""
     return min((abs(value / special[1] - 1) for kind, value in others if kind == special[0]), default=np.inf)
 
 
 def matched(special, others):
-    """Whether there is one of its kind close by."""
+    """Return True if a special point of its kind is close."""
     return off(special, others) < LABEL
 
 
 def nearest(family, places):
-    """(impact speed of the nearest orbit of the branch at the same A, how far its state is, over 1 + the size)."""
+    """Return the impact speed of the nearest orbit at the same A and the relative distance of its state."""
     state, amplitude = places[:, :2], places[:, 2]
     fold = max(family.turning(1.0), 0.0)
-    roots = np.nan_to_num(family.speeds(amplitude), nan=fold)  # beyond the fold by rounding: the fold itself
+    roots = np.nan_to_num(family.speeds(amplitude), nan=fold)  # beyond the fold by a rounding error: the fold itself
     best = np.full(len(places), np.inf), np.zeros(len(places))
     for speed in roots:
         for section in family.sections(speed):
             apart = abs(np.stack(section, -1) - state).max(-1) / (1.0 + abs(state).max(-1))
-            apart = np.where(speed >= -NEAR, apart, np.inf)  # 0 at a grazing, to rounding
+            apart = np.where(speed >= -NEAR, apart, np.inf)  # the speed is 0 at a grazing, up to rounding
             best = np.minimum(apart, best[0]), np.where(apart < best[0], speed, best[1])
     return best[1], best[0]
 
 
 def counted(method, follow, truths, seconds):
-    """The `Count` of a method on as many branches as fit into the seconds that follow the first of each kind, which may
-    have to be compiled. A method that gives up at the start has lost the branch."""
+    """Return the `Count` of a method on as many branches as fit into the time after the first of each kind.
+
+    The first of each kind may have to be compiled. A method that fails at the start has lost the branch.
+    """
     begin, found = time.perf_counter(), []
     for truth in truths:
         try:
@@ -170,7 +187,7 @@ def counted(method, follow, truths, seconds):
 
 
 def table(counts):
-    """The counts in Markdown, shares with Clopper-Pearson's bounds at 95 %."""
+    """Format the counts as Markdown, rates with Clopper-Pearson bounds at 95 %."""
     lines = [
         (one.method, one.branches, *(share(each, one.branches) for each in one[2:6]), page.short(one.seconds))
         for one in counts
@@ -179,6 +196,6 @@ def table(counts):
 
 
 def share(failed, count):
-    """A share in per cent, with its bounds."""
+    """Format a rate in per cent, with its bounds."""
     low, high = binomtest(failed, count).proportion_ci(method="exact")
     return f"{failed}: {100 * failed / count:.1f} % ({100 * low:.1f} to {100 * high:.1f})"

@@ -1,4 +1,4 @@
-"""The hard cases: what each draws, and its flights in batches of one size."""
+"""Define the hard cases: distributions of flights and their batches of one size."""
 
 import functools
 from collections.abc import Callable
@@ -14,12 +14,11 @@ from .flights import Flights, Ranges, Shape
 
 STILL = (Shape(1), Shape(-1), Shape(1, 0, 0), Shape(-1, 0, 2))
 MOVING = (Shape(1, 1), Shape(-1, 2), Shape(1, 1, 0), Shape(-1, 3, 1))
-DRAWN = 1.6  # times as many as are wanted are drawn at once
+DRAWN = 1.6  # ratio of flights drawn at once to those required
 
 
 class Case(NamedTuple):
-    """words: what is drawn; draw: of (rng, n, shape) a Flights; shapes: what is static; measure: what
-    `Flights.measure` is."""
+    """Case: description `words`, `draw` (rng, n, shape) -> Flights, static `shapes`, name of `Flights.measure`."""
 
     name: str
     words: str
@@ -28,7 +27,7 @@ class Case(NamedTuple):
     measure: str = "depth"
 
     def batch(self, size, k):
-        """The batch number k, of so many sure flights and those in doubt beside them: (Flights, how many in doubt)."""
+        """Return batch number k, of `size` certain flights, and the number of doubtful ones among those drawn."""
         rng, parts, count, doubtful = np.random.default_rng([*self.name.encode(), k]), [], 0, 0
         shape = self.shapes[k % len(self.shapes)]
         while count < size:
@@ -40,33 +39,33 @@ class Case(NamedTuple):
 
 
 def logarithmic(low, high):
-    """A way to draw between two numbers, each decade as often."""
+    """Make a log-uniform distribution between two numbers."""
     return lambda rng, n: np.exp(rng.uniform(np.log(low), np.log(high), n))
 
 
 def uniform(low, high):
-    """A way to draw between two numbers."""
+    """Make a uniform distribution between two numbers."""
     return lambda rng, n: rng.uniform(low, high, n)
 
 
 def near_one(rng, n):
-    """1, and numbers that differ from it by 1e-16 to 1e-2."""
+    """Draw 1, and numbers that differ from it by 1e-16 to 1e-2."""
     near = 1.0 + rng.choice([-1.0, 1.0], n) * logarithmic(1e-16, 1e-2)(rng, n)
     return np.where(rng.random(n) < 0.1, 1.0, near)
 
 
 def nearly_none(rng, n):
-    """0, and numbers of 1e-16 to 1e-2."""
+    """Draw 0, and numbers of 1e-16 to 1e-2."""
     return np.where(rng.random(n) < 0.3, 0.0, logarithmic(1e-16, 1e-2)(rng, n))
 
 
 def past_one(rng, n):
-    """As `near_one`, and up to 50."""
+    """Draw as `near_one`, and numbers up to 50."""
     return np.where(rng.random(n) < 0.5, near_one(rng, n), logarithmic(1.0, 50.0)(rng, n))
 
 
 def whole(rng, n, shape):
-    """Flights of up to 5 time units that are certified piece by piece, first contacts of other flights among them."""
+    """Draw flights of up to 5 time units that are certified piece by piece, with first contacts of others."""
     found = certified.make_flights(
         int(rng.integers(1 << 30)), n, *((None, shape.harmonic) if shape.side > 0 else (shape.harmonic, None))
     )
@@ -79,23 +78,23 @@ def whole(rng, n, shape):
 
 
 def drawn(draw, ranges=None, **more):
-    """A way to draw with the numbers' ranges."""
+    """Make a distribution with the given ranges of the parameters."""
     return functools.partial(draw, ranges=ranges or Ranges(), **more)
 
 
-GRAZES = "near grazes: contacts 8 ulp to 1e-2 deep, and misses by as much"
+GRAZES = "near grazing: contacts 8 ulp to 1e-2 deep, and misses by the same distances"
 CASES = (
-    Case("grazes", f"{GRAZES}; still walls", drawn(flights.grazes), STILL),
-    Case("grazes, moving walls", f"{GRAZES}; the wall moves", drawn(flights.grazes), MOVING),
+    Case("grazes", f"{GRAZES}; fixed walls", drawn(flights.grazes), STILL),
+    Case("grazes, moving walls", f"{GRAZES}; moving wall", drawn(flights.grazes), MOVING),
     Case(
         "past critical damping",
-        "the same, gamma 1 and next to it, up to 50",
+        "the same, gamma at and near 1, up to 50",
         drawn(flights.grazes, Ranges(gamma=past_one)),
         STILL,
     ),
     Case(
         "resonance",
-        "the same, omega 1 and next to it, gamma 0 to 1e-2",
+        "the same, omega at and near 1, gamma 0 to 1e-2",
         drawn(flights.grazes, Ranges(gamma=nearly_none, omega=near_one)),
         STILL,
     ),
@@ -108,40 +107,44 @@ CASES = (
     Case("fast drive", "the same, omega 10 to 50", drawn(flights.grazes, Ranges(omega=uniform(10.0, 50.0))), STILL),
     Case(
         "harmonics",
-        "the same, the wall moves 17 or 50 times a period",
+        "the same, wall motion of harmonic 17 or 50",
         drawn(flights.grazes),
         (Shape(1, 50), Shape(-1, 17, 0)),
     ),
     Case(
         "small scenes",
-        "the same, all lengths 1e-12 of those",
+        "the same, all lengths scaled by 1e-12",
         drawn(flights.grazes, Ranges(amplitude=uniform(0.0, 1e-11), size=1e-12)),
         STILL,
     ),
     Case(
         "the other wall near",
-        "from one wall to the next, 1e-13 to 0.1 of time away, in gaps from 1e-12 on",
+        "flights from one wall to the other of duration 1e-13 to 0.1, in gaps from 1e-12 on",
         drawn(flights.squeezes),
         (Shape(1, 0, 0), Shape(-1, 1, 0), Shape(1, 2, 0)),
         "time between",
     ),
     Case(
         "slow impacts",
-        "hops from a wall that leave it with 0.1 to 1e-10, down to 8 ulp of height",
+        "bounces that leave a wall with speeds of 0.1 to 1e-10, at least 8 ulp high",
         drawn(flights.hops),
         STILL,
         "speed",
     ),
     Case(
-        "starts into a wall", "on a wall, into it with 1e-10 to 1", drawn(flights.on_walls, into=True), STILL, "speed"
+        "starts into a wall",
+        "on a wall, moving into it with speeds of 1e-10 to 1",
+        drawn(flights.on_walls, into=True),
+        STILL,
+        "speed",
     ),
     Case(
         "starts away from a wall",
-        "on a wall, away from it, and pulled away",
+        "on a wall, moving away from it and accelerated away",
         drawn(flights.on_walls, into=False),
         STILL,
         "speed",
     ),
 )
 WHOLE = Case("whole flights", f"{GRAZES}, at the end of flights of up to 5 time units", whole, MOVING[:2] + STILL[:2])
-DOUBT = Case("in doubt", "grazes of 1 to 8 ulp", drawn(flights.grazes, low=1.0, most_ulp=8.0), STILL)
+DOUBT = Case("in doubt", "near grazing by 1 to 8 ulp", drawn(flights.grazes, low=1.0, most_ulp=8.0), STILL)

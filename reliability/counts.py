@@ -1,4 +1,4 @@
-"""What each method gets wrong in each case, and the bounds on its rate."""
+"""Count the errors of each method in each case, with bounds on the rates."""
 
 from typing import NamedTuple
 
@@ -12,25 +12,24 @@ from .cases import DOUBT, WHOLE
 from .flights import SLACK
 
 BATCH = 1 << 17
-MILLION = 8  # batches of ours; of flights that are certified piece by piece, and of those in doubt, one
+MILLION = 8  # batches of this package; one batch of flights certified piece by piece, and of doubtful ones
 LEVEL = 0.95
-APART = 0.05  # of the time to `until`: a contact that is so far off is another one
+APART = 0.05  # difference, relative to the time to `until`, beyond which a contact is another one
 
 
 NOTES = (
-    "Wrong flights a million, with Clopper and Pearson's bounds at 95 %: a contact missed, invented, at another wall "
-    "or time. The truth is laid down by construction and decided in 80-bit floats for the doubles that are given; "
-    "whole flights are certified piece by piece.",
-    f"Ours flies the whole period, the others as far as is judged. In doubt is what turns back within {SLACK} ulp of "
-    "the largest length of a wall: the last case counts ours there too.",
-    "A flight that begins on a wall is a user's restart at an event. heyoka finds no root of an event that is 0 at the "
-    "start; where its own callback turns the mass round it does. SciPy finds the start again.",
+    "Wrong flights per million, with Clopper-Pearson bounds at 95 %. A flight is wrong if a contact is missed, "
+    "spurious, at the wrong wall or at the wrong time. The truth is known by construction and decided in 80-bit "
+    "floats for the given doubles; whole flights are certified piece by piece.",
+    "jaxvibro flies the whole period, the other methods the evaluated part only. A flight is in doubt if it turns back "
+    f"within {SLACK} ulp of the largest length of a wall; the last case counts jaxvibro there too.",
+    "A flight that begins on a wall is a user's restart at an event. heyoka finds no root of an event function that "
+    "is 0 at the start, unless its own callback reverses the velocity. SciPy finds the start again.",
 )
 
 
 class Count(NamedTuple):
-    """Of so many flights: contacts missed, invented, wrong (another wall or time); and flights in doubt, which nobody
-    is judged on."""
+    """Numbers of flights, of missed, spurious and wrong contacts (wall or time), and of excluded flights in doubt."""
 
     flights: int
     missed: int
@@ -40,22 +39,22 @@ class Count(NamedTuple):
 
     @property
     def bad(self):
-        """All that is wrong."""
+        """Number of all errors."""
         return self.missed + self.invented + self.wrong
 
     def added(self, other):
-        """Both together."""
+        """Add two counts."""
         return Count(*(one + two for one, two in zip(self, other, strict=True)))
 
     @property
     def bounds(self):
-        """Clopper and Pearson's bounds on the rate."""
+        """Return the Clopper-Pearson bounds on the rate."""
         found = binomtest(self.bad, self.flights).proportion_ci(LEVEL, "exact")
         return found.low, found.high
 
 
 def judged(flights, met, doubtful=0):
-    """The `Count` of a method's answer: a contact at another time is a wrong one."""
+    """Return the `Count` of a method's result: a contact at another time is wrong."""
     true, seen = flights.side != 0, met.side != 0
     with np.errstate(invalid="ignore"):
         astray = abs(met.time - flights.time) > APART * flights.until
@@ -64,7 +63,7 @@ def judged(flights, met, doubtful=0):
 
 
 def of_case(case, size):
-    """{method: Count} of a case: ours on all batches, the others on the first of the flights."""
+    """Return {method: Count} of a case: this package on all batches, the others on the first flights."""
     few, found = case in (WHOLE, DOUBT), {}
     width = size.states(BATCH // len(case.shapes) if few else BATCH)
     for k in range(len(case.shapes) if few or size.quick else MILLION):
@@ -79,7 +78,7 @@ def of_case(case, size):
 
 
 def by_speed(case, size):
-    """{decade: {method: Count}} of a case that varies a speed; ours on as many flights as `BATCH` for each shape."""
+    """Return {decade: {method: Count}} of a case that varies a speed; this package on `BATCH` flights per shape."""
     found = {}
     for k in range(len(case.shapes)):
         batch, _ = case.batch(size.states(BATCH), k)
@@ -97,18 +96,18 @@ def by_speed(case, size):
 
 
 def speeds_table(found):
-    """Markdown of {case: {decade: {method: Count}}}."""
+    """Format {case: {decade: {method: Count}}} as Markdown."""
     names = (methods.OURS, *(rival.name for rival in methods.RIVALS))
     lines = []
     for case, decades in found.items():
         for decade, counts in decades.items():
-            cells = (per_million(counts[name]) if name in counts else "none drawn" for name in names)
+            cells = (per_million(counts[name]) if name in counts else "no sample" for name in names)
             lines.append((case, f"1e{decade} to 1e{decade + 1}", *cells))
     return page.table(("case", "speed", *names), lines)
 
 
 def per_million(count):
-    """The rate as text, in bold where there is one."""
+    """Format the rate, in bold if it is not zero."""
     low, high = (1e6 * bound for bound in count.bounds)
     rate = 1e6 * count.bad / count.flights
     if not count.bad:
@@ -117,7 +116,7 @@ def per_million(count):
 
 
 def table(found):
-    """Markdown of {case: {method: Count}}: wrong flights a million."""
+    """Format {case: {method: Count}} as Markdown: wrong flights per million."""
     head = ("case", methods.OURS, *(rival.name for rival in methods.RIVALS))
     lines = [(case.name, *map(per_million, counts.values())) for case, counts in found.items()]
     return page.table(head, lines)
@@ -125,7 +124,7 @@ def table(found):
 
 def described(found):
     """Markdown of what the cases are: what is drawn, on how many flights of ours, how many in doubt, what was wrong."""
-    head = ("case", "what is drawn", "flights of ours", "in doubt, left out", "ours: missed, invented, wrong")
+    head = ("case", "sample", "flights of jaxvibro", "in doubt, excluded", "jaxvibro: missed, spurious, wrong")
     lines = []
     for case, counts in found.items():
         own = counts[methods.OURS]

@@ -1,4 +1,4 @@
-"""Curves of a picture, a line a method, and what draws them."""
+"""Define and draw curves of a picture, one line per method."""
 
 from typing import NamedTuple
 
@@ -12,7 +12,7 @@ from benchmarks import chart
 
 from .methods import OURS
 
-# as in the benchmarks' charts: a marker a method, of two settings the finer one in full
+# As in the charts of the benchmarks: one marker per method, filled for the finer of two settings.
 STYLES = {
     OURS: ("#D55E00", "*"),
     "heyoka": ("#0072B2", "o"),
@@ -29,9 +29,11 @@ ABOVE = 1e3
 
 
 class Curves(NamedTuple):
-    """what: said above the picture; lines: {method: (x, y)}, nan where there is nothing to draw; log: whether y is
-    logarithmic; least: below it y is drawn there; endless: what it means that there is no number, drawn above all;
-    failed: what an error of 1 means."""
+    """Curves of a picture.
+
+    `what` is the title; `lines` are {method: (x, y)} with nan for no value; `log` makes y logarithmic; y below `least`
+    is drawn there; `endless` is the meaning of infinite values, which are drawn above all.
+    """
 
     what: str
     x_label: str
@@ -45,7 +47,7 @@ class Curves(NamedTuple):
 
 
 def styled(name, lines):
-    """Colour, marker and line of a method; of two settings the first is dashed and hollow."""
+    """Return colour, marker and line of a method; of two settings the first is dashed and hollow."""
     method = next(each for each in STYLES if name.startswith(each))
     colour, marker = STYLES[method]
     alike = [other for other in lines if other.startswith(method)]
@@ -62,7 +64,7 @@ def styled(name, lines):
 
 
 def draw(axes, curves):
-    """Draw them on axes."""
+    """Draw curves on axes."""
     axes.set(xscale="log" if curves.log_x else "linear", yscale="log" if curves.log else "linear")
     for k, (name, (x, y)) in enumerate(curves.lines.items()):
         y = np.where(np.isnan(y), ABOVE * 4.0**k, y) if curves.endless else y
@@ -90,7 +92,7 @@ def save(path, curves):
 
 
 def by_decade(x, values, low, high, of=np.median):
-    """(middles, of each decade's values) between two powers of ten; nan where there are fewer than 5."""
+    """Return (centres, statistic of each decade's values) between two powers of ten; nan for fewer than 5 values."""
     decades = np.arange(low, high)
     place = np.floor(np.log10(x))
     found = [of(values[place == each]) if (place == each).sum() >= 5 else np.nan for each in decades]

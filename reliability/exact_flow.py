@@ -1,8 +1,8 @@
-"""Free flight of many lanes in 80-bit floats, right at resonance and at any damping: divided differences, no quotient
-by D or by sqrt(1 - gamma^2).
+"""Compute free flight of many lanes in 80-bit floats, accurate at resonance and at any damping.
 
-x'' + 2 gamma x' + x = Re(A exp(i (theta + omega t))). From rest at 0 the answer is A exp(i theta) times the divided
-difference of exp(s t) over s = i omega, a, b, where a and b are the roots of s^2 + 2 gamma s + 1.
+Divided differences avoid quotients by D or by sqrt(1 - gamma^2). x'' + 2 gamma x' + x = Re(A exp(i (theta + omega t))).
+From rest at 0 the response is A exp(i theta) times the divided difference of exp(s t) over s = i omega, a, b, where a
+and b are the roots of s^2 + 2 gamma s + 1.
 """
 
 from typing import NamedTuple
@@ -13,7 +13,7 @@ LONG = np.longdouble
 
 
 class Wall(NamedTuple):
-    """A wall of every lane: side -1 or 1, harmonic (0: still), and (lanes,) position, swing and phase."""
+    """Wall of every lane: side -1 or 1, harmonic (0: fixed), and (lanes,) position, motion amplitude and phase."""
 
     side: int
     harmonic: int
@@ -22,12 +22,12 @@ class Wall(NamedTuple):
     phase: np.ndarray
 
     def some(self, lanes):
-        """Those of some lanes."""
+        """Select lanes."""
         return self._replace(**{name: getattr(self, name)[lanes] for name in ("position", "swing", "phase")})
 
 
 class Lanes(NamedTuple):
-    """(lanes,) each: the oscillator's numbers, and where it starts at the drive phase `phase`."""
+    """Oscillators, (lanes,) each: parameters, and the state at drive phase `phase`."""
 
     gamma: np.ndarray
     omega: np.ndarray
@@ -37,12 +37,12 @@ class Lanes(NamedTuple):
     v: np.ndarray
 
     def some(self, lanes):
-        """Those of some lanes."""
+        """Select lanes."""
         return Lanes(*(each[lanes] for each in self))
 
 
 def quotient(z):
-    """(exp(z) - 1) / z of complex numbers, 1 at 0."""
+    """Compute (exp(z) - 1) / z of complex numbers, 1 at 0."""
     near = np.abs(z) < 1e-30
     safe = np.where(near, 1, z)
     real, imaginary = safe.real, safe.imag
@@ -52,7 +52,7 @@ def quotient(z):
 
 
 def roots(gamma):
-    """The roots a, b of s^2 + 2 gamma s + 1, complex, a the slower one."""
+    """Return the roots a, b of s^2 + 2 gamma s + 1, complex, a the slower one."""
     square = (1 - gamma) * (1 + gamma)
     root = np.sqrt(np.abs(square))
     fast = gamma + root
@@ -61,13 +61,13 @@ def roots(gamma):
 
 
 def fly(lanes, t):
-    """(x, v) after the time t, which may be negative."""
+    """Return (x, v) after the time t, which may be negative."""
     gamma, omega, amplitude, phase, x, v = (each.astype(LONG) for each in lanes)
     t = np.asarray(t, LONG)
     a, b = roots(gamma)
     drive = 1j * omega
     slow = np.exp(a * t)
-    free = slow * t * quotient((b - a) * t)  # exp(s t) over a, b: the answer to a push, real
+    free = slow * t * quotient((b - a) * t)  # divided difference of exp(s t) over a, b: the impulse response, real
     mixed = slow * t * quotient((drive - a) * t)
     driven = (mixed - free) / (drive - b)
     pushed = amplitude * np.exp(1j * phase)
@@ -77,13 +77,13 @@ def fly(lanes, t):
 
 
 def acceleration(lanes, x, v, t):
-    """x'' of free flight at the time t."""
+    """Return x'' of free flight at the time t."""
     angle = lanes.phase.astype(LONG) + lanes.omega.astype(LONG) * t
     return lanes.amplitude * np.cos(angle) - 2 * lanes.gamma.astype(LONG) * v - x
 
 
 def course(lanes, wall, t):
-    """Position, velocity and acceleration of a wall."""
+    """Return position, velocity and acceleration of a wall."""
     place, nothing = wall.position.astype(LONG), np.zeros(len(wall.position), LONG)
     if not wall.harmonic:
         return place, nothing, nothing
@@ -94,7 +94,7 @@ def course(lanes, wall, t):
 
 
 def clearance(lanes, wall, t):
-    """side (x_wall - x) and its first two derivatives at the time t."""
+    """Return side (x_wall - x) and its first two derivatives at the time t."""
     x, v = fly(lanes, t)
     place, speed, change = course(lanes, wall, t)
     bend = change - acceleration(lanes, x, v, t)

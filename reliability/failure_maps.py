@@ -1,8 +1,8 @@
-"""Maps of failure: over two numbers of a scene, the first of 100 periods in which a method's itinerary is wrong.
+"""Map failures over two parameters of a scene: the first of 100 periods with a wrong itinerary, by method.
 
-Each cell begins at (0.9, -1.1), so that it has its transient to go through. It is judged where that is not chaotic:
-where the true itinerary of a start 1e-9 beside it is the same and both end together (so a wrong itinerary is no shadow
-of a right one), and where no period has more impacts than `periods.ROOM`.
+Each cell starts at (0.9, -1.1), transient included. A cell is judged if it is not chaotic: the true itinerary of a
+start at distance 1e-9 is the same and both end together (a wrong itinerary then is no shadow of a right one), and no
+period has more than `periods.ROOM` impacts.
 """
 
 import functools
@@ -18,7 +18,7 @@ from .periods import Scenes
 
 PERIODS, CELLS = 100, 16
 BESIDE, TOGETHER = 1e-9, 1e-6
-MAPS = {  # what varies, by name and bounds; the rest is figure 4's, with an A at which it hits the walls
+MAPS = {  # parameters and bounds; the others are those of figure 4, with an A at which the mass hits the walls
     ("amplitude", "omega"): ((0.2, 6.0), (0.6, 4.0)),
     ("restitution", "gamma"): ((0.3, 1.0), (0.0, 0.6)),
 }
@@ -26,16 +26,20 @@ PLAIN = {"amplitude": 6.0, "omega": OMEGA, "gamma": GAMMA, "restitution": RESTIT
 
 
 NOTES = (
-    f"{PERIODS} periods from (0.9, -1.1), a cell each; A 6, omega {OMEGA}, gamma {GAMMA}, R {RESTITUTION} but for what "
-    "varies; walls at -1 and 1. The truth flies in 80-bit floats, each contact certified.",
-    f"Judged where a start {BESIDE:g} beside has the same itinerary and ends within {TOGETHER:g}: so no wrong "
-    "itinerary is the shadow of a right one.",
+    f"{PERIODS} periods from (0.9, -1.1) for each cell; A = 6, omega = {OMEGA}, gamma = {GAMMA}, R = {RESTITUTION} "
+    "except for the varied parameters; walls at -1 and 1. The reference uses 80-bit floats and certifies each "
+    "contact.",
+    f"A cell is evaluated if a trajectory that starts {BESIDE:g} away has the same itinerary and ends within "
+    f"{TOGETHER:g}. A wrong itinerary is therefore not that of a neighbouring trajectory.",
 )
 
 
 class FailureMap(NamedTuple):
-    """names, and values of both; judged: (cells, cells), the first name along the last axis; crowded: a period has
-    too many impacts to be judged; first: {method: the first period that is wrong, from 0 on, PERIODS where none is}."""
+    """Failures over two parameters, `names`, at their `values`.
+
+    `judged` (cells, cells) has the first name along the last axis; `crowded`: a period has too many impacts to be
+    judged; `first`: {method: first wrong period, from 0, PERIODS if there is none}.
+    """
 
     names: tuple[str, str]
     values: tuple[np.ndarray, np.ndarray]
@@ -45,7 +49,7 @@ class FailureMap(NamedTuple):
 
 
 def scenes_of(names, bounds, cells):
-    """The values of two numbers, and the `Scenes` of their grid."""
+    """Return the values of two parameters, and the `Scenes` of their grid."""
     values = tuple(np.linspace(*each, cells) for each in bounds)
     grid = dict(zip(names, (part.ravel() for part in np.meshgrid(*values)), strict=True))
     numbers = {name: grid.get(name, np.full(cells * cells, value)) for name, value in PLAIN.items()}
@@ -54,19 +58,19 @@ def scenes_of(names, bounds, cells):
 
 
 def ours_of(scenes):
-    """Our scene of them."""
+    """Return the scene of this package."""
     numbers = scenes.amplitude, scenes.omega, scenes.gamma, scenes.restitution
     return jv.make_scene(*numbers, (scenes.low, scenes.high))
 
 
 def by_ours(scenes):
-    """A `Period` by our strobe."""
+    """Map a `Period` with this package."""
     end, impacts = jv.strobe(ours_of(scenes), jv.State(scenes.x, scenes.v), slots=periods.ROOM)
     return periods.Period(np.asarray(end.x), np.asarray(end.v), np.asarray(impacts.side))
 
 
 def itineraries(period, scenes, count):
-    """Sides, (count, scenes, ROOM), and where the scenes end."""
+    """Return the sides, (count, scenes, ROOM), and the final states."""
     sides = []
     for _ in range(count):
         found = period(scenes)
@@ -76,7 +80,7 @@ def itineraries(period, scenes, count):
 
 
 def whole_methods(room=periods.ROOM):
-    """{name: a function of Scenes that gives a `Period`}, ours first; room: impacts at which another gives up."""
+    """Return {name: function of Scenes that returns a `Period`}, this package first; others stop at `room` impacts."""
     found = {methods.OURS: by_ours}
     for rival in methods.RIVALS:
         if rival.met.func is methods.by_heyoka:
@@ -87,7 +91,7 @@ def whole_methods(room=periods.ROOM):
 
 
 def measure(names, bounds, size):
-    """The `FailureMap` of a grid."""
+    """Return the `FailureMap` of a grid."""
     cells, count = (4, 10) if size.quick else (CELLS, PERIODS)
     values, scenes = scenes_of(names, bounds, cells)
     true, end = itineraries(periods.true, scenes, count)

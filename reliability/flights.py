@@ -1,6 +1,7 @@
-"""Flights whose first contact is known by construction: laid from the contact backward, so short that the clearance
-bends one way from the start to `until` by a bound on its third derivative, and decided in 80-bit floats for the
-doubles that the start was rounded to.
+"""Construct flights whose first contact is known, from the contact backward.
+
+They are so short that the clearance is convex or concave from the start to `until`, by a bound on its third derivative.
+80-bit floats decide them for the doubles to which the start is rounded.
 """
 
 import math
@@ -11,13 +12,16 @@ import numpy as np
 
 from .exact_flow import LONG, Lanes, Wall, acceleration, clearance, course, fly
 
-SLACK = 8  # ulp of a flight's largest length: what turns back so near a wall may count as a contact or not
+SLACK = 8  # ulp of a flight's largest length; a turning point this close to a wall is doubtful
 
 
 class Flights(NamedTuple):
-    """Flights of one structure of walls. walls: those there are, the one that is aimed at first; until: what happens up
-    to then is known; time, side: of the first contact until then, inf and 0 where there is none; measure: what the case
-    varies, (lanes,), in words in `Case.measure`; sure: whether all that is beyond the stated doubt."""
+    """Flights with the same walls.
+
+    `walls`: the aimed wall first; `until`: the contact is known up to this time; `time`, `side`: the first contact
+    until then, inf and 0 if there is none; `measure`: the varied quantity of the case, (lanes,), described in
+    `Case.measure`; `sure`: True if the contact is beyond the stated doubt.
+    """
 
     lanes: Lanes
     walls: tuple[Wall, ...]
@@ -28,14 +32,13 @@ class Flights(NamedTuple):
     sure: np.ndarray
 
     def some(self, lanes):
-        """Those of some lanes."""
+        """Select lanes."""
         walls = tuple(wall.some(lanes) for wall in self.walls)
         return Flights(self.lanes.some(lanes), walls, *(each[lanes] for each in self[2:]))
 
 
 class Shape(NamedTuple):
-    """What is static of flights: the side and the harmonic of the wall that is aimed at, the harmonic of the other one,
-    None where there is none."""
+    """Static properties of flights: side and harmonic of the aimed wall, harmonic of the other one or None."""
 
     side: int = 1
     harmonic: int = 0
@@ -43,7 +46,7 @@ class Shape(NamedTuple):
 
 
 class Ranges(NamedTuple):
-    """How the numbers of a case are drawn, each from a generator and a count. size: of all lengths but A's own."""
+    """Distributions of the parameters of a case, functions of (generator, count); `size` of all lengths but A."""
 
     gamma: Callable = lambda rng, n: np.where(rng.random(n) < 0.1, 0.0, rng.uniform(0.0, 1.5, n))
     omega: Callable = lambda rng, n: rng.uniform(0.3, 5.0, n)
@@ -52,7 +55,7 @@ class Ranges(NamedTuple):
 
 
 def joined(parts, count):
-    """One Flights of several of one structure, the first `count` of them."""
+    """Join Flights with the same walls, the first `count` of them."""
     lanes = Lanes(*map(np.concatenate, zip(*(part.lanes for part in parts), strict=True)))
     walls = []
     for same in zip(*(part.walls for part in parts), strict=True):
@@ -62,20 +65,20 @@ def joined(parts, count):
 
 
 def numbers(rng, n, ranges):
-    """Lanes of drawn numbers; phase, x and v are those at the contact, x and v yet to be set."""
+    """Draw Lanes; phase, x and v are those at the contact, and x and v are set later."""
     drawn = (getattr(ranges, name)(rng, n) for name in ("gamma", "omega", "amplitude"))
     return Lanes(*drawn, rng.uniform(0.0, 2.0 * np.pi, n), np.zeros(n), np.zeros(n))
 
 
 def drawn_wall(rng, n, side, harmonic, lanes, ranges):
-    """A wall anywhere; one that moves is about as fast as the mass."""
+    """Draw a wall; a moving one is about as fast as the mass."""
     place, turn = ranges.size * rng.uniform(-4.0, 4.0, n), rng.uniform(0.0, 2.0 * np.pi, n)
     swing = ranges.size * rng.random(n) * np.minimum(1.0, 3.0 / (harmonic * lanes.omega)) if harmonic else np.zeros(n)
     return Wall(side, harmonic, place, swing, turn)
 
 
 def farther(rng, lanes, wall, bound, until, ranges, harmonic):
-    """The wall, and beside it perhaps another on the other side, farther away than the mass can come until then."""
+    """Return the wall, and possibly one on the other side, farther away than the mass can move until then."""
     if harmonic is None:
         return (wall,)
     n = len(lanes.x)
@@ -85,36 +88,36 @@ def farther(rng, lanes, wall, bound, until, ranges, harmonic):
 
 
 def fastest(lanes, time):
-    """A bound of abs(x) and abs(v) within a time of where the lanes are, forward and backward."""
+    """Bound abs(x) and abs(v) within a time of the lanes, forward and backward."""
     return (np.hypot(lanes.x, lanes.v) + lanes.amplitude * time) * np.exp(2.0 * lanes.gamma * time)
 
 
 def steepest(lanes, wall, bound):
-    """A bound of the third derivative of a clearance where abs(x) and abs(v) are bounded."""
+    """Bound the third derivative of a clearance for bounded abs(x) and abs(v)."""
     force = lanes.amplitude + 2.0 * lanes.gamma * bound + bound
     rate = wall.harmonic * lanes.omega
     return lanes.amplitude * lanes.omega + 2.0 * lanes.gamma * force + bound + wall.swing * rate**3
 
 
 def longest(lanes):
-    """A time within which nothing grows by much."""
+    """Return a time within which nothing grows by much."""
     return 0.5 / (1.0 + 2.0 * lanes.gamma + lanes.omega)
 
 
 def laid_back(lanes, before):
-    """The lanes that are so much earlier, in doubles, where those given are at the contact."""
+    """Return the lanes at an earlier time, in doubles."""
     x, v = (each.astype(float) for each in fly(lanes, -before))
     return lanes._replace(phase=np.mod(lanes.phase - lanes.omega * before, 2.0 * np.pi), x=x, v=v)
 
 
 def ulp(lanes, walls):
-    """The spacing of doubles at a flight's largest length."""
+    """Return the spacing of doubles at a flight's largest length."""
     lengths = [abs(lanes.x), abs(lanes.v), abs(lanes.amplitude)]
     return np.spacing(np.maximum.reduce(lengths + [abs(wall.position) + abs(wall.swing) for wall in walls]))
 
 
 def crossing(lanes, wall, t, until):
-    """The time near t at which a clearance passes 0: Newton's method, kept between 0 and until."""
+    """Return the time near t at which a clearance passes 0: Newton's method, kept between 0 and until."""
     for _ in range(6):
         gap, slope, _ = clearance(lanes, wall, t)
         with np.errstate(all="ignore"):
@@ -123,8 +126,10 @@ def crossing(lanes, wall, t, until):
 
 
 def grazes(rng, n, shape, ranges, low=SLACK, high=1e-2, most_ulp=math.inf):
-    """Flights of depths behind a wall or before it from `low` ulp to `high` of the size, or so many ulp; measure: the
-    depth, negative where it is missed."""
+    """Draw flights with turning points beyond a wall or short of it.
+
+    `measure` is the depth, negative without contact, from `low` ulp to `high` of the size, or `most_ulp`.
+    """
     lanes = numbers(rng, n, ranges)
     wall = drawn_wall(rng, n, shape.side, shape.harmonic, lanes, ranges)
     nothing = np.zeros(n)
@@ -150,7 +155,7 @@ def grazes(rng, n, shape, ranges, low=SLACK, high=1e-2, most_ulp=math.inf):
 
 
 def decided(lanes, walls, turn, until, unit, low):
-    """The Flights of what has been laid: what these doubles truly do near the turning point."""
+    """Return the Flights of the rounded starts, by their motion near the turning point."""
     wall = walls[0]
     for _ in range(3):
         _, slope, bend = clearance(lanes, wall, turn)
@@ -165,14 +170,14 @@ def decided(lanes, walls, turn, until, unit, low):
 
 
 def squeezes(rng, n, shape, ranges):
-    """Flights from one wall to the next, which may move and is as near as 1e-12; measure: the time between the two."""
+    """Draw flights between walls at a distance down to 1e-12, which may move; `measure` is the time between the two."""
     lanes, (side, harmonic, _) = numbers(rng, n, ranges), shape
     near = drawn_wall(rng, n, -side, 0, lanes, ranges)
     met = drawn_wall(rng, n, side, harmonic, lanes, ranges)
     gap = ranges.size * np.exp(rng.uniform(np.log(1e-12), np.log(0.1), n))
     speed = ranges.size * rng.uniform(0.1, 3.0, n)
     met = met._replace(position=near.position + side * gap, swing=met.swing * gap)
-    if harmonic:  # at its nearest it is the gap away
+    if harmonic:  # the smallest distance is the gap
         met = met._replace(position=met.position + side * met.swing)
     lanes = lanes._replace(x=near.position, v=side * speed)
     until = 4.0 * (gap + 2.0 * met.swing) / speed
@@ -187,7 +192,7 @@ def squeezes(rng, n, shape, ranges):
 
 
 def hops(rng, n, shape, ranges):
-    """Flights that leave a still wall with little speed and are pressed back; measure: that speed."""
+    """Draw flights that leave a fixed wall at low speed and are pressed back; `measure` is that speed."""
     lanes, side = numbers(rng, n, ranges), shape.side
     wall = drawn_wall(rng, n, side, 0, lanes, ranges)
     leaves = ranges.size * np.exp(rng.uniform(np.log(1e-10), np.log(0.1), n))
@@ -200,12 +205,12 @@ def hops(rng, n, shape, ranges):
     lanes, walls = lanes.some(good), tuple(each.some(good) for each in walls)
     until, press, leaves = until[good], press[good], leaves[good]
     time = crossing(lanes, walls[0], (2.0 * leaves / press).astype(LONG), until)
-    sure = leaves * time / 4.0 > SLACK * ulp(lanes, walls)  # the height of the hop
+    sure = leaves * time / 4.0 > SLACK * ulp(lanes, walls)  # height of the hop
     return Flights(lanes, walls, until, time.astype(float), np.full(len(until), side), leaves, sure)
 
 
 def on_walls(rng, n, shape, ranges, into):
-    """Flights that begin on a still wall: into it (hit at once), or away and pulled away; measure: the speed."""
+    """Draw flights that start on a fixed wall, into it or away and pulled away; `measure` is the speed."""
     lanes, side = numbers(rng, n, ranges), shape.side
     wall = drawn_wall(rng, n, side, 0, lanes, ranges)
     speed = ranges.size * np.exp(rng.uniform(np.log(1e-10), np.log(1.0), n))

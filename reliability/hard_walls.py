@@ -1,4 +1,4 @@
-"""Rests by how much is lost at a hop, and soft walls by their stiffness: errors of the end of a period."""
+"""Measure sticking by restitution, and soft walls by stiffness: errors of the end of a period."""
 
 import functools
 import math
@@ -14,15 +14,15 @@ from .curves import Curves
 from .exact_flow import LONG, Lanes
 from .periods import Scenes
 
-A, OMEGA, GAMMA, WALL, FAR = 0.8, 0.4, 0.05, 0.5, 50.0  # pressed on the wall but while A cos(theta) > WALL
+A, OMEGA, GAMMA, WALL, FAR = 0.8, 0.4, 0.05, 0.5, 50.0  # the contact force holds the mass unless A cos(theta) > WALL
 RESTITUTIONS = np.array([0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.75, 0.8])
-ROOM = 400  # impacts: a hop is down to rounding after so many, or sooner
+ROOM = 400  # number of impacts after which a hop is below rounding
 STIFFNESSES = 10.0 ** np.arange(1.0, 10.0)
 STATES = 48
 
 
 def released():
-    """(x, v) at the period's end, in 80-bit floats: free since the press ended, wherever the mass came from."""
+    """Return (x, v) at the end of the period after free flight from the release, in 80-bit floats."""
     angle = 2 * LONG(math.pi) - np.arccos(LONG(WALL) / LONG(A))
     left = (2 * LONG(math.pi) - angle) / LONG(OMEGA)
     lanes = Lanes(*(np.atleast_1d(np.asarray(each, LONG)) for each in (GAMMA, OMEGA, A, angle, WALL, 0.0)))
@@ -30,7 +30,7 @@ def released():
 
 
 def error_of_rest(size):
-    """`Curves`: the error of the end of a period in which the mass chatters to rest and is released, by R."""
+    """Return the `Curves` of the error of the end of a period with complete chatter and release, by R."""
     bounces = np.array(size.few(list(RESTITUTIONS)))
     ones, (x, v) = np.ones(len(bounces)), released()
     given = Scenes(
@@ -41,18 +41,18 @@ def error_of_rest(size):
         end = method(given)
         lines[name] = bounces, np.maximum(abs(end.x - x), abs(end.v - v)).astype(float)
     return Curves(
-        "A period in which the mass chatters to rest on a wall and is set free again",
-        "R, the share of its speed that an impact leaves",
+        "A period with complete chatter, sticking and release",
+        "restitution R",
         "error of x and v at the end",
         lines,
         least=1e-17,
         log_x=False,
-        endless=f"shaded, at heights of no meaning: no end within {ROOM} impacts",
+        endless=f"shaded (heights without meaning): no end within {ROOM} impacts",
     )
 
 
 def error_by_stiffness(size):
-    """`Curves`: the median error of the end of a period between soft walls, by their stiffness."""
+    """Return the `Curves` of the median error of the end of a period between soft walls, by their stiffness."""
     states, stiffnesses = draw(size.states(STATES)), np.array(size.few(list(STIFFNESSES)))
     chosen = ("heyoka, scalar", "diffrax Tsit5", "diffrax Kvaerno5", "SciPy RK45", "SciPy LSODA")
     lines = {}
@@ -69,9 +69,9 @@ def error_by_stiffness(size):
             verdict = truth.judge(np.asarray(answer[0]), None, true, far=math.inf)
             lines.setdefault(name, (stiffnesses, np.full(len(stiffnesses), np.nan)))[1][k] = verdict.median
     return Curves(
-        "A period between soft walls that leave 0.7 of the speed",
+        "A period between soft walls with an effective restitution of 0.7",
         "stiffness k2 of the walls",
-        "error of x and v at the end, median",
+        "median error of x and v at the end",
         lines,
         least=1e-17,
     )

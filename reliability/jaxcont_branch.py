@@ -1,7 +1,8 @@
-"""A branch through a known orbit as a jaxcont user follows it: shooting on our strobe, whose derivatives are exact.
+"""Follow a branch through a known orbit with jaxcont: shooting on this package's map, whose derivatives are exact.
 
-Of fixed points jaxcont tells folds alone, and where it is compiled, which else takes a minute each way, none: they are
-looked for as its `Fold` does, and interpolated: its refinement would take second derivatives, minutes to compile.
+jaxcont reports only folds of fixed points, and none if it is compiled; otherwise it takes a minute per direction. Folds
+are therefore detected as its `Fold` does, and interpolated: its refinement takes second derivatives, minutes to
+compile.
 """
 
 import functools
@@ -15,12 +16,15 @@ import jaxvibro as jv
 from benchmarks.scipy_arclength import Point
 from reliability.scipy_branch import between
 
-MOST = 200  # points each way
+MOST = 200  # largest number of points in each direction
 
 
 def followed(family, bounds, place, step):
-    """(places (points, 3), x, v and A in order along the branch; [("SN", A)]): both ways from a place on it to the
-    bounds of A; step: the first, arclength in (x, v, A), of which four times are taken at most."""
+    """Follow a branch in both directions to the bounds of A.
+
+    Returns (points (points, 3), x, v and A in order along the branch; [("SN", A)]). `step` is the first step, arclength
+    in (x, v, A); the largest is four times that.
+    """
     kind, numbers = (family.symmetric, family.periods), (family.omega, family.gamma, family.restitution)
     ways = [one_way(kind, numbers, place, end, step) for end in bounds]
     found = [("SN", fold(*way, k)) for way in ways for k in np.flatnonzero(way[1][:-1, -1] * way[1][1:, -1] < 0)]
@@ -28,7 +32,7 @@ def followed(family, bounds, place, step):
 
 
 def one_way(kind, numbers, place, end, step):
-    """(places, tangents) from a place to a value of A, as far as jaxcont comes."""
+    """Return (points, tangents) from a point towards a value of A, as far as jaxcont succeeds."""
     states, values, tangents, there = traced(kind, numbers, place[:2], place[2], end, step)
     there = np.asarray(there)
     return np.column_stack([states, values])[there], np.asarray(tangents)[there]
@@ -36,7 +40,7 @@ def one_way(kind, numbers, place, end, step):
 
 @functools.cache
 def residual(kind):
-    """The function of (u, A, numbers) that is 0 at a fixed point u = (x, v) of the map."""
+    """Make the function of (u, A, numbers) that is 0 at a fixed point u = (x, v) of the map."""
     symmetric, periods = kind
 
     def apart(u, amplitude, numbers):
@@ -49,7 +53,7 @@ def residual(kind):
 
 @functools.partial(jax.jit, static_argnums=0)
 def traced(kind, numbers, state, begin, end, step):
-    """States, values, tangents of a continuation, and which of them there are; compiled once a kind."""
+    """Return states, values, tangents and validity mask of a continuation; compiled once per kind."""
     problem = jaxcont.bif_problem(residual(kind), state, begin, args=numbers)
     settings = jaxcont.ContinuationPar(step, 1e-4 * step, 4 * step, MOST, newton_tol=1e-9, compute_stability=False)
     branch = jaxcont.continuation(problem, p_span=(begin, end), settings=settings).branch
@@ -57,7 +61,7 @@ def traced(kind, numbers, state, begin, end, step):
 
 
 def fold(places, tangents, k):
-    """A where it turns between two places."""
+    """Return A of the fold between two points."""
     one, other = (Point(places[j], None, tangents[j]) for j in (k, k + 1))
     slopes = one.tangent[2], other.tangent[2]
     return between(one, other, slopes[0] / (slopes[0] - slopes[1]))

@@ -1,5 +1,8 @@
-"""What is no flight to a wall: elastic impacts without end, rests in narrow gaps, starts beyond walls, single floats,
-derivatives next to a grazing."""
+"""Measure behaviour at the limits of the method.
+
+These are long elastic motions, sticking in narrow gaps, starts beyond walls, single floats, and derivatives next to a
+grazing.
+"""
 
 import jax
 import jax.numpy as jnp
@@ -18,7 +21,7 @@ ORBITS = 24
 
 
 def elastic(size):
-    """Rows: a free oscillator between elastic walls, 1e6 impacts; each takes the same time, by the arcsine."""
+    """Return rows of a free oscillator between elastic walls, 1e6 impacts; each takes the same time, by the arcsine."""
     rng, many = np.random.default_rng(0), size.states(IMPACTS)
     swing, wall = rng.uniform(1.5, 4.0, ELASTIC), rng.uniform(0.3, 1.2, ELASTIC)
     hop = 2.0 * np.arcsin(wall / swing)
@@ -27,20 +30,19 @@ def elastic(size):
     end, impacts = jv.strobe(scene, jv.State(np.zeros(ELASTIC), swing), periods=periods, slots=0)
     count = np.asarray(impacts.count)
     energy = np.max(abs(np.hypot(end.x, end.v) / swing - 1.0))
-    # an even number of whole hops from the middle on leads back to it
+    # An even number of flights between the walls leads from the middle back to it.
     where = np.max(np.maximum(abs(end.x), abs(abs(np.asarray(end.v)) / swing - 1.0)))
     return [
-        Row(f"elastic impacts, {many:,} each in {ELASTIC} scenes: counts that are wrong", "scenes", 0).of(
+        Row(f"elastic impacts, {many:,} in each of {ELASTIC} scenes: wrong counts", "scenes", 0).of(
             np.sum(abs(count - periods * A_PERIOD) > 1)
         ),
-        Row("their relative drift of energy", "of the energy", 1e-9).of(2.0 * energy),
-        Row("their place at the end", "lengths", 1e-6).of(where),
+        Row("elastic impacts: drift of the energy", "relative", 1e-9).of(2.0 * energy),
+        Row("elastic impacts: error of the final position", "lengths", 1e-6).of(where),
     ]
 
 
 def narrow(size):
-    """A row: a mass in a gap of 1e-12 to 1e-4 under a force of 1 to 10 rests at the end on the wall that it is pressed
-    to."""
+    """Return a row: a mass in a gap of 1e-12 to 1e-4 under a force of 1 to 10 ends up sticking to a wall."""
     rng, n = np.random.default_rng(1), size.states(LANES)
     place, gap, bounce = rng.uniform(-0.5, 0.5, n), cases.logarithmic(1e-12, 1e-4)(rng, n), rng.uniform(0.1, 0.7, n)
     amplitude = rng.uniform(1.0, 10.0, n)
@@ -49,29 +51,32 @@ def narrow(size):
     rests = (np.asarray(end.x) == np.asarray(scene.right.position)) & (np.asarray(end.v) == 0.0)
     wrong = ~rests | (np.asarray(impacts.status) >= Status.CAP)
     return [
-        Row(f"{n:,} rests in gaps of 1e-12 to 1e-4 under a force: not at rest where it is pressed", "lanes", 0).of(
+        Row(f"{n:,} sticking masses in gaps of 1e-12 to 1e-4 under a force: not at rest on the wall", "lanes", 0).of(
             wrong.sum()
         )
     ]
 
 
 def beyond(size):
-    """A row: starts beyond a wall, by 1e-12 to 1 of its place, are refused."""
+    """Return a row: starts beyond a wall, by 1e-12 to 1 of its position, are rejected."""
     rng, n = np.random.default_rng(2), size.states(LANES)
     wall = rng.uniform(0.5, 2.0, n)
     scene = jv.make_scene(rng.uniform(0.0, 5.0, n), rng.uniform(0.3, 5.0, n), 0.05, 0.7, (-wall, wall))
     x = rng.choice([-1.0, 1.0], n) * wall * (1.0 + cases.logarithmic(1e-12, 1.0)(rng, n))
     _, impacts = jv.strobe(scene, jv.State(x, rng.normal(size=n)), slots=0)
     return [
-        Row(f"{n:,} starts beyond a wall, by 1e-12 of its place and more: not refused", "lanes", 0).of(
+        Row(f"{n:,} initial states beyond a wall by 1e-12 of its position and more: not refused", "lanes", 0).of(
             np.sum(np.asarray(impacts.status) != Status.INVALID)
         )
     ]
 
 
 def single(size):
-    """Rows: single precision on near grazes: the largest depth, in its ulp, that it decides wrongly; itineraries and
-    labels that differ from double's."""
+    """Return rows of single precision on near grazes.
+
+    They are the largest depth, in its ulp, that it decides wrongly, and itineraries and labels that differ from
+    double's.
+    """
     case = cases.CASES[0]
     wrong = []
     for k in range(len(case.shapes)):
@@ -92,27 +97,31 @@ def single(size):
         sides.append(np.asarray(impacts.side))
     differ = np.mean((sides[0] != sides[1]).any(1))
     return [
-        Row("single precision: the deepest graze it decides wrongly", "its ulp of the largest length").of(max(wrong)),
-        Row(f"single precision: itineraries of {n:,} random periods that differ from double's", "per million").of(
-            1e6 * differ
+        Row("single precision: deepest contact decided wrongly", "single-precision ulp of the largest length").of(
+            max(wrong)
         ),
-        Row(f"single precision: labels of {size.states(ORBITS)} settled orbits that differ from double's", "orbits").of(
-            labels(size)
-        ),
+        Row(
+            f"single precision: itineraries of {n:,} random periods that differ from double precision", "per million"
+        ).of(1e6 * differ),
+        Row(
+            f"single precision: labels of {size.states(ORBITS)} settled orbits that differ from double precision",
+            "orbits",
+        ).of(labels(size)),
     ]
 
 
 def derivatives(size):
-    """Rows: derivatives by autodiff where the flight just misses the wall, and at the grazing itself."""
+    """Return rows of derivatives by autodiff where the flight just misses the wall, and at the grazing itself."""
     return [
-        Row(f"autodiff of a flight that misses the wall by {gap:g}: error", "of the largest entry", 1e-12).of(error)
+        Row(f"autodiff of a flight that misses the wall by {gap:g}: error", "relative to the largest entry", 1e-12).of(
+            error
+        )
         for gap, error in near_grazing.on_the_other_side()
     ]
 
 
 def labels(size):
-    """How many orbits at random amplitudes, all of one period, have another label in single precision: other counts of
-    impacts on the left and on the right."""
+    """Count orbits of one period at random amplitudes whose label differs in single precision."""
     rng, differ = np.random.default_rng(4), 0
     for amplitude in rng.uniform(0.3, 4.4, size.states(ORBITS)):
         found = []
@@ -128,7 +137,7 @@ def labels(size):
 
 
 def measure(size):
-    """All rows."""
+    """Return all rows."""
     found = []
     for part in (elastic, narrow, beyond, single, derivatives):
         found += part(size)

@@ -1,4 +1,4 @@
-"""Pictures of the maps of failure: a panel a method, the same cells in all."""
+"""Draw the maps of failure: one panel per method, the same cells in all."""
 
 import matplotlib
 
@@ -13,17 +13,17 @@ from benchmarks import chart, page
 from .periods import ROOM
 
 LABELS = {
-    "amplitude": "A, amplitude of the drive",
-    "omega": "omega, its frequency",
-    "restitution": "R, restitution",
-    "gamma": "gamma, damping",
+    "amplitude": "drive amplitude A",
+    "omega": "drive frequency omega",
+    "restitution": "restitution R",
+    "gamma": "damping gamma",
 }
 CHAOTIC, CROWDED = "0.87", "0.6"
-BINS = (1, 2, 3, 6, 11, 31, 101)  # of the first wrong period, counted from 1
+BINS = (1, 2, 3, 6, 11, 31, 101)  # bins of the first wrong period, counted from 1
 
 
 def save(path, found, count):
-    """Write the picture of a `FailureMap` of so many periods to a PNG."""
+    """Write the picture of a `FailureMap` over `count` periods to a PNG."""
     figure, grid = plt.subplots(2, 5, figsize=(13.5, 6.0), layout="constrained", sharex=True, sharey=True)
     colours = plt.get_cmap("plasma", len(BINS) - 1)
     colours.set_bad("none")
@@ -38,9 +38,9 @@ def save(path, found, count):
         axes.axis("off")
         axes.legend(
             handles=[
-                Patch(facecolor="white", edgecolor="k", label=f"right for {count} periods"),
-                Patch(facecolor=CHAOTIC, label="chaotic: not judged"),
-                Patch(facecolor=CROWDED, label=f"rests, or over {ROOM} impacts\na period: not judged"),
+                Patch(facecolor="white", edgecolor="k", label=f"correct for {count} periods"),
+                Patch(facecolor=CHAOTIC, label="chaotic: not evaluated"),
+                Patch(facecolor=CROWDED, label=f"sticks, or over {ROOM} impacts\nper period: not evaluated"),
             ],
             loc="center",
             fontsize=9,
@@ -48,16 +48,16 @@ def save(path, found, count):
     figure.colorbar(shown, ax=grid, label="first period with a wrong itinerary", shrink=0.8)
     figure.supxlabel(LABELS[found.names[0]])
     figure.supylabel(LABELS[found.names[1]])
-    figure.suptitle(f"Where the walls hit, in order, are wrong within {count} periods", fontsize=10)
+    figure.suptitle(f"Cells with a wrong itinerary within {count} periods", fontsize=10)
     chart.write(figure, path)
 
 
 def table(maps, count):
-    """Markdown of {words: FailureMap}: cells in which a method is wrong."""
+    """Format {words: FailureMap} as Markdown: cells in which a method is wrong."""
     names = list(next(iter(maps.values())).first)
     lines = []
     for words, found in maps.items():
         wrong = [int((found.judged & (found.first[name] < count)).sum()) for name in names]
         cells = (f"**{each}**" if each else "0" for each in wrong)
         lines.append((words, f"{found.judged.sum()} of {found.judged.size}", *cells))
-    return page.table(("map", "cells judged", *names), lines)
+    return page.table(("map", "cells evaluated", *names), lines)

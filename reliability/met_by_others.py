@@ -1,6 +1,6 @@
-"""What users of other packages met: their cases rebuilt as scenes, ours on each, and diffrax's as it is locked.
+"""Rebuild cases that users of other packages reported, for this package and for diffrax at its locked version.
 
-All is known in closed form: x'' + x = 0 between the walls, or a flight from rest under a cosine.
+All solutions are in closed form: x'' + x = 0 between the walls, or a flight from rest under a cosine.
 """
 
 import functools
@@ -16,14 +16,14 @@ import jaxvibro as jv
 from benchmarks import page
 from reliability import spring_by_diffrax as spring
 
-RIGHT = 1e-6  # an answer further than this from the truth is wrong: a missed contact costs 1e-3 at least
+RIGHT = 1e-6  # largest error of a right result; a missed contact costs at least 1e-3
 DAMPED, KEPT = 0.7, 0.9  # restitutions
 DUE, RESTARTS = 20, 60  # impacts at which it is started again, and how often that is tried
-HEAD = ("case", "met in", "what is true", "by", "what it gives", "error", "right")
+HEAD = ("case", "reported in", "true result", "method", "result", "error", "correct")
 
 
 class Told(NamedTuple):
-    """An answer. by: whose, and how; says: in words; error: the largest of its numbers, inf where contacts differ."""
+    """Result: method and setting `by`, text `says`, largest error of its numbers, inf if contacts differ."""
 
     by: str
     says: str
@@ -31,13 +31,15 @@ class Told(NamedTuple):
 
     @property
     def right(self):
-        """Whether it is the truth to RIGHT."""
+        """Return True if the error is at most RIGHT."""
         return self.error < RIGHT
 
 
 class Case(NamedTuple):
-    """A case. source: package and issue; scene, truth: in words; ours, others: functions that give `Told`, no others
-    where the case was met in Julia; remark: what else is to be known of it."""
+    """Case: package and issue, descriptions of scene and solution, functions that return `Told`, and a remark.
+
+    `others` is empty if the case was reported in Julia.
+    """
 
     name: str
     source: str
@@ -49,7 +51,7 @@ class Case(NamedTuple):
 
 
 class Met(NamedTuple):
-    """A case, and what was told of it."""
+    """Case and its results."""
 
     case: Case
     ours: Told
@@ -57,26 +59,28 @@ class Met(NamedTuple):
 
     @property
     def words(self):
-        """The scene and what is to be known, in a line; whether the fault shows no more."""
+        """Format the scene and the solution in a line, with a note if the fault no longer occurs."""
         case, gone = self.case, self.others and all(each.right for each in self.others)
         return " ".join(
-            filter(None, [f"{case.name}: {case.scene}", case.remark, gone and "As locked, the fault is gone."])
+            filter(
+                None, [f"{case.name}: {case.scene}", case.remark, gone and "In the locked version the fault is gone."]
+            )
         )
 
 
 def cases():
-    """All cases, none of them run."""
+    """Return all cases, not yet run."""
     made = swinging_wall, shallow_arc, section_beyond_a_wall, restarts, clipped_restart, stops, elastic
     return [each() for each in made]
 
 
 def measure():
-    """All cases run, a list of `Met`."""
+    """Run all cases; returns a list of `Met`."""
     return [Met(case, case.ours(), tuple(each() for each in case.others)) for case in cases()]
 
 
 def table(met):
-    """Cases as a table in Markdown, a line for each answer, and their scenes below it."""
+    """Format cases as a Markdown table, one line per result, followed by their scenes."""
     lines = [
         (case.name, case.source, case.truth, told.by, told.says, f"{told.error:.1g}", "yes" if told.right else "**no**")
         for case, ours, others in met
@@ -86,29 +90,29 @@ def table(met):
 
 
 def by_diffrax(time, how, *given, **more):
-    """Its answer where one contact is due at a time."""
+    """Return diffrax's result with one contact due at a time."""
     flight, by = spring.fly(*given, **more), f"diffrax {diffrax.__version__}{how}"
     if not any(flight.events):
-        return Told(by, "no contact", math.inf)
-    return Told(by, f"contact at t = {flight.time:.12g}", largest((flight.time, time)))
+        return Told(by, "no impact", math.inf)
+    return Told(by, f"impact at t = {flight.time:.12g}", largest((flight.time, time)))
 
 
 def largest(*pairs):
-    """The largest difference between numbers found and true."""
+    """Return the largest difference between computed and true numbers."""
     return max(abs(float(found) - float(true)) for found, true in pairs)
 
 
 def one_impact(scene, state, time, end):
-    """Our answer where one impact is due at a time in the first period, and the end of that is known."""
+    """Return this package's result with one impact due at a time in the first period and a known end of the period."""
     final, impacts = jv.strobe(scene, state)
     if int(impacts.count) != 1:
         return Told("jaxvibro", f"{int(impacts.count)} impacts", math.inf)
     error = largest((impacts.time[0], time), (final.x, end[0]), (final.v, end[1]))
-    return Told("jaxvibro", f"contact at t = {impacts.time[0]:.12g}", error)
+    return Told("jaxvibro", f"impact at t = {impacts.time[0]:.12g}", error)
 
 
 def swinging_wall():
-    """A mass at rest: steps are as long as they please, and a wall comes over it and goes within one."""
+    """Return the case of a mass at rest: steps are long, and a wall passes over it within one."""
     wall = jv.Wall(1.0, motion=jv.Motion(spring.SWING, 0.0, 1))
     with mpmath.workdps(40):
         time = mpmath.acos(-1 / mpmath.mpf(spring.SWING)) / 2
@@ -116,18 +120,19 @@ def swinging_wall():
         end = after * mpmath.sin(mpmath.pi - time), after * mpmath.cos(mpmath.pi - time)
     scene = jv.make_scene(0.0, 2.0, 0.0, DAMPED, (None, wall))
     return Case(
-        "A wall that swings over a mass at rest",
+        "A moving wall that passes over a mass at rest",
         "diffrax #507",
-        "x = v = 0, no drive, a wall at 1 + 1.001 cos 2t, which is beyond the mass for 0.045 of the period's 3.14.",
-        f"hit at t = {mpmath.nstr(time, 12)}",
+        "x = v = 0, no drive, and a wall at 1 + 1.001 cos 2t, which is beyond the mass for 0.045 of the period 3.14.",
+        f"impact at t = {mpmath.nstr(time, 12)}",
         functools.partial(one_impact, scene, jv.State(0.0, 0.0), time, end),
         (functools.partial(by_diffrax, time, "", math.pi, 0.0, (0.0, 0.0), spring.beyond_swinging),),
-        "The issue's own: the motion is simple, so that steps grow, and the event's function has two roots within one.",
+        "The case of the issue: the motion is simple, so that steps grow, and the event function has two roots in "
+        "one step.",
     )
 
 
 def arc(radius):
-    """Of x = radius sin t before a wall at 1 with R = 0.7: when it is hit, and the state at 2 pi."""
+    """Return impact time and state at 2 pi of x = radius sin t before a wall at 1 with R = 0.7."""
     with mpmath.workdps(40):
         time = mpmath.asin(1 / mpmath.mpf(radius))
         after, left = -mpmath.mpf(DAMPED) * mpmath.sqrt(mpmath.mpf(radius) ** 2 - 1), 2 * mpmath.pi - time
@@ -136,61 +141,62 @@ def arc(radius):
 
 
 def shallow_arc():
-    """An arc that is beyond a wall by 1e-6: it is back before the step ends."""
+    """Return the case of an arc that penetrates a wall by 1e-6 and is back before the step ends."""
     radius = 1.0 + 1e-6
     time, end = arc(radius)
     scene = jv.make_scene(0.0, 1.0, 0.0, DAMPED, (None, 1.0))
     return Case(
-        "An arc 1e-6 deep",
+        "A contact 1e-6 deep",
         "diffrax #507",
-        "x = 1.000001 sin t, a wall at 1: the arc is beyond it for 0.0028, from a speed of 0.0014.",
-        f"hit at t = {mpmath.nstr(time, 12)}",
+        "x = 1.000001 sin t and a wall at 1: the mass is beyond the wall for 0.0028, from a speed of 0.0014.",
+        f"impact at t = {mpmath.nstr(time, 12)}",
         functools.partial(one_impact, scene, jv.State(0.0, radius), time, end),
         (functools.partial(by_diffrax, time, "", 2 * math.pi, 0.0, (0.0, radius), spring.beyond_one),),
-        "The same where nothing moves but the mass.",
+        "The same with a fixed wall.",
     )
 
 
 def section_beyond_a_wall():
-    """A wall and a section of time within one step: the order in which they are written decides which comes first."""
+    """Return the case of a wall and a section of time within one step: the order of the events decides."""
     radius = 1.1
     time, end = arc(radius)
     scene, state = jv.make_scene(0.0, 1.0, 0.0, DAMPED, (None, 1.0)), (0.0, radius)
     fixed = {"control": diffrax.ConstantStepSize(), "solver": diffrax.Dopri8(), "step": 0.5}
     told = functools.partial(by_diffrax, time)
     return Case(
-        "A wall and a section in a step",
+        "A wall and a section in one step",
         "diffrax #639",
-        "x = 1.1 sin t, a wall at 1, an event for it and one at t = 1.4, steps of 0.5: both lie within the third.",
-        f"hit at t = {mpmath.nstr(time, 12)}, before 1.4",
+        "x = 1.1 sin t, a wall at 1, an event for the wall and one at t = 1.4, steps of 0.5: both are in the third "
+        "step.",
+        f"impact at t = {mpmath.nstr(time, 12)}, before 1.4",
         functools.partial(one_impact, scene, jv.State(*state), time, end),
         (
-            functools.partial(told, ", wall written first", 6.5, 0.0, state, spring.beyond_one, spring.later, **fixed),
-            functools.partial(told, ", wall written last", 6.5, 0.0, state, spring.later, spring.beyond_one, **fixed),
+            functools.partial(told, ", wall event first", 6.5, 0.0, state, spring.beyond_one, spring.later, **fixed),
+            functools.partial(told, ", wall event last", 6.5, 0.0, state, spring.later, spring.beyond_one, **fixed),
         ),
-        "The event that is written first wins; in the issue's version it was the last.",
+        "The event that is listed first wins; in the version of the issue it was the last.",
     )
 
 
 def restarts():
-    """An integration started again at each impact, where the event's function is 0."""
+    """Return the case of an integration restarted at each impact, where the event function is 0."""
     true = mpmath.mpf(KEPT) ** DUE
     return Case(
         "Restarts at impacts",
         "diffrax #492",
-        "x = cos t, a wall at 0 with R = 0.9: an impact at pi / 2 and then each pi, each the start of a flight anew.",
-        f"{DUE} impacts by t = {DUE * math.pi:.4g}, the last leaves with v = {mpmath.nstr(true, 12)}",
+        "x = cos t and a wall at 0 with R = 0.9: impacts at pi / 2 and then every pi, each the start of a new flight.",
+        f"{DUE} impacts by t = {DUE * math.pi:.4g}, v = {mpmath.nstr(true, 12)} after the last",
         functools.partial(returned, true),
         (
             functools.partial(restarted, true, True, ", rising events"),
             functools.partial(restarted, true, None, ", events of both directions"),
         ),
-        "The issue's answer is a loop of restarts. Without a direction the start is found again, for ever.",
+        "The answer in the issue is a loop of restarts. Without a direction the start is found again, endlessly.",
     )
 
 
 def returned(true):
-    """Our answer by return maps, one after the other."""
+    """Return this package's result by successive return maps."""
     scene = jv.make_scene(0.0, 1.0, 0.0, KEPT, (0.0, None))
     phase, speed, times = math.pi / 2, KEPT, []
     for _ in range(DUE - 1):
@@ -202,7 +208,7 @@ def returned(true):
 
 
 def restarted(true, direction, how):
-    """diffrax's answer, the mass put on the wall at each start."""
+    """Return diffrax's result with the mass placed on the wall at each start."""
     time, state, count = 0.0, np.array([1.0, 0.0]), 0
     for _ in range(RESTARTS):
         flight = spring.fly(DUE * math.pi, time, state, spring.below_zero, direction=direction)
@@ -214,13 +220,13 @@ def restarted(true, direction, how):
 
 
 def clipped_restart():
-    """A restart at an impact whose time the controller of steps was told too: there time went back."""
+    """Return the case of a restart at an impact whose time the step controller was given too: time went back there."""
     true = 1.5 * math.pi
     return Case(
-        "A restart where steps are cut",
+        "A restart with clipped steps",
         "diffrax #713",
-        "The same mass; its first impact's time, pi / 2, is told to ClipStepSizeController as a jump.",
-        f"the next at t = {true:.12g}",
+        "The same mass. ClipStepSizeController receives the time of its first impact, pi / 2, as a jump.",
+        f"next impact at t = {true:.12g}",
         functools.partial(second_impact, true),
         (functools.partial(clipped, true),),
         "In the issue the second flight ended before it began.",
@@ -228,15 +234,15 @@ def clipped_restart():
 
 
 def second_impact(true):
-    """Our answer, started at the first impact."""
+    """Return this package's result, started at the first impact."""
     scene = jv.make_scene(0.0, 1.0, 0.0, KEPT, (0.0, None))
     _, impacts = jv.strobe(scene, jv.State(0.0, KEPT, math.pi / 2, -1.0))
     time = math.pi / 2 + float(impacts.time[0])
-    return Told("jaxvibro", f"contact at t = {time:.12g}", largest((time, true)))
+    return Told("jaxvibro", f"impact at t = {time:.12g}", largest((time, true)))
 
 
 def clipped(true):
-    """diffrax's answer, both flights by the controller that cuts steps."""
+    """Return diffrax's result, both flights by the controller that clips steps."""
     control = diffrax.ClipStepSizeController(spring.CONTROL, jump_ts=[math.pi / 2])
     first = spring.fly(3.0, 0.0, (1.0, 0.0), spring.below_zero, control=control)
     after = np.array([0.0, -KEPT * first.state[1]])
@@ -244,7 +250,7 @@ def clipped(true):
 
 
 def stops():
-    """A piston between two stops, pressed by a spring and an oscillating pressure; the issue's numbers, SI units."""
+    """Return the case of a piston between two stops under a spring and an oscillating pressure, in SI units."""
     mass, stiffness, preload, area, gap = (
         3.361185937456267e-4,
         1488.578099595049,
@@ -259,15 +265,15 @@ def stops():
     return Case(
         "A piston between two stops",
         "OrdinaryDiffEq.jl #3222",
-        "The issue's mass, spring, preload, pressure, stops and R = 0.3, from rest on the left stop, 4 periods.",
-        f"each period but the first meets the right stop {mpmath.nstr(hit, 10)} after its begin",
+        "Mass, spring, preload, pressure, stops and R = 0.3 of the issue, from rest on the left stop, 4 periods.",
+        f"each period except the first hits the right stop {mpmath.nstr(hit, 10)} after its start",
         functools.partial(stopped, *given, hit, end),
-        remark="Cited, not run in Julia; the issue's friction of 1 N is left out, rests on both stops are in it.",
+        remark="Cited, not run in Julia. The friction of 1 N is omitted; sticking on both stops is included.",
     )
 
 
 def stopped(swing, omega, mean, stop, hit, end):
-    """Our answer: impacts on both stops in each of four periods, the first on the right one, and the end."""
+    """Return this package's result: impacts on both stops in each of four periods, right stop first, and the end."""
     scene, period = jv.make_scene(swing, omega, 0.0, 0.3, (-mean, stop)), 2 * math.pi / omega
     final, impacts = jv.strobe(scene, jv.State(-mean, 0.0, -math.pi / 2, -2.0), 4, 64)
     times, sides = np.asarray(impacts.time), np.asarray(impacts.side)
@@ -281,8 +287,10 @@ def stopped(swing, omega, mean, stop, hit, end):
 
 
 def lifted(swing, omega, mean, stop):
-    """Of a mass that rests on the left stop, -mean, until the force swing cos lifts it: when it meets the right one,
-    since the force last was 0 and rose; and its state then."""
+    """Return time and state of the impact on the right stop of a mass that sticks to the left one.
+
+    It is released from -mean by the force swing cos; the time is measured from the last upward zero of the force.
+    """
     with mpmath.workdps(30):
         omega, lift = mpmath.mpf(omega), -mpmath.acos(-mpmath.mpf(mean) / swing)
         answer = swing / (1 - omega**2)
@@ -299,10 +307,10 @@ def lifted(swing, omega, mean, stop):
 
 
 def elastic(impacts=1_000_000):
-    """Elastic impacts without end: their energy must stay."""
+    """Return the case of many elastic impacts, which conserve energy."""
     speed, walls = 20.0, (-0.3, 1.0)
     with mpmath.workdps(40):
-        # x = 20 sin of an angle that goes on with time and turns round at each wall.
+        # x = 20 sin of an angle that increases with time and reverses at each wall.
         low, high = (mpmath.asin(mpmath.mpf(abs(each)) / speed) for each in walls)
         periods = int(impacts * (low + high) / (2 * mpmath.pi)) + 1
         due = int((2 * mpmath.pi * periods + low) / (low + high))
@@ -310,14 +318,16 @@ def elastic(impacts=1_000_000):
         f"Energy over {impacts:,} elastic impacts",
         "ChaosTools.jl #324",
         "x = 0, v = 20, no drive and no damping, walls at -0.3 and 1 with R = 1.",
-        f"{due:,} impacts, and the energy of the start",
+        f"{due:,} impacts, and the initial energy",
         functools.partial(kept, jv.make_scene(0.0, 1.0, 0.0, 1.0, walls), speed, periods, due),
-        remark="Cited, not run in Julia: there the energy changed at each callback, of ellipses that collide.",
+        remark="Cited, not run in Julia: there the energy of colliding ellipses changed at each callback.",
     )
 
 
 def kept(scene, speed, periods, due):
-    """Our answer: impacts, and by how much of itself the energy has changed."""
+    """Return this package's result: number of impacts and relative change of the energy."""
     final, told = jv.strobe(scene, jv.State(0.0, speed), periods, 0)
     drift = largest(((final.x**2 + final.v**2) / speed**2, 1.0))
-    return Told("jaxvibro", f"{int(told.count):,} impacts; the energy", drift if told.count == due else math.inf)
+    return Told(
+        "jaxvibro", f"{int(told.count):,} impacts; relative energy drift", drift if told.count == due else math.inf
+    )

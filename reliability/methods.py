@@ -1,7 +1,7 @@
-"""The methods, each as its users would write it: which wall a flight meets first until a time, and when.
+"""Define the methods, each as its users would write it: the first wall that a flight hits until a time, and when.
 
-Every one takes `Flights` and a setting and returns `Met`. SciPy, diffrax and heyoka stop at an event; the paper's
-method steps on until it is beyond a wall.
+Every method takes `Flights` and a setting and returns `Met`. SciPy, diffrax and heyoka stop at an event; the paper's
+method steps until the mass is beyond a wall.
 """
 
 import functools
@@ -19,13 +19,15 @@ from scipy.integrate import solve_ivp
 import jaxvibro as jv
 
 RESTITUTION = 0.7
-STEPS = 16_384  # of one flight by diffrax
-HALVINGS = 20  # of the paper's last step: to 1e-6 of it
+STEPS = 16_384  # largest number of steps of one flight by diffrax
+HALVINGS = 20  # bisections of the paper's last step, to 1e-6 of it
 
 
 class Met(NamedTuple):
-    """(lanes,) each: the side of the wall that is met first, 0 for none, and when, inf for never; x and v then, or at
-    `until`; ours, which flies whole periods, leaves them out."""
+    """First contacts, (lanes,) each: side of the wall, 0 for none, and time, inf for never.
+
+    x and v are those at the contact, or at `until`; this package, which maps whole periods, omits them.
+    """
 
     side: np.ndarray
     time: np.ndarray
@@ -34,13 +36,13 @@ class Met(NamedTuple):
 
 
 def none_met(flights):
-    """A `Met` to be filled in."""
+    """Return a `Met` without contacts, to be filled in."""
     count = len(flights.until)
     return Met(np.zeros(count, int), np.full(count, np.inf), flights.lanes.x.copy(), flights.lanes.v.copy())
 
 
 def scene_of(flights, dtype=None):
-    """Our scene of flights."""
+    """Return this package's scene of flights."""
     walls = {}
     for wall in flights.walls:
         motion = jv.Motion(wall.swing, wall.phase, wall.harmonic) if wall.harmonic else None
@@ -51,7 +53,7 @@ def scene_of(flights, dtype=None):
 
 
 def ours(flights, dtype=None):
-    """By our strobe, which flies the whole period."""
+    """Find the contacts with this package, which maps the whole period."""
     given = jv.State(*(jnp.asarray(each, dtype) for each in flights.lanes[4:] + flights.lanes[3:4]))
     _, impacts = jv.strobe(scene_of(flights, dtype), given, slots=1)
     time, side = (np.asarray(each)[:, 0] for each in (impacts.time, impacts.side))
@@ -60,7 +62,7 @@ def ours(flights, dtype=None):
 
 
 def by_scipy(flights, tolerance):
-    """By DOP853 with a terminal event a wall, one flight at a time."""
+    """Find the contacts by DOP853 with a terminal event per wall, one flight at a time."""
     found = none_met(flights)
     for lane, (gamma, omega, amplitude, phase, x, v) in enumerate(zip(*flights.lanes, strict=True)):
 
@@ -94,7 +96,7 @@ def _event(wall, lane, omega, phase):
 
 
 def by_diffrax(flights, tolerance):
-    """By Tsit5 with an Event a wall and a root finder, all flights at once."""
+    """Find the contacts by Tsit5 with an Event per wall and a root finder, all flights at once."""
     walls = tuple((wall.position, wall.swing, wall.phase) for wall in flights.walls)
     still = tuple((wall.side, wall.harmonic) for wall in flights.walls)
     return Met(*map(np.array, _diffrax(tuple(flights.lanes), walls, flights.until, tolerance, still)))
@@ -149,7 +151,7 @@ def _heyoka(still, tolerance):
 
 
 def by_heyoka(flights, tolerance):
-    """By heyoka's Taylor integrator with a terminal event a wall, one flight at a time."""
+    """Find the contacts by heyoka's Taylor integrator with a terminal event per wall, one flight at a time."""
     still = tuple((wall.side, wall.harmonic) for wall in flights.walls)
     integrator = _heyoka(still, tolerance)
     found = none_met(flights)
@@ -159,7 +161,7 @@ def by_heyoka(flights, tolerance):
         integrator.time, integrator.pars[:] = 0.0, parameters[lane, : len(integrator.pars)]
         integrator.state[:] = flights.lanes.x[lane], flights.lanes.v[lane]
         integrator.reset_cooldowns()
-        event = -1 - int(integrator.propagate_until(until)[0])  # the place of the one that stopped it
+        event = -1 - int(integrator.propagate_until(until)[0])  # index of the event that stopped it
         if 0 <= event < len(still):
             found.side[lane], found.time[lane] = still[event][0], integrator.time
         found.x[lane], found.v[lane] = integrator.state
@@ -167,7 +169,10 @@ def by_heyoka(flights, tolerance):
 
 
 def by_paper(flights, steps):
-    """By the paper's Runge-Kutta method with so many steps a period: on until beyond a wall, then halving the step."""
+    """Find the contacts by the paper's Runge-Kutta method with `steps` steps per period.
+
+    It steps until the mass is beyond a wall, then halves the step.
+    """
     length = 2.0 * np.pi / flights.lanes.omega / steps
     found, time, going = none_met(flights), np.zeros(len(length)), np.flatnonzero(flights.until > 0)
     while going.size:
@@ -185,7 +190,7 @@ def by_paper(flights, steps):
 
 
 def _beyond(flights, x, t):
-    """The side of the wall that a place is beyond at a time, 0 for none."""
+    """Return the side of the wall beyond which a position lies at a time, 0 for none."""
     found = np.zeros(len(x), int)
     for wall in flights.walls:
         angle = wall.harmonic * (flights.lanes.phase + flights.lanes.omega * t) + wall.phase
@@ -195,7 +200,7 @@ def _beyond(flights, x, t):
 
 
 def _bracketed(flights, x, v, t, step):
-    """How much of a step it takes to be beyond, by halving."""
+    """Return the fraction of a step after which the mass is beyond, by bisection."""
     low, high = np.zeros_like(step), step
     for _ in range(HALVINGS):
         middle = 0.5 * (low + high)
@@ -205,7 +210,7 @@ def _bracketed(flights, x, v, t, step):
 
 
 def _step(lanes, x, v, t, h):
-    """Runge and Kutta's step of order 4."""
+    """Take a Runge-Kutta step of order 4."""
 
     def pull(x, v, t):
         return lanes.amplitude * np.cos(lanes.phase + lanes.omega * t) - x - 2.0 * lanes.gamma * v
@@ -221,7 +226,7 @@ def _step(lanes, x, v, t, h):
 
 
 class Method(NamedTuple):
-    """name; met: which wall is met first, of Flights; lanes: how many flights it is given."""
+    """Method: name, function of Flights that returns `Met`, and number of flights."""
 
     name: str
     met: functools.partial

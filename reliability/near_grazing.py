@@ -1,4 +1,4 @@
-"""Contacts by depth, hops by speed, derivatives by the distance to a grazing."""
+"""Measure contacts by depth, hops by speed, and derivatives by the distance to a grazing."""
 
 import functools
 
@@ -16,13 +16,13 @@ from .curves import Curves, by_decade
 from .exact_flow import LONG, Lanes
 from .periods import Scenes
 
-A, START = 3.0, (-0.3, 0.4)  # of the flight that grazes: it turns back once at the right, and hits nothing else
-STEP = 1e-6  # of finite differences
+A, START = 3.0, (-0.3, 0.4)  # of the grazing flight, which turns once at the right and hits no other wall
+STEP = 1e-6  # step of finite differences
 DEPTHS = 10.0 ** np.arange(-13.0, -1.5, 0.5)
 
 
 def every(batch):
-    """(name, flights, Met) of ours and the others, each on as many flights as it is given."""
+    """Yield (name, flights, Met) of this package and the others, each with its number of flights."""
     yield methods.OURS, batch, methods.ours(batch)
     for rival in methods.RIVALS:
         some = batch.some(slice(rival.lanes))
@@ -30,7 +30,7 @@ def every(batch):
 
 
 def missed_by_depth(size):
-    """`Curves`: the share of contacts that are missed, by their depth."""
+    """Return the `Curves` of the fraction of missed contacts, by their depth."""
     lines = {}
     batch, _ = cases.WHOLE.batch(size.states(20_000), 0)
     for name, some, met in every(batch):
@@ -39,14 +39,14 @@ def missed_by_depth(size):
     return Curves(
         "Contacts in flights of up to 5 time units, random scenes",
         "depth of the contact (lengths)",
-        "share missed",
+        "fraction missed",
         lines,
         log=False,
     )
 
 
 def error_by_speed(size):
-    """`Curves`: the error of the time of the next impact of a hop, by the speed that it leaves its wall with."""
+    """Return the `Curves` of the error of the time of the next impact of a hop, by its speed."""
     case, lines = next(each for each in cases.CASES if each.name == "slow impacts"), {}
     batch, _ = case.batch(size.states(20_000), 0)
     for name, some, met in every(batch):
@@ -54,17 +54,17 @@ def error_by_speed(size):
         if np.isfinite(error).any():
             lines[name] = by_decade(some.measure, error, -8, -1, np.nanmedian)
     return Curves(
-        "Hops from a wall and back to it",
-        "speed of leaving the wall",
-        "relative error of the time in the air, median",
+        "Bounces from a wall and back to it",
+        "speed of departure from the wall",
+        "median relative error of the flight time",
         lines,
         least=1e-17,
-        failed="error 1: the start is found again. heyoka sees none of these hops",
+        failed="error 1: the start is found again. heyoka detects none of these bounces",
     )
 
 
 def grazing():
-    """(time, place) at which the flight from START turns back, in 80-bit floats."""
+    """Return (time, position) of the turning point of the flight from START, in 80-bit floats."""
     lanes, grid = lanes_of(*START), np.linspace(0.0, PERIOD, 4001)
     many = Lanes(*(np.repeat(each, len(grid)) for each in lanes))
     t = grid[[np.argmax(exact_flow.fly(many, grid)[0])]].astype(LONG)
@@ -75,19 +75,19 @@ def grazing():
 
 
 def lanes_of(x, v, amplitude=A, phase=0.0):
-    """One lane of the scene."""
+    """Return one lane of the scene."""
     return Lanes(*(np.atleast_1d(np.asarray(each, float)) for each in (GAMMA, OMEGA, amplitude, phase, x, v)))
 
 
 def derivative_of_flight(t):
-    """The derivative of x, v after a time by those before: the columns are flights without a drive."""
+    """Return the derivative of x, v after a time by the initial ones: the columns are flights without a drive."""
     return np.stack(
         [np.concatenate(exact_flow.fly(lanes_of(*unit, amplitude=0.0), t)) for unit in ((1, 0), (0, 1))], -1
     )
 
 
 def true_derivative(wall):
-    """That of the strobe with one contact with a wall: flight, saltation (paper, equation 35), flight."""
+    """Return the derivative of the map with one contact: flight, saltation (paper, equation 35), flight."""
     lanes, (turn, _) = lanes_of(*START), grazing()
     where, period = LONG(wall), LONG(PERIOD)
     depth = exact_flow.fly(lanes, turn)[0] - where
@@ -123,7 +123,7 @@ def ours_by_product(wall):
 
 @functools.partial(jax.jit, static_argnames="tolerance")
 def by_diffrax(wall, tolerance):
-    """Forward derivatives through diffrax's event and root finder, from one impact to the period's end."""
+    """Compute forward derivatives through diffrax's event and root finder, from one impact to the end of the period."""
 
     def piece(start, begin, event):
         return diffrax.diffeqsolve(
@@ -151,7 +151,7 @@ def by_diffrax(wall, tolerance):
 
 
 def by_differences(wall, method):
-    """Central differences of a method's strobe."""
+    """Compute central differences of a method's map."""
     ends = []
     for k in (0, 1):
         for sign in (1.0, -1.0):
@@ -164,7 +164,7 @@ def by_differences(wall, method):
 
 
 def derivative_error(size):
-    """`Curves`: the error of the strobe's derivative at one contact, over its norm, by the depth of the contact."""
+    """Return the `Curves` of the relative error of the map's derivative at one contact, by the depth of the contact."""
     scipy = next(each.met for each in methods.RIVALS if each.name == "SciPy DOP853, tol 1e-12")
     ways = {
         methods.OURS: ours_by_autodiff,
@@ -186,17 +186,17 @@ def derivative_error(size):
             errors.append(float(np.max(abs(np.asarray(way(wall)) - true)) / np.max(abs(true))))
         lines[name] = np.array(depths), np.array(errors)
     return Curves(
-        "Derivative of a period with one contact, by the state before it",
-        "depth of the contact, the distance to the grazing (lengths)",
-        "error of the derivative over its largest entry",
+        "Derivative of a period with one contact with respect to the initial state",
+        "depth of the contact (lengths)",
+        "error relative to the largest entry",
         lines,
         least=1e-17,
-        failed=f"error 1: the contact is not seen. Differences over {STEP:g} each way",
+        failed=f"error 1: the contact is missed. Differences with steps of {STEP:g}",
     )
 
 
 def on_the_other_side():
-    """[(distance, error of ours)] where the flight just misses the wall, by so much: the flight's derivative."""
+    """Return [(distance, error of this package)] where the flight just misses the wall."""
     (_, top), true, found = grazing(), derivative_of_flight(LONG(PERIOD)), []
     for gap in (1e-2, 1e-6, 1e-10, 1e-13, 2e-15, 0.0):
         error = np.max(abs(np.asarray(ours_by_autodiff(float(top[0] + gap))) - true)) / np.max(abs(true))

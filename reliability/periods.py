@@ -1,4 +1,4 @@
-"""Whole drive periods by the methods, between still walls: flights from impact to impact, each method's own."""
+"""Map whole drive periods with each method between fixed walls, from impact to impact."""
 
 import functools
 import math
@@ -15,11 +15,11 @@ from . import methods
 from .exact_flow import Lanes, Wall
 from .flights import Flights
 
-ROOM = 32  # impacts of a period: with more of them a lane is given up
+ROOM = 32  # largest number of impacts in a period; a lane with more is given up
 
 
 class Scenes(NamedTuple):
-    """(scenes,) each: numbers and states at phase 0, of one mass between still walls, `low` and `high`."""
+    """Parameters and states at phase 0, (scenes,) each, of one mass between fixed walls `low` and `high`."""
 
     amplitude: np.ndarray
     omega: np.ndarray
@@ -32,8 +32,7 @@ class Scenes(NamedTuple):
 
 
 class Period(NamedTuple):
-    """(scenes,) x and v a period later, nan where a lane was given up; (scenes, ROOM) sides of the impacts, 0 in empty
-    slots."""
+    """End of a period: (scenes,) x and v, nan on failure; (scenes, ROOM) sides of the impacts, 0 in empty slots."""
 
     x: np.ndarray
     v: np.ndarray
@@ -41,7 +40,7 @@ class Period(NamedTuple):
 
 
 def by_flights(met, scenes, room=ROOM):
-    """A `Period` by a method of `methods`: an impact turns the speed round, and the next flight begins on the wall."""
+    """Map a `Period` by a method of `methods`: an impact reverses the velocity and starts the next flight."""
     count = len(scenes.x)
     x, v, phase = scenes.x.copy(), scenes.v.copy(), np.zeros(count)
     left, sides, turn = 2.0 * np.pi / scenes.omega, np.zeros((count, room), np.int8), np.zeros(count, int)
@@ -66,7 +65,7 @@ def by_flights(met, scenes, room=ROOM):
 
 @functools.cache
 def _heyoka(tolerance):
-    """An integrator with callbacks that turn the speed round, and what they read and write."""
+    """Return an integrator with callbacks that reverse the velocity, and the data they read and write."""
     x, v = heyoka.make_vars("x", "v")
     gamma, omega, amplitude, low, high = (heyoka.par[k] for k in range(5))
     told, given = [], {"restitution": 1.0, "room": ROOM}
@@ -90,7 +89,7 @@ def _heyoka(tolerance):
 
 
 def by_heyoka(scenes, tolerance, room=ROOM):
-    """A `Period` by heyoka in one go, as its users do it: a callback turns the speed round."""
+    """Map a `Period` by heyoka in one call, as its users do it: a callback reverses the velocity."""
     integrator, told, given = _heyoka(tolerance)
     found = Period(scenes.x.copy(), scenes.v.copy(), np.zeros((len(scenes.x), room), np.int8))
     for lane, (amplitude, omega, gamma, restitution, low, high, x, v) in enumerate(zip(*scenes, strict=True)):
@@ -106,7 +105,7 @@ def by_heyoka(scenes, tolerance, room=ROOM):
 
 
 def true(scenes):
-    """The `Period` in 80-bit floats, each contact certified; x and v may be such floats."""
+    """Return the `Period` in 80-bit floats, each contact certified; x and v may be such floats."""
     count = len(scenes.x)
     x, v, begun = scenes.x.astype(LONG), scenes.v.astype(LONG), np.zeros(count, LONG)
     end = 2 * LONG(np.pi) / scenes.omega.astype(LONG) + LONG(1.2246467991473532e-16) * 2 / scenes.omega

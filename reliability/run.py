@@ -1,4 +1,4 @@
-"""`python -m reliability.run [--quick] [--out DIR] [--part NAME]`: counts, draws, and writes reliability.md.
+"""Count, draw and write reliability.md: `python -m reliability.run [--quick] [--out DIR] [--part NAME]`.
 
 Two parts are measured at a time, each in a process of its own.
 """
@@ -31,14 +31,14 @@ from . import (
 
 PAGE, COMMAND = "reliability.md", "make reliability"
 PARTS = {
-    "machine": "Where and when",
-    "counts": "Hard cases, counted",
-    "speeds": "Impacts by their speed",
-    "pictures": "Error against what makes it hard",
-    "maps": "Maps of failure",
-    "limits": "At the limits",
+    "machine": "Machine and date",
+    "counts": "Hard cases",
+    "speeds": "Impacts by speed",
+    "pictures": "Error as a function of the difficulty",
+    "maps": "Failure maps",
+    "limits": "Limit cases",
     "branches": "Continuation",
-    "met by others": "What users of other packages met",
+    "met by others": "Cases reported by users of other packages",
 }
 CASES = {case.name: case for case in (*cases.CASES, cases.WHOLE, cases.DOUBT)}
 SPEEDS = ("starts into a wall", "slow impacts")
@@ -53,7 +53,7 @@ MAPS = dict(zip(("failures_amplitude_omega.png", "failures_restitution_gamma.png
 
 
 def task(kind, name, size):
-    """One thing measured, by the name that it has in a table above."""
+    """Measure one item, by its name in a table above."""
     jax.config.update("jax_enable_x64", True)
     begun = time.monotonic()
     if kind == "counts":
@@ -75,7 +75,7 @@ def task(kind, name, size):
 
 
 def tasks():
-    """(part, name) of all, the longest first."""
+    """Return (part, name) of all items, the longest first."""
     parts = {
         "maps": MAPS,
         "counts": CASES,
@@ -89,7 +89,7 @@ def tasks():
 
 
 def topics(found, count):
-    """The `Topic`s of what has been found; count: periods of a map."""
+    """Return the `Topic` objects of the results; `count` is the number of periods of a map."""
     given = {part: {name: answer for (own, name), answer in found.items() if own == part} for part in PARTS}
     if given["counts"]:
         named = {CASES[name]: answer for name, answer in given["counts"].items()}
@@ -137,11 +137,11 @@ def main(quick, out, only):
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(
-        prog="python -m reliability.run", description="Where methods fail, ours and others'."
+        prog="python -m reliability.run", description="Count the failures of methods, ours and others."
     )
-    parser.add_argument("--quick", action="store_true", help="few flights, to see that it runs, written to out/")
-    parser.add_argument("--out", metavar="DIR", help="where to write (docs, or out when quick)")
-    parser.add_argument("--part", choices=[part for part in PARTS if part != "machine"], help="this part alone")
+    parser.add_argument("--quick", action="store_true", help="few flights, to check that it runs, written to out/")
+    parser.add_argument("--out", metavar="DIR", help="output folder (docs, or out with --quick)")
+    parser.add_argument("--part", choices=[part for part in PARTS if part != "machine"], help="measure only this part")
     given = parser.parse_args()
     folder = pathlib.Path(given.out or ("out" if given.quick else "docs"))
     folder.mkdir(parents=True, exist_ok=True)

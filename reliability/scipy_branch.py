@@ -1,17 +1,18 @@
-"""A branch through a known orbit as a SciPy user follows it: shooting on the map, pseudo-arclength, both ways."""
+"""Follow a branch through a known orbit with SciPy: shooting on the map, pseudo-arclength, both directions."""
 
 import numpy as np
 
 from benchmarks.scipy_arclength import FEW, FREE, GROWTH, LONGEST, SHORTEST, correct, stroboscopic, survey
 
-MOST = 400  # points each way
+MOST = 400  # largest number of points in each direction
 
 
 def followed(family, bounds, place, step):
-    """(places (points, 3), x, v and A in order along the branch; [(kind, A)], special points between them): both ways
-    from a place on it, as far as it can be followed in the bounds of A; step: the first, arclength in (x, v, A).
+    """Follow a branch in both directions within the bounds of A.
 
-    SN where A turns, PD where det(M + 1) and SB where that of the bordered Jacobian changes sign, A by interpolation.
+    Returns (points (points, 3), x, v and A in order along the branch; [(kind, A)], special points between them). `step`
+    is the first step, arclength in (x, v, A). SN is where A turns; PD is where det(M + 1) and SB where that of the
+    bordered Jacobian changes sign, A by interpolation.
     """
     sides = (-1, 1) if family.symmetric else (1,)
     strobe = stroboscopic(family.omega, family.gamma, family.restitution, sides, family.periods)
@@ -21,7 +22,7 @@ def followed(family, bounds, place, step):
 
 
 def one_way(strobe, bounds, place, ahead, step):
-    """The `Point`s from a place on, in the direction that is within a right angle of one ahead."""
+    """Return the `Point` objects from a point on, in the direction within a right angle of `ahead`."""
     start = survey(strobe, place, ahead)
     found, length = [start], step
     while len(found) < MOST and bounds[0] < found[-1].place[2] < bounds[1]:
@@ -39,12 +40,12 @@ def one_way(strobe, bounds, place, ahead, step):
 
 
 def turned(point):
-    """The point with the branch's direction turned round."""
+    """Return the point with reversed tangent."""
     return point._replace(tangent=-point.tangent)
 
 
 def labelled(points):
-    """[(kind, A)]: where a test function changes its sign between two points, linear in the arclength between them."""
+    """Return [(kind, A)] where a test function changes sign between two points, linear in the arclength."""
     tests = {
         "SN": lambda point: point.tangent[2],
         "PD": lambda point: np.linalg.det(point.slopes[:, :2] + np.eye(2)),
@@ -59,7 +60,7 @@ def labelled(points):
 
 
 def between(one, other, share):
-    """A at a share of the arclength between two points, by the cubic with their tangents."""
+    """Return A at a fraction of the arclength between two points, by the cubic with their tangents."""
     length = np.linalg.norm(other.place - one.place)
     low, high, slope, last = one.place[2], other.place[2], length * one.tangent[2], length * other.tangent[2]
     square, cube = share**2, share**3

@@ -1,4 +1,4 @@
-"""x'' + x = 0 by diffrax with Event, as its documentation shows it, and the events that cases need."""
+"""Integrate x'' + x = 0 by diffrax with Event, as its documentation shows it, with the events of the cases."""
 
 from typing import NamedTuple
 
@@ -7,14 +7,14 @@ import jax.numpy as jnp
 import numpy as np
 import optimistix
 
-TOLERANCE = 1e-9  # of steps, relative and absolute
+TOLERANCE = 1e-9  # relative and absolute tolerance of steps
 CONTROL = diffrax.PIDController(rtol=TOLERANCE, atol=TOLERANCE)
-SWING = 1.001  # of the wall that comes over a mass at rest
-SECTION = 1.4  # the time of a section
+SWING = 1.001  # motion amplitude of the wall that passes over a mass at rest
+SECTION = 1.4  # time of a section
 
 
 class Flight(NamedTuple):
-    """How diffrax ended: the time, the state, which events occurred and were located."""
+    """End of an integration by diffrax: time, state, events that occurred and were located."""
 
     time: float
     state: np.ndarray
@@ -22,9 +22,9 @@ class Flight(NamedTuple):
 
 
 def fly(stop, start, state, *events, direction=True, control=CONTROL, solver=None, step=None):
-    """From a time and a state to a time or to the first event: a `Flight`.
+    """Integrate from a time and a state to a time or to the first event; returns a `Flight`.
 
-    direction: True for events that rise, None for both; solver: Tsit5 where it is None; step: the first.
+    `direction`: True for rising events, None for both; `solver`: None for Tsit5; `step`: the first step.
     """
     found = diffrax.diffeqsolve(
         diffrax.ODETerm(field),
@@ -42,25 +42,25 @@ def fly(stop, start, state, *events, direction=True, control=CONTROL, solver=Non
 
 
 def field(t, y, args):
-    """The right-hand side of x'' + x = 0."""
+    """Compute the right-hand side of x'' + x = 0."""
     return jnp.stack([y[1], -y[0]])
 
 
 def beyond_one(t, y, args, **_):
-    """How far the mass is beyond a wall at 1."""
+    """Return the penetration of a wall at 1."""
     return y[0] - 1.0
 
 
 def beyond_swinging(t, y, args, **_):
-    """How far it is beyond the wall that swings."""
+    """Return the penetration of the moving wall."""
     return y[0] - 1.0 - SWING * jnp.cos(2.0 * t)
 
 
 def below_zero(t, y, args, **_):
-    """How far it is beyond a left wall at 0."""
+    """Return the penetration of a left wall at 0."""
     return -y[0]
 
 
 def later(t, y, args, **_):
-    """How far the time is beyond the section's."""
+    """Return the time since the section."""
     return t - SECTION

@@ -213,7 +213,7 @@ def settled(count, seed=0):
         try:
             told = jv.fit(begun(one, rng), data, SCALES).table()
         except jv.ArgumentError as error:
-            refused, told = refused + ("is settled, holds 3 numbers" in str(error)), str(error)
+            refused, told = refused + ("a settled motion with 3 is recorded" in str(error)), str(error)
         print(told, flush=True)
     print(f"{refused} of {count} refused with the combinations")
 

@@ -79,7 +79,7 @@ def round_of_two_studies(folder, rng, processes, whole):
     for offset, child, log in zip(offsets, children, logs, strict=True):
         code = ended(child)
         codes.setdefault(offset, set()).add(code)
-        rule = "must hold this study: scene is another there"
+        rule = "must hold this study: scene differs"
         if code not in (0, 2) or (code == 2 and rule not in log.read_text()):
             faults.append(f"ended with {code}: {log.read_text()}")
     if sorted(map(sorted, codes.values())) != [[0], [2]]:

@@ -62,7 +62,7 @@ def test_an_entry_that_is_wrong_is_named():
         (lambda: jv.follow_all([orbit, 3], "amplitude", (0.0, 1.0)), r"orbits\[1\]: must be an Orbit; got 3"),
         (
             lambda: jv.search(SCENE, "SN", {"damping": 1.0}, {"damping": "x"}),
-            r"bounds\.damping: must be a row of real numbers",
+            r"bounds\.damping: must be a sequence of real numbers",
         ),
     ):
         with pytest.raises(jv.ArgumentError, match=told):
@@ -110,7 +110,9 @@ def test_bounds_of_continuation_are_by_name():
     for call in (lambda: co.curve(point, ("a", "b"), (0.0, 1.0)), lambda: co.switch(point, bounds=(0.0, 1.0))):
         with pytest.raises(co.ContinuationError, match=r"bounds: must be a mapping from strings to .*numbers"):
             call()
-    with pytest.raises(co.ContinuationError, match=r"names: must be different parameters, none a; got \(\)"):
+    with pytest.raises(
+        co.ContinuationError, match=r"names: must be one or more different parameters other than a; got \(\)"
+    ):
         co.sensitivity(point, set())
 
 

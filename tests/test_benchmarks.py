@@ -68,7 +68,7 @@ def test_what_is_not_kept_stands_in_bold():
         "| fast | s | at most 2 | 1.5 (1.25 to 1.75), as it is |",
         "| slow | over ours | at least 8,000 | **7,000** |",
         "| none | s | at most 1 | not measured |",
-        "| free | s | (to be printed) | 0.25 |",
+        "| free | s | none | 0.25 |",
     ]
 
 
@@ -233,7 +233,8 @@ def test_pictures_are_drawn(tmp_path):
     pictures.curves(tmp_path / "curves.png", [panel, panel._replace(scale="linear")], "title")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["bars.png", "curves.png"]
     topic = Topic("orbits", rows, ("| a |",), ("said",), {"bars.png": ("what", partial(print))})
-    assert page.body(topic).startswith("![what](bars.png)\n\n| what |") and page.body(topic).endswith("| a |\n\n- said")
+    text = page.body(topic)
+    assert text.startswith("![what](bars.png)\n\n| quantity |") and text.endswith("| a |\n\n- said")
 
 
 @pytest.mark.long
@@ -251,5 +252,5 @@ def test_all_of_it_runs_in_small(tmp_path):
     kept = re.findall(r"^!\[[^\]]+\]\((.+)\)$", (DOCS / "benchmarks.md").read_text(), re.M)
     assert drawn == kept and all((tmp_path / "out" / file).stat().st_size > 10_000 for file in drawn)
     assert str(tmp_path) not in text
-    assert "not measured" not in text.replace("not measured, no rival is as exact", "")
+    assert "not measured" not in text.replace("not measured, no other method is as accurate", "")
     assert set(re.findall(r"^\| ([^|]+) \|", text, re.M)) >= {row.what for row in kernel.ASKED}

@@ -130,7 +130,7 @@ def test_a_folder_of_somebody_else_is_not_used(cache, traces, monkeypatch):
     assert f"belongs to another user, number {theirs}" in persistent_jit.reason_without_cache()
     assert {one: one.read_bytes() for one in cache.rglob("*") if one.is_file()} == files
     assert cache_file.read(kept(cache)[".code"]) is None
-    with pytest.raises(jv.ArgumentError, match="jax_compilation_cache_dir: must be a folder that no one else"):
+    with pytest.raises(jv.ArgumentError, match="jax_compilation_cache_dir: must be a folder that no other user"):
         jv.warm()
 
 

@@ -101,7 +101,7 @@ def test_a_run_says_where_and_shows_progress_on_stderr(tmp_path, capsys):
 def test_nothing_is_overwritten_without_force(tmp_path, capsys):
     (tmp_path / "branches.nc").write_text("mine")
     assert quick(tmp_path) == 2
-    assert "branches.nc is there already; --force overwrites it" in capsys.readouterr().err
+    assert "branches.nc already exists; --force overwrites it" in capsys.readouterr().err
     assert (tmp_path / "branches.nc").read_text() == "mine" and len(list(tmp_path.iterdir())) == 1
     assert quick(tmp_path, "--force") == 0
     assert (tmp_path / "branches.nc").read_bytes().startswith(b"CDF")
@@ -111,7 +111,7 @@ def test_a_run_never_overwrites_its_own_scene(tmp_path, capsys):
     scene = tmp_path / "mine.txt"
     scene.write_bytes(SCENE_FILE.read_bytes())
     assert called("run", scene, "--out", tmp_path, "--force") == 2
-    assert "mine.txt is in the way" in capsys.readouterr().err
+    assert "mine.txt is a folder or the scene file" in capsys.readouterr().err
     assert scene.read_bytes() == SCENE_FILE.read_bytes()
 
 
@@ -156,7 +156,7 @@ def test_init_writes_a_scene_that_runs(tmp_path, monkeypatch, capsys):
         scene_file.read(SCENE_FILE, TO_STARTER), branch=None
     )
     assert called("init") == 2
-    assert "scene.toml is there already" in capsys.readouterr().err
+    assert "scene.toml already exists" in capsys.readouterr().err
     assert called("init", "--force", "scene.toml") == 0
     assert scene_template.SCENE_TEMPLATE.count("#") > 20
 
@@ -179,7 +179,7 @@ BAD = [
     (["--set", "damping=-1"], "scene.damping: must not be negative"),
     (["--set", "left.restitution=1.5"], "scene.left.restitution: must lie between 0 and 1"),
     (["--set", "right.position=-2"], "scene.right.position: must lie to the right of left.position"),
-    (["--set", "right.motion.amplitude=3"], "scene.right.motion: walls may not touch"),
+    (["--set", "right.motion.amplitude=3"], "scene.right.motion: walls must not touch"),
     (["--set", "sweep.count=0"], "sweep.count: must be a whole number"),
     (["--set", "sweep.count=1000000", "--set", "sweep.keep=1000000"], "sweep.keep: "),
     (["--set", "sweep.parameter='force'"], "sweep.parameter: must be a parameter of the scene"),
@@ -192,7 +192,7 @@ BAD = [
     (["--set"], "--set: expected one argument"),
     (["--st", "amplitude=3"], "unrecognized arguments: --st"),
     (["another.toml"], "unrecognized arguments: another.toml"),
-    (["--out", "FILE"], "is no folder"),
+    (["--out", "FILE"], "is not a folder"),
     (["--out", "FILE/below"], "cannot be written to"),
     (["--json=yes"], "--json: ignored explicit argument"),
     (["run"], "required: SCENE"),
@@ -201,9 +201,9 @@ BAD = [
     (["run", "FILE"], "taken: must be a TOML file"),
     (["walk"], "invalid choice: 'walk'"),
     ([], "required: COMMAND"),
-    (["init", "FILE/below"], "taken is no folder"),
-    (["init", "no/where.toml"], "no is no folder"),
-    (["init", "FILE"], "is there already"),
+    (["init", "FILE/below"], "taken is not a folder"),
+    (["init", "no/where.toml"], "no is not a folder"),
+    (["init", "FILE"], "already exists"),
 ]
 
 

@@ -51,7 +51,7 @@ def test_kept_in_a_store(scene, tmp_path):
             for one, another in zip(mine.branches, other.branches, strict=True):
                 np.testing.assert_allclose(one.values, another.values, rtol=0, atol=1e-9)
     assert seen == [0, 1, 2, 2]
-    with pytest.raises(jv.ArgumentError, match="settings is another there"):
+    with pytest.raises(jv.ArgumentError, match="settings differs"):
         jv.diagrams(scene, *asked, max_period=2, store=jv.Store(tmp_path / "diagrams"))
 
 

@@ -1,4 +1,4 @@
-"""The site: all public names are in the reference, all blocks of Python in the pages run, and links lead somewhere."""
+"""The site documents all public names, the Python blocks of its pages run, and its links have targets."""
 
 import contextlib
 import io
@@ -6,14 +6,18 @@ import re
 import shlex
 import subprocess
 import sys
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NamedTuple
 
 import matplotlib.pyplot as plt
+import numpy as np
 import pytest
+from jaxtyping import ArrayLike, Float, Real
 
 import continuation
 import jaxvibro as jv
-from docs.site import notebooks, pages, reference
+from docs.site import autodoc, notebooks, pages, reference
 from jaxvibro.studies import command
 
 ROOT = Path(__file__).parents[1]
@@ -92,34 +96,82 @@ def test_commands_in_the_pages_are_such():
     assert len(words) > 10
 
 
-def test_every_public_name_is_in_the_reference():
+def test_every_public_name_and_record_is_in_the_reference():
     text = "\n".join(reference.pages().values())
-    heads = set(re.findall(r"^`+\{py:\w+\} ([\w.]+)", text, re.MULTILINE))
-    public = {*jv._HOMES, *(f"plot.{name}" for name in jv.plot.__all__), *continuation.__all__}
-    assert public <= heads and {"Branch.table", "Branch.points", "Scene.dissipative", "Special.normal_form"} <= heads
+    directives = re.findall(r"^\.\. auto(?:function|class|exception):: ([\w.]+)$", text, re.MULTILINE)
+    tables = re.findall(r"^   ~([\w.]+)$", text, re.MULTILINE)
+    public = {f"jaxvibro.{name}" for name in jv._HOMES} | {f"jaxvibro.plot.{name}" for name in jv.plot.__all__}
+    public |= {f"continuation.{name}" for name in continuation.__all__}
+    assert sorted(directives) == sorted(tables) and len(set(directives)) == len(directives)
+    assert public <= set(directives) and "jaxvibro.branches.branch.Special" in directives
+    assert {"jaxvibro.Branch.table", "jaxvibro.Branch.points", "jaxvibro.Scene.dissipative"} <= reference.DOCUMENTED
+    assert f"\n\n   {reference.EXAMPLES.splitlines()[0]}\n" in text
 
 
-def test_a_name_without_a_docstring_stops_the_reference():
-    def nothing():
-        pass
+@pytest.mark.parametrize(
+    "name, module, dotted",
+    [
+        ("follow", "jaxvibro", "jaxvibro.follow"),
+        ("jv.follow", "jaxvibro.plot", "jaxvibro.follow"),
+        ("branch", "jaxvibro.plot", "jaxvibro.plot.branch"),
+        ("jv.plot.branch", "jaxvibro", "jaxvibro.plot.branch"),
+        ("Branch", "jaxvibro.branches.branch", "jaxvibro.Branch"),
+        ("Branch", "continuation", "continuation.Branch"),
+        ("co.trace", "jaxvibro", "continuation.trace"),
+        ("Branch.table", "jaxvibro", "jaxvibro.Branch.table"),
+        ("Special.normal_form", "jaxvibro", "jaxvibro.branches.branch.Special.normal_form"),
+        ("Special", "continuation", "continuation.Special"),
+        ("fold", "jaxvibro", None),
+        ("fit.md", "jaxvibro", None),
+    ],
+)
+def test_short_names_lead_to_the_objects_of_their_package(name, module, dotted):
+    assert reference.target(name, module) == dotted
 
-    with pytest.raises(reference.Untold, match="nothing"):
-        reference._entry("jaxvibro", "nothing", nothing)
+
+def test_a_signature_is_the_one_that_the_source_writes():
+    def call(orbit: jv.Orbit, gaps: Real[ArrayLike, "..."] = 0.0, *, stop: str = "") -> Float[np.ndarray, "*lanes"]:
+        """Call."""
+
+    text, returns = autodoc.signature(None, "function", "call", call, {}, "(orbit, gaps)", "")
+    assert text == "(orbit: jv.Orbit, gaps: Real[ArrayLike, '...']=0.0, *, stop: str='')"
+    assert returns == "Float[np.ndarray, '*lanes']"
 
 
-def test_arguments_become_a_list_and_public_names_lead_to_theirs():
-    told = reference.prose(
-        "A `Scene` of x_b.\n\nscene: a `Scene`; left, right: walls. It ends.", ["scene", "left", "right"]
-    )
-    assert told == (
-        "A {py:obj}`Scene <jaxvibro.Scene>` of x\\_b.\n\n"
-        "- **scene**: a {py:obj}`Scene <jaxvibro.Scene>`\n- **left, right**: walls. It ends."
-    )
+def test_a_class_has_a_signature_if_users_construct_it(monkeypatch):
+    @dataclass
+    class Given:
+        """Given.
+
+        Parameters
+        ----------
+        position : float
+            Position.
+        """
+
+        position: float
+        names: dict[str, float] = field(default_factory=dict)
+        static: int = field(default=1, metadata={"static": True})
+
+    class Returned(NamedTuple):
+        """Returned."""
+
+        position: float
+
+    monkeypatch.setattr(reference, "own_classes", lambda value: [value])
+    text = autodoc.signature(None, "class", "Given", Given, {}, "", "")[0]
+    assert text == "(position: float, names: dict[str, float] = dict(), static: int = 1)"
+    assert autodoc.signature(None, "class", "Returned", Returned, {}, "(position)", "") == ("", "")
+    assert autodoc.skip(None, "class", "position", Returned.position, False, {}) is True
 
 
-def test_a_record_of_continuation_is_not_ours_of_the_same_name():
-    page = reference.pages()["continuation.md"]
-    assert "<continuation.Branch>" in page and "<jaxvibro.Branch>" not in page
+def test_parameters_are_code_and_types_stand_beside_attributes():
+    lines = ["See `orbit` and `Branch` of ``orbit``."]
+    autodoc.docstring(None, "function", "follow", lambda orbit: orbit, {}, lines)
+    assert lines == ["See ``orbit`` and `Branch` of ``orbit``."]
+    lines = [".. attribute:: first, last", "", "   Indices.", "", "   :type: int", ""]
+    autodoc.attributes(None, "class", "Segment", object, {}, lines)
+    assert lines[:5] == [".. attribute:: first", 15 * " " + "last", "   :type: int", "", "   Indices."]
 
 
 @pytest.mark.parametrize(

@@ -95,7 +95,7 @@ def test_texts_of_what_takes_long():
     ],
 )
 def test_a_reference_is_a_result_and_nothing_else(reference):
-    with pytest.raises(jv.ArgumentError, match="must be the result of a line before"):
+    with pytest.raises(jv.ArgumentError, match="must refer to the result of an earlier line"):
         resolve(reference, {SCENE_NAME: two_walls(), "branch_1": ()})
 
 
@@ -105,8 +105,8 @@ def test_a_reference_is_a_result_and_nothing_else(reference):
         ({"call": "system"}, "view.call: must be one of"),
         ({"call": "__import__"}, "view.call: must be one of"),
         ({"name": "x = 1; y"}, "view.name: must be a word and a number"),
-        ({"arguments": {"x": 0.0}}, "view.arguments: must be those of find_orbit"),
-        ({"arguments": STATE | {"more": 1}}, "view.arguments: must be those of find_orbit"),
+        ({"arguments": {"x": 0.0}}, "view.arguments: must match those of find_orbit"),
+        ({"arguments": STATE | {"more": 1}}, "view.arguments: must match those of find_orbit"),
         ({"call": "margin", "arguments": {"free": {"amplitude": 1.0}}}, "must be an Orbit"),
         ({"call": "switch", "arguments": {}}, "must be a special point"),
     ],

@@ -196,7 +196,7 @@ def test_a_socket_needs_the_token(served):
 @pytest.mark.parametrize("address", ["0.0.0.0", "192.168.1.7", "example.org", "::", ""])
 def test_an_address_that_is_not_loopback_is_refused(address):
     assert not is_loopback(address)
-    with pytest.raises(jv.ArgumentError, match="address: must be this machine's own"):
+    with pytest.raises(jv.ArgumentError, match="address: must be a loopback address"):
         jv.view(two_walls(), 0, address)
 
 
@@ -219,7 +219,7 @@ def test_a_message_that_is_none_is_one_line(served, text):
         page = await Page.open(served.url, size=False)
         await page.socket.write_message(text)
         (told,) = await page.until(lambda record: record["kind"] == "told")
-        assert told["bad"] and "message: must be one that the page knows" in told["text"]
+        assert told["bad"] and "message: must be a known message" in told["text"]
         await page.say(do="zoom", panel="diagram")
         page.socket.close()
 

@@ -101,22 +101,22 @@ def test_a_start_that_settles_on_no_orbit_is_shown_as_a_motion():
     desk.say(messages.SetStart(x=0.3, v=0.1))
     assert "no periodic orbit of up to 32 periods" in desk.session.sent_fields["facts"]
     assert next(one["call"] for one in desk.session.sent_fields["actions"]) == "explore"
-    assert "must be asked of an orbit" in complaints(desk.ask("follow"))[0]
+    assert "requires a periodic orbit" in complaints(desk.ask("follow"))[0]
 
 
 @pytest.mark.parametrize(
     ("message", "rule"),
     [
-        (messages.SetParameter(name="amplitud", value=1.0), "must be that of a parameter of the scene"),
+        (messages.SetParameter(name="amplitud", value=1.0), "must be a parameter of the scene"),
         (messages.SetParameter(name="restitution", value=1.5), "restitution"),
         (messages.SetParameter(name="left.position", value=2.0), "position"),
         (messages.SetStart(x=3.0, v=0.0), "x"),
-        (messages.Select(of="branch_1.special[77]"), "must be the result of a line before"),
-        (messages.Zoom(panel="diagram", x=(2.0, 1.0)), "must go from a smaller number to a larger one"),
-        (messages.Zoom(panel="portrait", y=(-1e308, 1e308)), "must lie within -1e+100 and 1e+100"),
+        (messages.Select(of="branch_1.special[77]"), "must refer to the result of an earlier line"),
+        (messages.Zoom(panel="diagram", x=(2.0, 1.0)), "must be finite and increasing"),
+        (messages.Zoom(panel="portrait", y=(-1e308, 1e308)), "must lie between -1e+100 and 1e+100"),
         (messages.Load(text="[scene"), "must be a TOML file"),
         (messages.Load(text="a" * 2_000_000), "must be at most 1,000,000"),
-        (messages.RunAction(call="switch"), "must be asked of a special point"),
+        (messages.RunAction(call="switch"), "requires a special point"),
     ],
 )
 def test_what_cannot_be_is_one_line_and_changes_nothing(desk, message, rule):

@@ -61,10 +61,10 @@ def test_what_cannot_be_is_one_clear_error(scene, points, values):
     data = jv.PointRecord(points, values, 1e-4)
     for free, told in (
         ({}, r"^free: must be"),
-        ({"amplitude": 0.1}, r"^free.amplitude: must not be what a point's value is of"),
+        ({"amplitude": 0.1}, r"^free.amplitude: must not be the parameter of a point"),
         (
             {"damping": 0.02, "restitution": 0.05, "frequency": 0.1},
-            r"^data: must hold as many numbers as are unknown, 3",
+            r"^data: must hold at least 3 values, as many as unknowns",
         ),
         ({"damping": None}, r"^free.damping: must be a real number"),
         ({"size": 1.0}, r"^size: is not a parameter"),
@@ -73,7 +73,7 @@ def test_what_cannot_be_is_one_clear_error(scene, points, values):
             jv.fit(scene, data, free)
     with pytest.raises(jv.ArgumentError, match=r"^bounds.damping: must be \(low, high\)"):
         jv.fit(scene, data, FREE, {"damping": (0.1, 0.2)})
-    with pytest.raises(jv.ArgumentError, match=r"^values: must be one for each point, 2"):
+    with pytest.raises(jv.ArgumentError, match=r"^values: must have one entry for each point, 2"):
         jv.PointRecord(points, values[:1], 1e-4)
     with pytest.raises(jv.ArgumentError, match=r"^values: must be finite"):
         jv.PointRecord(points, [np.nan, 1.0], 1e-4)

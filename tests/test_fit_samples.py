@@ -150,7 +150,8 @@ def test_a_section_that_has_settled_holds_one_point():
     rng, times = np.random.default_rng(0), np.arange(20) * 2.0 * np.pi / 1.2
     x, v = (float(each) + SIGMA * rng.normal(size=20) for each in (settled.x, settled.v))
     with pytest.raises(
-        jv.ArgumentError, match=r"data: is settled, holds 2 numbers and must hold as many .* 3: .*damping"
+        jv.ArgumentError,
+        match=r"data: must hold at least 3 independent values, .* a settled motion with 2 is recorded: .*damping",
     ):
         jv.fit(
             one, jv.SampleRecord(times, x, SIGMA, v), dict.fromkeys(("damping", "left.restitution", "amplitude"), 0.1)
@@ -207,10 +208,10 @@ def test_a_soft_wall_and_a_motion_that_comes_to_rest():
         (([0.0, 1.0], [0.0, np.nan], SIGMA), "x"),
         (([0.0, np.inf], [0.0, 0.0], SIGMA), "times"),
         (([1.0, 1.0], [0.0, 0.0], SIGMA), "times.*in order"),
-        (([0.0, 1.0], [0.0], SIGMA), "x: must be one for each time, 2"),
+        (([0.0, 1.0], [0.0], SIGMA), "x: must have one entry for each time, 2"),
         (([0.0, 1.0], [0.0, 0.0], 0.0), "sigma: must be a number greater than 0"),
-        (([0.0, 1.0], [0.0, 0.0], SIGMA, [0.0]), "v: must be one for each time, 2"),
-        (([0.0, 1.0], [0.0, 0.0], SIGMA, None, 0.1), "sigma_v: must be left out where there is no v"),
+        (([0.0, 1.0], [0.0, 0.0], SIGMA, [0.0]), "v: must have one entry for each time, 2"),
+        (([0.0, 1.0], [0.0, 0.0], SIGMA, None, 0.1), "sigma_v: must be omitted if v is not given"),
         (([0.0, 1.0], [0.0, 0.0], SIGMA, [0.0, 0.0], -0.1), "sigma_v: must be a number greater than 0"),
         (([], [], SIGMA), "times"),
     ],
@@ -222,6 +223,7 @@ def test_records_that_cannot_be(given, told):
 
 def test_more_unknowns_than_samples():
     with pytest.raises(
-        jv.ArgumentError, match="data: must hold as many numbers as are unknown, 7 with the first state; got '6"
+        jv.ArgumentError,
+        match="data: must hold at least 7 values, as many as unknowns including the initial state; got '6",
     ):
         jv.fit(CHAOTIC, jv.SampleRecord(np.arange(6.0), 0.1 * np.ones(6), SIGMA), FREE)

@@ -52,14 +52,14 @@ def test_branches_of_many_orbits_are_those_of_each(scene, orbit, branch):
 
 
 def test_an_orbit_among_many_that_is_none_is_told(scene, orbit):
-    with pytest.raises(jv.ArgumentError, match=r"^orbits: must be a list or tuple of Orbits, one at least"):
+    with pytest.raises(jv.ArgumentError, match=r"^orbits: must be a list or tuple of at least one Orbit"):
         jv.follow_all([], "amplitude", (0.0, 6.0))
     with pytest.raises(jv.ArgumentError, match=r"^orbits\[1\]: must be an Orbit"):
         jv.follow_all([orbit, scene], "amplitude", (0.0, 6.0))
     stray = replace(orbit, scene=scene.replace(amplitude=2.5))
-    with pytest.raises(jv.OrbitError, match="the start is no orbit") as raised:
+    with pytest.raises(jv.OrbitError, match="the start is not an orbit") as raised:
         jv.follow_all([orbit, stray], "amplitude", (0.0, 6.0))
-    assert raised.value.__notes__ == ["it is orbits[1]"]
+    assert raised.value.__notes__ == ["raised for orbits[1]"]
 
 
 def value(branch, kind):
@@ -212,13 +212,13 @@ def test_what_cannot_be_followed_is_refused(orbit, branch):
         jv.follow(orbit.state, "amplitude", (0.0, 6.0))
     other = jv.Branch.orbit(branch, -1)
     object.__setattr__(other, "scene", orbit.scene)
-    with pytest.raises(jv.OrbitError, match=r"the start is no orbit \(residual [0-9.e+-]+\)"):
+    with pytest.raises(jv.OrbitError, match=r"the start is not an orbit \(residual [0-9.e+-]+\)"):
         jv.follow(other, "amplitude", (0.0, 6.0))
-    with pytest.raises(jv.ArgumentError, match=r"^monitors.fast: must give a number at every point"):
+    with pytest.raises(jv.ArgumentError, match=r"^monitors.fast: must return a number at every point"):
         jv.follow(orbit, "amplitude", (0.0, 6.0), "backward", monitors={"fast": lambda point: point.speeds.max() - 9.0})
     with pytest.raises(jv.ArgumentError, match=r"^special: must be of kind SB, BP, PD, GR"):
         jv.switch(branch.points("SN")[0])
-    with pytest.raises(jv.ArgumentError, match=r"^bounds: must hold the branch's own"):
+    with pytest.raises(jv.ArgumentError, match=r"^bounds: must contain the branch's own"):
         jv.extend(branch, (1.0, 6.0))
 
 

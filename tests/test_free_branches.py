@@ -51,7 +51,7 @@ def test_a_pendulum_tilts_and_doubles_its_period_where_digits_say_so():
             assert off < 1e-11 and abs(mp.det(matrix - sign * mp.eye(2))) < 1e-9
     assert tilt.normal_form is None and "P200" in twice.table()
     for ask in (lambda: jv.sensitivity(double, ["force.damping"]), lambda: jv.located(tilt)):
-        with pytest.raises(jv.ArgumentError, match="special: must be one of an orbit with impacts"):
+        with pytest.raises(jv.ArgumentError, match="special: must belong to an orbit with impacts"):
             ask()
 
 

@@ -62,7 +62,7 @@ def called(function, x):
 @pytest.mark.parametrize("name", HOST)
 def test_what_runs_on_the_host_says_so_at_once(name):
     function = getattr(jv, name)
-    told = f"{name}: runs on the host and cannot be traced by jit, vmap or grad: call it outside; within, "
+    told = f"{name}: runs on the host and cannot be traced by jit, vmap or grad: call it outside; inside, "
     traced, plain = (lambda x: called(function, x)), (lambda x: (called(function, 2.0), x)[1])
     for one in (traced, plain):
         for transformed in (jax.jit(one), jax.grad(one), lambda x, one=one: jax.vmap(one)(jnp.full(2, x))):

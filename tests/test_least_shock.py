@@ -195,5 +195,5 @@ def test_what_cannot_be_is_refused(key, given):
 def test_a_phase_at_which_the_attractor_meets_a_wall_is_refused():
     scene, attractors = known("figure 5")
     phase = scene.frequency * attractors[0].orbit.impacts.time[0]
-    with pytest.raises(jv.ArgumentError, match="take another one"):
+    with pytest.raises(jv.ArgumentError, match="choose another phase"):
         jv.least_shock(scene, attractors, 0, float(phase), shocks=FEW)

@@ -153,7 +153,7 @@ def test_diagrams_in_a_store_stop_between_values(tmp_path, ticking, monkeypatch)
     assert again.stopped == "" and [one.reason for one in again] == ["all"] * 3
     with pytest.raises(jv.ArgumentError, match="max_points"):
         jv.diagrams(*task, store=store, max_points=1)
-    with pytest.raises(jv.ArgumentError, match="is another there"):
+    with pytest.raises(jv.ArgumentError, match="differs"):
         jv.diagrams(*task, store=store, max_points=50)
 
 
@@ -164,7 +164,7 @@ def test_a_placement_ends_where_its_time_is_over():
     assert last.is_expired and last.fraction == 0.25 and not virtual  # of steps of 1, 0.5 and 0.25
     assert (
         place._failure_reason(last.fraction, virtual, (), last.is_expired)
-        == "the way ends after 0.25 of it: max_seconds reached"
+        == "the path to the targets ends after 0.25 of its length: max_seconds reached"
     )
 
 
@@ -178,7 +178,11 @@ def fold():
 def test_the_first_place_is_the_scene_itself(fold, ticking):
     ticking()
     part = jv.place(fold, None, fold.value + 0.1, {"damping": 0.05}, max_seconds=0.5)
-    assert not part.met and part.why == "the way ends after 0 of it: max_seconds reached" and part.distance == 0.0
+    assert (
+        not part.met
+        and part.why == "the path to the targets ends after 0 of its length: max_seconds reached"
+        and part.distance == 0.0
+    )
 
 
 @pytest.mark.slow

@@ -137,13 +137,13 @@ def test_what_may_not_be(scene, orbit):
         jv.located(orbit, "amplitude")
     with pytest.raises(jv.ArgumentError, match="wall: must be None for an orbit"):
         jv.located(orbit, "peak", wall="left")
-    with pytest.raises(jv.ArgumentError, match="scene: must be a Scene with the walls of"):
+    with pytest.raises(jv.ArgumentError, match="scene: must be a Scene with walls of the same kinds"):
         jv.located(orbit, "peak")(jv.make_scene(2.0, OMEGA, GAMMA, R, (None, 1.0)))
     (fold,) = jv.follow(orbit, "amplitude", (0.4, 2.1)).points("SN")
     (other,) = jv.follow(orbit, "damping", (0.0, 2.0)).points("SN")[:1]
-    with pytest.raises(jv.ArgumentError, match="last: must be of the same parameter, amplitude"):
+    with pytest.raises(jv.ArgumentError, match="last: must be a point in the same parameter as `first`, amplitude"):
         jv.hysteresis(fold, other)
-    with pytest.raises(jv.ArgumentError, match="orbits: must be given to hysteresis for an area"):
+    with pytest.raises(jv.ArgumentError, match="orbits: must be given to `hysteresis` for an area"):
         jv.hysteresis(fold, fold).area(scene)
     with pytest.raises(jv.ArgumentError, match="orbits: must be a pair of Orbits or None"):
         jv.hysteresis(fold, fold, (orbit, None))

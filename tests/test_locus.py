@@ -157,13 +157,13 @@ def test_points_that_nothing_leaves_are_refused(loci):
     locus = loci["GR of P112"]
     (point,) = locus.points("RG")
     with pytest.raises(
-        jv.ArgumentError, match=r"^special: must be one that other loci leave: .*; got 'EP of a locus of"
+        jv.ArgumentError, match=r"^special: must be a point from which other loci emanate: .*; got 'EP of a locus of"
     ):
         jv.switch(locus.special[0])
     with pytest.raises(jv.ArgumentError, match=r"^special: must be a Special or a Codim2"):
         jv.switch(locus)
     for key, given in (("monitors", {"still": lambda point: point.value}), ("stop", "GPD")):
-        with pytest.raises(jv.ArgumentError, match=rf"^{key}: must be left out"):
+        with pytest.raises(jv.ArgumentError, match=rf"^{key}: must be omitted"):
             jv.switch(point, **{key: given})
     with pytest.raises(jv.ArgumentError, match=r"^bounds: must give \(low, high\) for amplitude and for frequency"):
         jv.switch(point, (0.0, 20.0))

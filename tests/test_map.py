@@ -183,24 +183,24 @@ def test_a_store_is_gone_on_with(tmp_path):
     assert seen[4:] == [seen[4]] and seen[4].done == 6
     other = figure_4().replace(frequency=1.0)  # which the grid gives anyway
     assert jv.map_parameters(other, grid, chunk=2, store=jv.Store(tmp_path / "map")).identical(whole)
-    with pytest.raises(jv.ArgumentError, match=r"scene is another there; got 'damping = 0.05 there, damping = 0.06"):
+    with pytest.raises(jv.ArgumentError, match=r"scene differs; got 'damping = 0.05 stored, damping = 0.06"):
         jv.map_parameters(figure_4().replace(damping=0.06), grid, chunk=2, store=jv.Store(tmp_path / "map"))
 
 
 @pytest.mark.parametrize(
     ("change", "told"),
     [
-        ({"grid": {}}, "grid: must be {name: values}"),
+        ({"grid": {}}, "grid: must be a mapping {name: values}"),
         ({"grid": {"omega": [1.0]}}, "omega: is not a parameter of this scene, perhaps frequency"),
-        ({"grid": {"frequency": [2.0, 1.0]}}, "frequency: must be a row of numbers in rising order"),
+        ({"grid": {"frequency": [2.0, 1.0]}}, "frequency: must be one or more numbers in increasing order"),
         ({"grid": {"frequency": [1.0, np.nan]}}, "frequency.*: must be finite"),
         ({"grid": {"restitution": [0.5, 1.5]}}, "restitution"),
         ({"start": 0}, "start: must be a whole number from 1 on"),
         ({"start": jv.State(3.0, 0.0)}, "state.x.*: must lie between the walls at each cell"),
-        ({"start": 5, "along": "frequency"}, "start: must be a State where the motion is carried along"),
+        ({"start": 5, "along": "frequency"}, "start: must be a State if the motion is carried along a parameter"),
         ({"along": "amplitude"}, r"along: must be a parameter of the grid \(frequency\)"),
         ({"quantities": ("speed",)}, "quantities: must be some of label, period"),
-        ({"quantities": ("attractors",)}, "quantities: must be without attractors where a cell has one start"),
+        ({"quantities": ("attractors",)}, "quantities: must not contain attractors if a cell has one initial state"),
         ({"settle": -1}, "settle: must be a whole number"),
         ({"chunk": 0}, "chunk: must be a whole number"),
     ],
@@ -231,7 +231,7 @@ def test_picture_of_a_map():
     assert len(other.figure.axes) == 2
     with pytest.raises(jv.ArgumentError, match="must be one of label, exponent"):
         jv.plot.map(drawn(), quantity="period")
-    with pytest.raises(jv.ArgumentError, match="choose from the others first"):
+    with pytest.raises(jv.ArgumentError, match="select from the others first"):
         jv.plot.map(drawn().expand_dims(way=[1, -1]))
     with pytest.raises(jv.ArgumentError, match="must be given a Dataset of map_parameters"):
         jv.plot.map(xr.Dataset())

@@ -176,10 +176,14 @@ def test_a_bound_takes_part_and_what_cannot_be_is_told(fold_point):
     "free, bounds, told",
     [
         ({}, None, "free: must be {name: unit}"),
-        ({"amplitude": 0.0}, None, "free.amplitude: must be a unit"),
+        ({"amplitude": 0.0}, None, "free.amplitude: must be a positive number"),
         ({"mass": 1.0}, None, "mass"),
-        ({"amplitude": 1.0}, {"damping": (0.0, 1.0)}, "bounds.damping: must be of a free number"),
-        ({"amplitude": 1.0}, {"amplitude": (3.0, 4.0)}, "bounds.amplitude: must be .* about the scene's 2"),
+        ({"amplitude": 1.0}, {"damping": (0.0, 1.0)}, "bounds.damping: must belong to a free parameter"),
+        (
+            {"amplitude": 1.0},
+            {"amplitude": (3.0, 4.0)},
+            "bounds.amplitude: must be .* contain the value of the scene, 2",
+        ),
     ],
 )
 def test_bad_arguments(orbit, free, bounds, told):
@@ -190,7 +194,7 @@ def test_bad_arguments(orbit, free, bounds, told):
 @pytest.mark.parametrize(
     "target, free, told",
     [
-        (0.6, {"amplitude": 1.0}, "free.amplitude: must be none of the parameters"),
+        (0.6, {"amplitude": 1.0}, "free.amplitude: must not be a parameter that is placed"),
         (np.nan, {"damping": 1.0}, "target: must be a finite number"),
         ([0.6, 0.7], {"damping": 1.0}, "target: must be a finite number for each of 1"),
     ],

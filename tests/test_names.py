@@ -96,7 +96,7 @@ def test_parameters_in_a_tuple_have_one_value_and_move_a_point_as_all_of_them_do
     scene = scene.replace(**{"right.restitution": other})
     point = fold(folded(scene))
     for names in (pair, pair[::-1]):
-        with pytest.raises(jv.ArgumentError, match=r"^names: in one tuple must have one value; .* the sum"):
+        with pytest.raises(jv.ArgumentError, match=r"^names: must have one value in one tuple; .* add the results"):
             jv.sensitivity(point, ["damping", names])
     step = 1e-4
     ends = [fold(folded(scene.replace(**{pair[0]: one + way, pair[1]: other + way}))).value for way in (step, -step)]

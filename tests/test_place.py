@@ -27,7 +27,10 @@ def test_beyond_the_end_of_a_boundary_it_is_the_last_admissible_one(edge):
     )
     assert virtual == ["SN"] and not held.any()
     told = place._failure_reason(last.fraction, virtual, ())
-    assert told == f"the way ends after {last.fraction:.3g} of it: beyond, the SN's orbit passes through a wall"
+    assert told == (
+        f"the path to the targets ends after {last.fraction:.3g} of its length:"
+        " the orbit of the SN passes through a wall beyond it"
+    )
 
 
 def test_a_target_beyond_a_virtual_stretch_is_met():

@@ -100,7 +100,7 @@ def test_axes_hold_one_plane():
     for names in (PAIR[::-1], ("amplitude", "damping")):
         other = Curve("GR", "P111", [(0, 1), (1, 2)], names=names)
         with pytest.raises(
-            jv.ArgumentError, match=r"^one\.names: must be .* \(amplitude, frequency, in this order\); got"
+            jv.ArgumentError, match=r"^one\.names: must have .* \(amplitude, frequency, in this order\); got"
         ):
             plot.locus(other, ax)
         with pytest.raises(jv.ArgumentError, match="in this order"):

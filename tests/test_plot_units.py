@@ -90,5 +90,5 @@ def test_marks_in_a_diagram_in_physical_units():
     marks = [line.get_xydata() for line in ax.lines if line.get_marker() not in ("", "None")]
     np.testing.assert_allclose(marks[0][:, 1], PACE * found[0].points[:, 1], rtol=1e-14)
     assert marks[-1][0, 1] == pytest.approx(LENGTH * float(orbit().state.x), abs=1e-9)
-    with pytest.raises(jv.ArgumentError, match="units: must have scales"):
+    with pytest.raises(jv.ArgumentError, match="units: physical units need scales"):
         plot.mark(jv.find_attractors(jv.make_scene(2.0, 2.1, 0.05, 0.7, (-1.0, 1.0)), 5), 2.0, units="physical")

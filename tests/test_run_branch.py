@@ -139,7 +139,7 @@ def test_a_start_that_settles_on_no_orbit_is_one_clear_line(tmp_path, capsys):
     assert command.main(["run", str(tmp_path / "lost.toml"), "--out", str(tmp_path / "out"), *words]) == 2
     err = capsys.readouterr().err.splitlines()[-1]
     assert err.startswith(
-        "jaxvibro: branch.start: must settle on an orbit that can be followed (no orbit: the state does"
+        "jaxvibro: branch.start: must lead to an orbit that can be followed (no orbit: the state does"
     )
     assert not (tmp_path / "out").exists()
 
@@ -169,13 +169,13 @@ BAD = [
     ("branch.bounds = [0, inf]", "branch.bounds", "two finite numbers, the first smaller; got [0.0, inf]"),
     ("branch.bounds = [nan, 6]", "branch.bounds", "two finite numbers, the first smaller; got [nan, 6.0]"),
     ("branch.bounds = [3, 6]", "branch.at.amplitude", "must lie within branch.bounds, 3.0 and 6.0; got 2.0"),
-    ("branch.parameter = 'damping'\nbranch.bounds=[1, 2]", "branch.bounds", "must hold the scene's damping, 0.05"),
+    ("branch.parameter = 'damping'\nbranch.bounds=[1, 2]", "branch.bounds", "must contain the scene's damping, 0.05"),
     ("branch.at = 4.65", "branch.at", "must be a table; got 4.65"),
     ("branch.at.force = 1.0", "branch.at.force", "is not a parameter of this scene, perhaps amplitude ("),
     ("branch.at.damping = 'low'", "branch.at.damping", "must be a number; got 'low'"),
     ("branch.at.amplitude = nan", "branch.at.amplitude", "must be finite; got nan"),
     ("branch.at.frequency = 0", "branch.at.frequency", "must be greater than 0; got 0.0"),
-    ("branch.start.x = 1.01", "branch.start.x", "must lie between the walls, here at -1.0 and 1.0; got 1.01"),
+    ("branch.start.x = 1.01", "branch.start.x", "must lie between the walls, at -1.0 and 1.0; got 1.01"),
     ("branch.start.v = inf", "branch.start.v", "must be finite; got inf"),
     ("branch.start = 3", "branch.start", "must be a table; got 3"),
     ("branch.start.y = 3", "branch.start.y", "is not a key here (x, v)"),

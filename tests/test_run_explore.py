@@ -115,7 +115,7 @@ def test_a_locus_may_follow_what_was_explored(file):
     asked = scene_file.read(file, changes)
     assert asked.locus.bounds["damping"] == (0.01, 0.2) and asked.branch is None
     with pytest.raises(
-        jv.ArgumentError, match=r"^locus\.bounds\.damping: must hold the damping of \[explore\], 0\.06; got"
+        jv.ArgumentError, match=r"^locus\.bounds\.damping: must contain the damping of \[explore\], 0\.06; got"
     ):
         scene_file.read(file, [*changes, "locus.bounds.damping=[0.01, 0.055]"])
 
@@ -125,7 +125,11 @@ ALLOWED = "(parameter, bounds, at, max_period, seed, budget, max_seconds)"
 BAD = [
     ("explore = 3", "explore", "must be a table; got 3"),
     ("explore.starts = 3", "explore.starts", f"is not a key here {ALLOWED}; got 3"),
-    ("branch = {parameter='amplitude', bounds=[0, 6]}", "explore", "must not stand beside [branch]; got 'amplitude'"),
+    (
+        "branch = {parameter='amplitude', bounds=[0, 6]}",
+        "explore",
+        "must not be given together with [branch]; got 'amplitude'",
+    ),
     ("explore.parameter = 'force'", "explore.parameter", "must be a parameter of the scene"),
     ("explore.bounds = [4, 0]", "explore.bounds", "two finite numbers, the first smaller; got [4.0, 0.0]"),
     ("explore.bounds = [0, nan]", "explore.bounds", "two finite numbers, the first smaller; got [0.0, nan]"),

@@ -103,7 +103,7 @@ def test_samples_are_fitted_told_and_drawn(tmp_path):
     assert told["status"] == "OK" and told["values"].keys() == true.keys()
     for name, value in true.items():
         assert abs(told["values"][name] - value) < 4.0 * told["sigma"][name] < 0.04, name
-    assert "numbers fitted to the 241 samples of fit_samples.csv" in ran.table
+    assert "parameters fitted to the 241 samples of fit_samples.csv" in ran.table
     times, x = np.loadtxt(SCENES / "fit_samples.csv", delimiter=",", skiprows=1).T
     left = jv.load_data(tmp_path / "fit_samples.nc")["fit_residual"].values
     scene = jv.load_scene(SCENES / "fit_samples.toml").replace(
@@ -123,13 +123,13 @@ def test_samples_are_fitted_told_and_drawn(tmp_path):
 @pytest.mark.parametrize(
     ("change", "told"),
     [
-        ("fit.free={damping=-1.0}", r"^fit.free.damping: must be a unit, a positive number"),
+        ("fit.free={damping=-1.0}", r"^fit.free.damping: must be a positive number"),
         ("fit.free={size=1.0}", r"^fit.size: "),
-        ("fit.bounds={amplitude=[0.0,1.0]}", r"^fit.bounds.amplitude: must be of a free number"),
+        ("fit.bounds={amplitude=[0.0,1.0]}", r"^fit.bounds.amplitude: must belong to a free parameter"),
         ("fit.sigma=0.0", r"^fit.sigma: must be a number greater than 0"),
         ("fit.phase='late'", r"^fit.phase: "),
         ("fit.record=''", r"^fit.record: "),
-        ("fit.sigma_v=0.1", r"^fit.sigma_v: must be left out of impacts"),
+        ("fit.sigma_v=0.1", r"^fit.sigma_v: must be left out for impacts"),
     ],
 )
 def test_what_may_not_stand_there_is_one_clear_error(tmp_path, change, told):
@@ -148,11 +148,11 @@ def test_what_may_not_stand_there_is_one_clear_error(tmp_path, change, told):
         ("time,side\nsoon,left\n", r"^fit.csv, line 2: must have a number for time; got 'soon'"),
         ("time,side\n2.0,left\n1.0,right\n", r"^fit.csv, times.*: must be in order"),
         ("time,side\nnan,left\n", r"^fit.csv, times"),
-        ("time,side\n1.0,left\n2.0,right\n", r"^fit.data: must hold as many numbers as are unknown, 7"),
+        ("time,side\n1.0,left\n2.0,right\n", r"^fit.data: must hold at least 7 values, as many as unknowns"),
         ("time,x\n1.0,0.1\n2.0,far\n", r"^fit.csv, line 3: must have a number for x; got 'far'"),
         ("time,x,v\n1.0,0.1\n", r"^fit.csv, line 2: must be time, x, v"),
         ("time,x\n1.0,0.1\n1.0,0.2\n", r"^fit.csv, times.*: must be in order"),
-        ("time,x\n1.0,0.1\n2.0,0.2\n", r"^fit.data: must hold as many numbers as are unknown, 7"),
+        ("time,x\n1.0,0.1\n2.0,0.2\n", r"^fit.data: must hold at least 7 values, as many as unknowns"),
     ],
 )
 def test_a_record_that_cannot_be(tmp_path, text, told):

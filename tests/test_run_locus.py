@@ -232,12 +232,12 @@ BAD = [
     (
         "locus.parameters = ['amplitude', 'damping']",
         "locus.bounds",
-        "for amplitude and for damping, no other; got 'amp",
+        "for amplitude and for damping only; got 'amp",
     ),
     (
         "locus.bounds.damping = [0, 1]",
         "locus.bounds",
-        "must give [low, high] for amplitude and for frequency, no other",
+        "must give [low, high] for amplitude and for frequency only",
     ),
     ("locus.bounds = 3", "locus.bounds", "must be a table; got 3"),
     ("locus.bounds.frequency = 3", "locus.bounds.frequency", "must be a list; got 3"),
@@ -248,9 +248,13 @@ BAD = [
     (
         "locus.bounds.frequency = [2.2, 3]",
         "locus.bounds.frequency",
-        "must hold the frequency of [branch], 2.1; got [2.2",
+        "must contain the frequency of [branch], 2.1; got [2.2",
     ),
-    ("branch.at.frequency = 3.5", "locus.bounds.frequency", "must hold the frequency of [branch], 3.5; got [1.2, 3.0]"),
+    (
+        "branch.at.frequency = 3.5",
+        "locus.bounds.frequency",
+        "must contain the frequency of [branch], 3.5; got [1.2, 3.0]",
+    ),
     ("locus.bounds.amplitude = [7, 9]", "locus.bounds.amplitude", "must overlap branch.bounds, 0.0 and 6.0; got [7.0"),
     ("locus.kinds = 'SN'", "locus.kinds", "must be a list; got 'SN'"),
     ("locus.kinds = []", "locus.kinds", "must be a list of length >= 1; got []"),

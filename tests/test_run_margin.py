@@ -37,10 +37,13 @@ def test_what_is_told_is_what_margin_finds(done):
 @pytest.mark.parametrize(
     ("change", "told"),
     [
-        ("margin.free={amplitude=-1.0}", r"^margin.free.amplitude: must be a unit, a positive number"),
+        ("margin.free={amplitude=-1.0}", r"^margin.free.amplitude: must be a positive number"),
         ("margin.free={size=1.0}", r"^margin.size: "),
-        ("margin.bounds={damping=[0.0,1.0]}", r"^margin.bounds.damping: must be of a free number"),
-        ("margin.bounds={amplitude=[2.0,3.0]}", r"^margin.bounds.amplitude: must be \(low, high\) about the scene's 1"),
+        ("margin.bounds={damping=[0.0,1.0]}", r"^margin.bounds.damping: must belong to a free parameter"),
+        (
+            "margin.bounds={amplitude=[2.0,3.0]}",
+            r"^margin.bounds.amplitude: must be \(low, high\) and contain the value of the scene, 1",
+        ),
         ("margin.kinds=['HB']", r"^margin.kinds\[0\]: must be one of SN, PD, SB, GR"),
         ("margin.directions=3", r"^margin.directions: "),
         ("margin.start={x=2.0,v=0.0}", r"^margin.start.x: must lie between the walls"),

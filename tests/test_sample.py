@@ -212,8 +212,8 @@ def test_statuses(scene):
         ([1.0, 0.5], r"^times: must be in order.*; got 0\.5 at index \(1,\)"),
         ([-1.0], r"^times: must not be negative; got -1\.0"),
         ([0.0, np.nan], r"^times: must be finite; got nan"),
-        (2.0, r"^times: must have an axis"),
-        (np.zeros((4, 2)), r"^times: must have a shape \(\.\.\., n\) whose first part broadcasts with \(3,\)"),
+        (2.0, r"^times: must have at least one axis"),
+        (np.zeros((4, 2)), r"^times: must have a shape \(\.\.\., n\) whose leading axes broadcast with \(3,\)"),
         ("soon", r"^times: must be a real number or an array; got 'soon'"),
     ],
 )

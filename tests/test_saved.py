@@ -238,11 +238,11 @@ def test_what_is_held_is_told_and_drawn(branch, held):
     assert plot.held(held, ax) is ax and len(ax.get_legend().get_texts()) == 3
     plt.close(ax.figure)
     turned = replace(held, names=held.names[::-1])
-    with pytest.raises(jv.ArgumentError, match="must be in the plane of what these Axes hold already"):
+    with pytest.raises(jv.ArgumentError, match="must have the parameters of the curves that these Axes hold"):
         plot.held(turned, ax)
     with pytest.raises(jv.ArgumentError, match=r"plot\.held: must be given a HeldBranch"):
         plot.held(branch)
-    with pytest.raises(jv.ArgumentError, match="units: must have scales"):
+    with pytest.raises(jv.ArgumentError, match="units: physical units need scales"):
         held.table("physical")
 
 

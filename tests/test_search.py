@@ -77,13 +77,15 @@ def test_aims_are_differences_of_orbits_found_again():
 
 def test_what_cannot_be_is_one_clear_error(one_wall):
     bounds = {"amplitude": (0.9, 1.9), "frequency": (1.5, 1.9)}
-    with pytest.raises(jv.ArgumentError, match=r"^kinds: must be some of SN, SB, PD, GR"):
+    with pytest.raises(jv.ArgumentError, match=r"^kinds: must be one or more of SN, SB, PD, GR"):
         jv.search(one_wall, "HB", FREE, bounds)
     with pytest.raises(jv.ArgumentError, match=r"^bounds.amplitude: must be given"):
         jv.search(one_wall, "PD", FREE, {"frequency": (1.5, 1.9)})
-    with pytest.raises(jv.ArgumentError, match=r"^bounds.frequency: must be \(low, high\) about the scene's 1.7"):
+    with pytest.raises(
+        jv.ArgumentError, match=r"^bounds.frequency: must be \(low, high\) and contain the value of the scene, 1.7"
+    ):
         jv.search(one_wall, "PD", FREE, bounds | {"frequency": (1.8, 1.9)})
-    with pytest.raises(jv.ArgumentError, match=r"^free.amplitude: must be a unit, a positive number"):
+    with pytest.raises(jv.ArgumentError, match=r"^free.amplitude: must be a positive number"):
         jv.search(one_wall, "PD", {"amplitude": 0.0}, bounds)
     with pytest.raises(jv.ArgumentError, match=r"^max_period: "):
         jv.search(one_wall, "PD", FREE, bounds, max_period=0)

@@ -38,7 +38,7 @@ def test_samples_are_even_and_between_the_walls(scene):
 
 
 def test_a_batch_and_a_start_beyond_a_wall_are_refused(scene):
-    with pytest.raises(jv.ArgumentError, match=r"^state: must be one state"):
+    with pytest.raises(jv.ArgumentError, match=r"^state: must be a single state"):
         jv.simulate(scene, jv.State(jnp.zeros(2), 0.0), periods=3, samples=50)
     with pytest.raises(jv.ArgumentError, match=r"^state\.x: must lie between the walls at its phase; got 7\.0"):
         jv.simulate(scene, jv.State(7.0, 0.0, 0.4), periods=3, samples=50)

@@ -169,10 +169,10 @@ HERTZ = jv.Push("hertz", {"stiffness": 40.0})
 @pytest.mark.parametrize(
     ("wall", "force", "rule"),
     [
-        (jv.Wall(1.0, stiffness=9.0), FORCE, "right.damping: must be given beside a force"),
-        (jv.Wall(1.0, law=HERTZ), None, "right.law: needs a force beside it"),
+        (jv.Wall(1.0, stiffness=9.0), FORCE, "right.damping: must be given for a soft wall"),
+        (jv.Wall(1.0, law=HERTZ), None, "right.law: needs a scene with a force"),
         (jv.Wall(1.0, law="hertz"), FORCE, "right.law: must be a Push or None"),
-        (jv.Wall(1.0, 0.5, law=HERTZ), FORCE, "right.restitution: a wall with a law of its own has none"),
+        (jv.Wall(1.0, 0.5, law=HERTZ), FORCE, "right.restitution: must not be given for a wall with a contact law"),
         (jv.Wall(1.0, law=jv.Push("herz", {"stiffness": 1.0})), FORCE, "right.law.function: must be a function"),
         (jv.Wall(1.0, law=jv.Push("hertz", {})), FORCE, "right.law.numbers: must be stiffness"),
         (jv.Wall(1.0, law=jv.Push("hertz", {"stiffness": -1.0})), FORCE, "right.law.stiffness: must be greater than 0"),
@@ -205,6 +205,6 @@ def test_parameters_and_files(tmp_path):
     again = jv.load_scene(tmp_path / "scene.toml")
     assert again.numbers == scene.numbers and again.left.law.function is scene.left.law.function
     wall = jv.Wall(1.0, law=jv.Push(lambda depth, rate, p: depth))
-    with pytest.raises(jv.ArgumentError, match=r"law.function: must be one of ours"):
+    with pytest.raises(jv.ArgumentError, match=r"law.function: must be predefined"):
         scene = jv.make_scene(1.0, 2.0, restitution=0.5, walls=(None, wall), force=FORCE)
         jv.save_scene(scene, tmp_path / "other.toml")

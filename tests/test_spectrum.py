@@ -217,7 +217,7 @@ def test_a_standard_error_sees_copies_that_are_one():
         ({"name": "amplitud"}, "amplitud", "is not a parameter of this scene"),
         ({"values": [1.0, np.nan]}, "amplitude", "must be finite; got nan at index"),
         ({"values": []}, "amplitude", "at least one"),
-        ({"values": [[1.0, 2.0]]}, "amplitude", "must be a sequence of values"),
+        ({"values": [[1.0, 2.0]]}, "amplitude", "must be a sequence of at least one value"),
         ({"name": "frequency", "values": [1.0, 0.0]}, "frequency", "must be greater than 0; got 0.0 at index (1,)"),
         ({"name": "right.position", "values": [3.0, 0.5]}, "state.x", "must lie between the walls"),
         ({"state": jv.State(0.0, [0.0, 1.0, 2.0])}, "state.v", "must broadcast"),

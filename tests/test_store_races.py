@@ -49,7 +49,7 @@ def test_the_loser_of_a_race_refuses_another_study(tmp_path, monkeypatch):
         return plain(place)
 
     monkeypatch.setattr("jaxvibro.stores.zarr_store.complete_folder", later)
-    with pytest.raises(jv.ArgumentError, match="must hold this study: scene is another there"):
+    with pytest.raises(jv.ArgumentError, match="must hold this study: scene differs"):
         complete_study(Counted(3, offset=0.25), jv.Store(path), None)
     complete_study(Counted(3), jv.Store(tmp_path / "other"), None)
     assert bits(path) == bits(tmp_path / "other")

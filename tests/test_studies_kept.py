@@ -29,7 +29,7 @@ def test_basins(tmp_path, monkeypatch):
     xr.testing.assert_identical(jv.basins(here, *axes, 0.4, known, store=far), plain)
     assert sorted(seen) == seen and seen[0] == 0 and seen[-2:] == [750, 750] and len(seen) == 6
     assert (jv.load_store(tmp_path / "basins")["label"] == plain["label"]).all()
-    with pytest.raises(jv.ArgumentError, match="attractors is another there"):
+    with pytest.raises(jv.ArgumentError, match="attractors differs"):
         jv.basins(here, *axes, 0.4, known[:1], store=jv.Store(tmp_path / "basins"))
 
 
@@ -43,7 +43,7 @@ def test_spectrum(tmp_path):
     xr.testing.assert_identical(jv.spectrum(scene(), "amplitude", values, REST, **asked, store=far), plain)
     again = jv.spectrum(scene(), "amplitude", values, REST, **asked, store=jv.Store(tmp_path / "spectrum"))
     xr.testing.assert_identical(again, plain)
-    with pytest.raises(jv.ArgumentError, match=r"start\.x is another there"):
+    with pytest.raises(jv.ArgumentError, match=r"start\.x differs"):
         jv.spectrum(scene(), "amplitude", values, jv.State(0.1, 0.0), **asked, store=jv.Store(tmp_path / "spectrum"))
 
 
@@ -60,5 +60,5 @@ def test_sweep(tmp_path):
     xr.testing.assert_identical(
         jv.sweep(scene(), "amplitude", values, state, 20, 5, store=jv.Store(tmp_path / "sweep")), plain
     )
-    with pytest.raises(jv.ArgumentError, match="settings is another there"):
+    with pytest.raises(jv.ArgumentError, match="settings differs"):
         jv.sweep(scene(), "amplitude", values, state, 21, 5, store=jv.Store(tmp_path / "sweep"))

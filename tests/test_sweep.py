@@ -128,7 +128,7 @@ def test_fit_at_moving_walls():
         ("amplitude", [1.0, np.nan], "amplitude", "must be finite; got nan at index"),
         ("amplitude", [np.inf], "amplitude", "must be finite"),
         ("amplitude", [], "amplitude", "at least one"),
-        ("amplitude", 3.0, "amplitude", "must be a sequence of values"),
+        ("amplitude", 3.0, "amplitude", "must be a sequence of at least one value"),
         ("amplitude", ["1"], "values", "must be a real number or an array"),
         ("frequency", [1.0, 0.0], "frequency", "must be greater than 0; got 0.0 at index (1,)"),
         ("restitution", [0.5, 1.5], "restitution", "must lie between 0 and 1; got 1.5"),

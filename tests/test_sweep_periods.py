@@ -51,5 +51,5 @@ def test_the_words_of_a_table():
     asked = SimpleNamespace(parameter="amplitude", count=2, settle=10, keep=6)
     found = SimpleNamespace(file=SimpleNamespace(sweep=asked), scene=scene, swept=data, stretches=[one])
     told = "\n".join(sweep_report.sweep_lines(found, "scene"))
-    assert "not settled: a transient: more periods have to be left out" in told and " -" not in told
+    assert "not settled: a transient: more periods must be discarded" in told and " -" not in told
     assert told.splitlines()[2].split() == ["up", "0.2", "0.25", "2", "not", "settled"]

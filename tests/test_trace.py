@@ -388,7 +388,7 @@ def test_what_cannot_be_is_refused(change, key):
 
 
 def test_nothing_is_followed_within_jit():
-    with pytest.raises(co.ContinuationError, match="u: must be known numbers"):
+    with pytest.raises(co.ContinuationError, match="u: must be concrete numbers"):
         jax.jit(lambda at: co.trace(PARABOLA, [1.0], {"p": at}, "p", (-5.0, 3.0)).u)(1.0)
 
 

@@ -99,9 +99,11 @@ def test_what_may_be_hertz_is_asked_about(scene):
 
 def test_a_force_in_time_makes_no_scenes():
     time = np.linspace(0.0, 1.0, 4096)
-    with pytest.raises(jv.SceneError, match=r"force: is the drive's amplitude, not a force in time.*shape \(4096,\)"):
+    with pytest.raises(
+        jv.SceneError, match=r"force: must be the drive amplitude, not a force in time.*shape \(4096,\)"
+    ):
         rig(force=30.0 * np.sin(9.0 * time))
-    with pytest.warns(UserWarning, match="its 4096 values make as many scenes"):
+    with pytest.warns(UserWarning, match="its 4096 values make a batch of 4096 scenes"):
         rig(force=30.0 * np.exp(-time))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -113,10 +115,10 @@ def test_a_force_in_time_makes_no_scenes():
     ("changes", "told"),
     [
         ({"stiffness": 0.0}, r"stiffness: must be greater than 0: .*make_scene with a Force; got 0\.0"),
-        ({"gap": 0.0}, "length: must be given where the gap, or the right wall's position, is 0"),
-        ({"gap": (1e-3, 0.0)}, "length: must be given where the gap"),
-        ({"gap": None, "walls": (-1e-3, 0.0)}, "length: must be given where the gap"),
-        ({"gap": -1e-3}, "are the walls the wrong way round"),
+        ({"gap": 0.0}, "length: must be given if the gap, or the right wall's position, is 0"),
+        ({"gap": (1e-3, 0.0)}, "length: must be given if the gap"),
+        ({"gap": None, "walls": (-1e-3, 0.0)}, "length: must be given if the gap"),
+        ({"gap": -1e-3}, "are the walls in the wrong order"),
     ],
 )
 def test_what_leaves_no_units_says_what_to_do(changes, told):
@@ -152,5 +154,5 @@ def test_a_picture_says_which_one_draws_a_record(orbit):
 
 def test_within_a_transformation_an_orbit_is_solved_for():
     plain = jv.make_scene(0.5, 2.1, 0.05, 0.7, (-1.0, 1.0))
-    with pytest.raises(jv.ArgumentError, match="within, use solve_orbits; located has"):
+    with pytest.raises(jv.ArgumentError, match="inside, use solve_orbits; located has"):
         jax.jit(lambda a: jv.find_orbit(plain.replace(amplitude=a), STATE))(0.5)

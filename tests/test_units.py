@@ -56,15 +56,15 @@ def test_the_three_ways_to_say_a_quantity_are_one():
 @pytest.mark.parametrize(
     ("changes", "told"),
     [
-        ({"walls": (-1.0, 1.0)}, "walls: must be given, or gap, and not both"),
-        ({"gap": None}, "walls: must be given, or gap, and not both"),
-        ({"damping": 1.0}, "damping: must be given, or damping_ratio, and not both; got 1.0"),
-        ({"frequency_hz": None}, "frequency: must be given, or frequency_hz, and not both"),
+        ({"walls": (-1.0, 1.0)}, "walls: must be given, or gap, but not both"),
+        ({"gap": None}, "walls: must be given, or gap, but not both"),
+        ({"damping": 1.0}, "damping: must be given, or damping_ratio, but not both; got 1.0"),
+        ({"frequency_hz": None}, "frequency: must be given, or frequency_hz, but not both"),
         ({"gap": (1.0, 2.0, 3.0)}, "gap: must be a number, or"),
         ({"gap": (jv.Wall(1.0), None)}, "gap: must be a number, or"),
         ({"gap": "1 mm"}, "gap: must be a real number"),
         ({"mass": None}, "mass: must be given"),
-        ({"gap": -1e-3}, "length: must be given where the right wall is not right of 0: are the walls the wrong"),
+        ({"gap": -1e-3}, "length: must be given if the right wall is not right of 0: are the walls in the wrong"),
     ],
 )
 def test_what_is_said_twice_or_not_at_all_is_refused(changes, told):
@@ -142,7 +142,7 @@ def test_tables_in_physical_units_are_those_in_numbers_converted(followed):
             assert np.nanmax(abs(error)) <= 1e-14 * np.nanmax(abs(found[name])) or expected.startswith("multiplier")
         else:
             assert (found[name] == plain[expected]).all()
-    with pytest.raises(jv.ArgumentError, match="units: must have scales to be told in physical units"):
+    with pytest.raises(jv.ArgumentError, match="units: physical units need scales"):
         other.to_frame("physical")
     with pytest.raises(jv.ArgumentError, match="units: must be one of scene, physical; got 'SI'"):
         one.table(units="SI")

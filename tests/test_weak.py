@@ -42,10 +42,10 @@ def test_where_the_first_look_decides_nothing_the_estimator_does(monkeypatch):
     assert sorted(one.label for one in again) == ["P111", "P111", "chaotic", "chaotic"]
     assert sorted((one.label, one.share) for one in again) == sorted((one.label, one.share) for one in found)
     wild = [one for one in again if one.kind == "chaotic"]
-    assert all("its exponent known to" in one.note and abs(one.exponent - 0.343) < 0.01 for one in wild)
+    assert all("standard error of its exponent" in one.note and abs(one.exponent - 0.343) < 0.01 for one in wild)
     monkeypatch.setattr(classify, "MAX_LONG_ESTIMATES", 0)
     (*orbits, rest) = jv.find_attractors(given, starts=32)
-    assert [one.kind for one in orbits] == ["periodic"] * 2 and "was not looked at for long" in rest.note
+    assert [one.kind for one in orbits] == ["periodic"] * 2 and "was not examined for long" in rest.note
 
 
 def test_what_is_regular_is_not_taken_for_chaos():
@@ -59,7 +59,7 @@ def test_what_is_regular_is_not_taken_for_chaos():
 def test_a_mass_that_rests_is_not_chaotic():
     """It comes back exactly after 89 periods; trajectories beside it rest at other times, and so part."""
     found = jv.find_attractors(drawn("two", 129), starts=24, seed=129)
-    assert [one.kind for one in found] == ["unresolved"] and "rests on a wall" in found[0].note
+    assert [one.kind for one in found] == ["unresolved"] and "sticks to a wall" in found[0].note
 
 
 @pytest.mark.long

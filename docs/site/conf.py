@@ -1,19 +1,34 @@
-"""Settings of Sphinx for the site that `make docs` builds: nothing is fetched, neither here nor by who reads it."""
+"""Settings of Sphinx for the site that `make docs` builds. Neither the build nor a page uses a network."""
 
-import importlib.metadata
+import sys
+from pathlib import Path
 
 from docutils import nodes
 from docutils.utils.math.latex2mathml import tex2mathml
 
+sys.path.insert(0, str(Path(__file__).parents[2]))
+
+import jaxvibro
+from docs.site import autodoc
+
 project = "jaxvibro"
 author = "The jaxvibro authors"
-release = version = importlib.metadata.version("jaxvibro")
+release = version = jaxvibro.__version__
 
-extensions = ["myst_parser"]
-source_suffix = {".md": "markdown"}
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.autosummary", "sphinx.ext.napoleon"]
+source_suffix = {".md": "markdown", ".rst": "restructuredtext"}
+default_role = "py:obj"  # of single backticks in docstrings
+
 myst_enable_extensions = ["dollarmath"]
 myst_fence_as_directive = ["math"]
 myst_heading_anchors = 3
+
+autodoc_member_order = "bysource"
+autodoc_typehints = "none"  # docs.site.autodoc writes signatures
+autosummary_generate = False
+napoleon_google_docstring = False
+napoleon_numpy_docstring = True
+napoleon_use_rtype = False
 
 highlight_language = "text"
 
@@ -32,16 +47,16 @@ maximum_signature_line_length = 100
 
 
 def _formula(self, node, block):
-    """A formula as MathML, which browsers draw by themselves."""
+    """Write a formula as MathML, which browsers draw without a script or a font."""
     self.body.append(tex2mathml(node.astext(), as_block=block))
     raise nodes.SkipNode
 
 
 def setup(app):
-    """What Sphinx calls: formulas need no script and no font from elsewhere."""
+    """Register the renderer of formulas and the adaptations of autodoc."""
     app.add_html_math_renderer(
         "mathml",
         inline_renderers=(lambda self, node: _formula(self, node, False), None),
         block_renderers=(lambda self, node: _formula(self, node, True), None),
     )
-    return {"parallel_read_safe": True}
+    return autodoc.setup(app)

@@ -1,7 +1,7 @@
-"""Lays the pages of the site out in a folder for Sphinx: `python -m docs.site.pages FOLDER`.
+"""Write the pages of the site into a folder for Sphinx: `python -m docs.site.pages FOLDER`.
 
-The folder has the order of the repository, so that links between pages hold in both; a notebook is a page beside its
-script, and the reference is made of the docstrings.
+The folder has the layout of the repository, so that links between pages hold in both. A notebook is a page beside its
+script. The pages of the API reference contain directives only; autodoc reads the docstrings.
 """
 
 import re
@@ -16,7 +16,7 @@ SITE = ROOT / "docs" / "site"
 
 
 def write(folder):
-    """Write all pages into a folder, which is made anew; the names of notebooks that are shown without outputs."""
+    """Write all pages into an empty folder and return the names of the notebooks without outputs."""
     shutil.rmtree(folder, ignore_errors=True)
     for path in [*ROOT.glob("docs/*.md"), ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md"]:
         _put(folder / path.relative_to(ROOT), linked(path.read_text()))
@@ -37,20 +37,20 @@ def write(folder):
 
 
 def linked(text):
-    """A page whose links to notebooks lead to their pages, and whose public names lead to the reference."""
+    """Return a page whose links to notebooks lead to their pages and whose public names lead to the reference."""
     parts = re.split(r"(^```.*?^```$)", text, flags=re.DOTALL | re.MULTILINE)
     return "".join(part if part.startswith("```") else _linked(part) for part in parts)
 
 
 def _linked(text):
     text = re.sub(r"(\]\([^)]*\d\d_\w+)\.py\)", r"\1.md)", text)
-    text = re.sub(r"\[[\w/]+\.(?:md|py)\](?=\([^)]*\.md)", "[]", text)  # a file's name: the page's title in its place
-    return re.sub(r"(?<![\[`])`(?:jv\.)?([\w.]+)(\([^`]*\))?`(?![\]`])", _role, text)
+    text = re.sub(r"\[[\w/]+\.(?:md|py)\](?=\([^)]*\.md)", "[]", text)  # the page's title replaces the file's name
+    return re.sub(r"(?<![\[`])`([\w.]+)(\([^`]*\))?`(?![\]`])", _role, text)
 
 
 def _role(match):
-    dotted, code = f"jaxvibro.{match.group(1)}", match.group(0).strip("`")
-    return f"{{py:obj}}`{code} <{dotted}>`" if dotted in reference.TOLD and "<" not in code else f"`{code}`"
+    dotted, code = reference.target(match.group(1)), match.group(0).strip("`")
+    return f"{{py:obj}}`{code} <{dotted}>`" if dotted and "<" not in code else f"`{code}`"
 
 
 def _put(path, text):
@@ -65,4 +65,4 @@ def _copy(source, target):
 
 if __name__ == "__main__":
     for name in write(Path(sys.argv[1])):
-        print(f"{name} is shown without its outputs: make notebooks keeps them", file=sys.stderr)
+        print(f"{name} has no current outputs; run `make notebooks`", file=sys.stderr)

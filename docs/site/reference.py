@@ -1,38 +1,34 @@
-"""The reference: a page for each room of the package, made of the docstrings of all public names.
+"""List the public names by subject and write the pages of the API reference, which autodoc fills with docstrings."""
 
-A public name, method or property without a docstring stops the build, a field that no docstring names does not.
-"""
-
-import ast
+import dataclasses
 import enum
 import inspect
-import re
-import textwrap
+from functools import cached_property
 from importlib import import_module
 
 import continuation
 import jaxvibro as jv
-from continuation.shooting import periodic_orbits, settled
 
-PAGES = {
+# Subject of each page, by the folder that defines its names.
+SUBJECTS = {
     "scene": "Scenes: oscillator, drive, walls, forces",
-    "output": "Files",
-    "maps": "Maps and trajectories",
+    "maps": "Trajectories, stroboscopic and return maps",
     "orbits": "Periodic orbits",
-    "attractors": "Attractors, sweeps, exponents, basins, manifolds",
-    "surveys": "Maps over parameters, shares, the least shock",
-    "stores": "Stores and engines",
-    "branches": "Branches and diagrams",
-    "loci": "Loci",
-    "design": "Design and fits",
-    "plot": "Pictures: `jv.plot`",
-    "studies": "Scene files and runs",
-    "explorer": "The explorer",
-    "reproduction": "The paper, recomputed",
-    "continuation": "The package `continuation`",
+    "attractors": "Attractors, Lyapunov exponents, basins of attraction, manifolds",
+    "surveys": "Parameter maps, basin fractions, minimal fatal shock",
+    "stores": "Stores and execution engines",
+    "branches": "Branches and bifurcation diagrams",
+    "loci": "Two-parameter bifurcation curves",
+    "design": "Design, sensitivities and fits",
+    "plot": "Plots: jaxvibro.plot",
+    "output": "Data files and physical units",
+    "studies": "Scene files and the analyses in them",
+    "explorer": "Explorer",
+    "reproduction": "Reproduction of the paper",
+    "continuation": "Numerical continuation: the package continuation",
 }
 
-# What calls give back and nobody needs to name, by its home.
+# Records that calls return and that users do not import.
 RECORDS = {
     "scene": ("scene.codes.Status", "scene.codes.Contact"),
     "attractors": ("attractors.find.Attractor",),
@@ -47,166 +43,147 @@ RECORDS = {
     "reproduction": ("reproduction.run.Report", "reproduction.claim.Claim"),
 }
 
+# Names that the examples in docstrings use without defining them.
+EXAMPLES = """\
+import jax
+import jax.numpy as jnp
+import matplotlib.pyplot as plt
+import numpy as np
 
-class Untold(Exception):
-    """A public name has no docstring."""
+import continuation as co
+import jaxvibro as jv
+
+jax.config.update("jax_enable_x64", True)
+
+scene = jv.make_scene(amplitude=2.0, frequency=2.1, damping=0.05, restitution=0.7, walls=(-1.0, 1.0))
+state = jv.State(x=0.9, v=-1.1)
+orbit = jv.find_orbit(scene, state)
+branch = jv.follow(orbit, "amplitude", bounds=(0.0, 6.0))
+"""
+
+INDEX = """\
+API reference
+=============
+
+The pages list every public name with its docstring, by subject. :doc:`../docs/api` lists all public names on one page.
+
+The examples in the docstrings run as tests. They use the following names without defining them:
+
+.. code-block:: python
+
+{examples}
+
+.. toctree::
+   :maxdepth: 2
+
+{pages}
+"""
 
 
-def members():
-    """The public names of each page: {page: [(dotted name, object)]}."""
-    found = {page: [] for page in PAGES}
+def names():
+    """Return the public names of each page: {page: [dotted name]}."""
+    listed = {page: [] for page in SUBJECTS}
     for name, home in jv._HOMES.items():
-        found[home.split(".")[0]].append((f"jaxvibro.{name}", getattr(jv, name)))
-    found["plot"] = [(f"jaxvibro.plot.{name}", getattr(jv.plot, name)) for name in jv.plot.__all__]
-    found["continuation"] = [(f"continuation.{name}", getattr(continuation, name)) for name in continuation.__all__]
-    found["continuation"] += [(f"continuation.shooting.{one.__name__}", one) for one in (periodic_orbits, settled)]
-    return found
+        listed[home.split(".")[0]].append(f"jaxvibro.{name}")
+    listed["plot"] = [f"jaxvibro.plot.{name}" for name in jv.plot.__all__]
+    listed["continuation"] = [f"continuation.{name}" for name in continuation.__all__]
+    listed["continuation"] += [f"continuation.shooting.{name}" for name in ("periodic_orbits", "settled")]
+    return listed
 
 
 def records():
-    """The records of each page: {page: [(name, where it lives, object)]}."""
-    parts = {page: [home.rpartition(".")[::2] for home in homes] for page, homes in RECORDS.items()}
-    return {
-        page: [(name, home, getattr(import_module(f"jaxvibro.{home}"), name)) for home, name in each]
-        for page, each in parts.items()
-    }
+    """Return the records of each page: {page: [dotted name]}."""
+    return {page: [f"jaxvibro.{home}" for home in RECORDS.get(page, ())] for page in SUBJECTS}
 
 
-PUBLIC = {dotted for each in members().values() for dotted, _ in each}
-TOLD = PUBLIC | {f"jaxvibro.{name}" for each in records().values() for name, _, _ in each}
+def load(dotted):
+    """Return the object with a dotted name, of a module or of a class in it."""
+    module, *attributes = dotted.split(".")
+    value = import_module(module)
+    for name in attributes:
+        module = f"{module}.{name}"
+        value = import_module(module) if not hasattr(value, name) else getattr(value, name)
+    return value
+
+
+def own_classes(value):
+    """Return a class and its base classes in the two packages, the most general first."""
+    return [base for base in reversed(value.__mro__) if base.__module__.split(".")[0] in ("jaxvibro", "continuation")]
+
+
+def fields(value):
+    """Return the names of the public fields of a class."""
+    named = [field.name for field in dataclasses.fields(value)] if dataclasses.is_dataclass(value) else ()
+    return [name for name in named or getattr(value, "_fields", ()) if not name.startswith("_")]
+
+
+def members(value):
+    """Return the names of the public methods and properties of a class."""
+    if not inspect.isclass(value) or issubclass(value, enum.Enum):
+        return []
+    kinds = (property, cached_property, classmethod, staticmethod)
+    defined = {name: member for base in own_classes(value) for name, member in vars(base).items()}
+    return [
+        name
+        for name, member in defined.items()
+        if not name.startswith("_") and (inspect.isfunction(member) or isinstance(member, kinds))
+    ]
+
+
+def _documented():
+    """Return the dotted names that the reference documents, members included."""
+    objects = [dotted for listed in (names(), records()) for page in listed.values() for dotted in page]
+    return {*objects, *(f"{dotted}.{member}" for dotted in objects for member in members(load(dotted)))}
+
+
+DOCUMENTED = _documented()
+PACKAGES = {"jv": "jaxvibro", "co": "continuation"}  # by the names that the examples import them under
+SHORT = {dotted.rpartition(".")[2]: dotted for page in records().values() for dotted in page}
+
+
+def target(name, module="jaxvibro"):
+    """Return the dotted name that the reference documents for a name as a text in a module writes it, or None."""
+    head, dot, rest = name.partition(".")
+    root = module.split(".")[0]
+    heads = [f"{module}.{head}", f"{root}.{head}", PACKAGES.get(head, head)]
+    heads += [SHORT[head]] if head in SHORT and root == "jaxvibro" else []
+    return next((found + dot + rest for found in heads if found + dot + rest in DOCUMENTED), None)
 
 
 def pages():
-    """The text of each page of the reference, and of the page that lists them: {file name: Markdown}."""
-    more = records()
-    made = {f"{page}.md": _page(PAGES[page], each, more.get(page, ())) for page, each in members().items()}
-    names = "\n".join(page.removesuffix(".md") for page in made)
-    made["index.md"] = (
-        "# Reference\n\nEvery public name with its docstring, by the rooms of the package; in one list:\n"
-        f"[public names](../docs/api.md).\n\n```{{toctree}}\n:maxdepth: 2\n\n{names}\n```\n"
-    )
-    return made
+    """Return the text of each page of the reference: {file name: reStructuredText}."""
+    returned = records()
+    written = {f"{page}.rst": _page(SUBJECTS[page], public, returned[page]) for page, public in names().items()}
+    examples, listed = _indent(EXAMPLES), _indent("\n".join(SUBJECTS))
+    return {"index.rst": INDEX.format(examples=examples, pages=listed), **written}
 
 
-def _page(title, each, more):
-    module = each[0][0].split(".")[0]
-    parts = [f"# {title}\n", f"```{{py:currentmodule}} {module}\n```\n"]
-    for dotted, value in each:
-        parts += [f"## `{dotted.split('.')[-1]}`\n", _entry(module, dotted.removeprefix(f"{module}."), value)]
-    for name, home, value in more:
-        told = f"Calls give it back; it is no public name, but lives in `jaxvibro.{home}`.\n"
-        parts += [f"## `{name}`\n", told, _entry(module, name, value)]
-    return "\n".join(parts)
+def _page(title, public, returned):
+    parts = [_heading(title, "="), *_entries(public)]
+    if returned:
+        parts += [_heading("Records that these calls return", "-"), *_entries(returned)]
+    return "\n\n".join(parts) + "\n"
 
 
-def _entry(module, name, value):
-    """A name within its module as a directive of Sphinx."""
-    node = _source(value)
-    if isinstance(node, ast.ClassDef):
-        kind = "exception" if issubclass(value, Exception) else "class"
-        told = prose(_doc(name, value), list(_annotated(value)), module)
-        parts = [_fields(value), told, *_methods(module, name, value)]
-        return _directive(f"py:{kind}", name, parts, 5)
-    arguments = [arg.arg for arg in [*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs]]
-    return _directive("py:function", name + _signature(node), [prose(_doc(name, value), arguments, module)], 4)
+def _heading(title, mark):
+    return f"{title}\n{mark * len(title)}"
 
 
-def _source(value):
-    """The definition as it is written: annotations read better than what they stand for."""
-    return ast.parse(textwrap.dedent(inspect.getsource(inspect.unwrap(value)))).body[0]
+def _entries(listed):
+    """Return a table of names with their summaries, and the directives that document them."""
+    table = ".. autosummary::\n   :nosignatures:\n\n" + _indent("\n".join(f"~{dotted}" for dotted in listed))
+    return [table, *map(_directive, listed)]
 
 
-def _signature(node, bound=False):
-    args = node.args
-    if bound:
-        args.args = args.args[1:]
-    back = f" -> {ast.unparse(node.returns)}" if node.returns else ""
-    return f"({ast.unparse(args)}){back}"
+def _directive(dotted):
+    value = load(dotted)
+    if not inspect.isclass(value):
+        return f".. autofunction:: {dotted}"
+    if issubclass(value, Exception):
+        return f".. autoexception:: {dotted}"
+    inherits = "\n   :inherited-members: ABC, Generic" if own_classes(value)[:-1] else ""
+    return f".. autoclass:: {dotted}\n   :members:{inherits}"
 
 
-def _doc(dotted, value):
-    text = inspect.cleandoc(vars(value).get("__doc__") or "") if isinstance(value, type) else inspect.getdoc(value)
-    if not text:
-        raise Untold(f"{dotted} has no docstring")
-    return text
-
-
-def _family(value):
-    """A class and those that it inherits from, of ours alone, the most general first."""
-    return [one for one in reversed(value.__mro__) if one.__module__.split(".")[0] in ("jaxvibro", "continuation")]
-
-
-def _annotated(value):
-    """The public fields of a class."""
-    names = [name for one in _family(value) for name in inspect.get_annotations(one)]
-    return [name for name in names if not name.startswith("_")]
-
-
-def _fields(value):
-    """The fields of a record, as they are written, its own before those that it inherits."""
-    if issubclass(value, enum.Enum):
-        return ""
-    lines = {}
-    for one in [one for each in reversed(_family(value)) for one in _source(each).body]:
-        if isinstance(one, ast.AnnAssign) and one.target.id[0] != "_":
-            lines.setdefault(one.target.id, ast.unparse(one))
-    return "```python\n" + "\n".join(lines.values()) + "\n```" if lines else ""
-
-
-def _methods(module, dotted, value):
-    """Public methods and properties of a class, each with its docstring."""
-    if issubclass(value, enum.Enum):
-        return
-    members = {name: each for one in _family(value) for name, each in vars(one).items() if name[0] != "_"}
-    for name, each in members.items():
-        head, method = f"{dotted}.{name}", getattr(each, "__func__", each)  # a class method's is within
-        getter = getattr(method, "fget", getattr(method, "func", None))  # a property's, a cached one's
-        if name not in _annotated(value) and getter is not None:
-            yield _directive("py:property", head, [prose(_doc(head, getter), [], module)], 4)
-        elif name not in _annotated(value) and inspect.isfunction(method):
-            node = _source(method)
-            names = [arg.arg for arg in [*node.args.args, *node.args.kwonlyargs]]
-            text = prose(_doc(head, method), names, module)
-            yield _directive("py:method", head + _signature(node, not isinstance(each, staticmethod)), [text], 4)
-
-
-def _directive(kind, head, parts, ticks):
-    fence = "`" * ticks
-    body = "\n\n".join(part for part in parts if part)
-    return f"{fence}{{{kind}}} {head}\n\n{body}\n{fence}\n"
-
-
-def prose(text, names, module="jaxvibro"):
-    """A docstring as Markdown: names of arguments or fields begin a line of a list, public names lead to theirs."""
-    return "\n\n".join(_paragraph(part, names, module) for part in re.split(r"\n\s*\n", text))
-
-
-def _paragraph(part, names, module):
-    if part.startswith("    "):
-        return "```text\n" + textwrap.dedent(part) + "\n```"
-    text = " ".join(part.split())
-    if not names:
-        return _marked(text, module)
-    one = "|".join(sorted(map(re.escape, names), key=len, reverse=True))
-    pieces = re.split(rf"(?:(?<=^)|(?<=[;.] )|(?<=: ))((?:{one})(?:, (?:{one}))*): ", text)
-    lines = [_marked(pieces[0], module)] if pieces[0].strip() else []
-    for name, told in zip(pieces[1::2], pieces[2::2], strict=True):
-        lines.append(f"- **{_marked(name, module)}**: {_marked(told.strip().rstrip(';'), module)}")
-    return "\n\n".join(lines[:1]) + "\n" * bool(lines[1:]) + "\n".join(lines[1:])
-
-
-def _marked(text, module):
-    """Text in which nothing but backticks is a mark."""
-    parts = re.split(r"(`[^`]+`)", text)
-    return "".join(_linked(part, module) if part.startswith("`") else _plain(part) for part in parts)
-
-
-def _plain(text):
-    text = re.sub(r"([\\*_\[\]<>$#|{}~])", r"\\\1", re.sub(r"^([-+])", r"\\\1", text))
-    return re.sub(r"docs/(\w+)\.md", r"[](../docs/\1.md)", text)
-
-
-def _linked(code, module):
-    name = code.strip("`").removeprefix("jv.").removeprefix("jaxvibro.")
-    found = [f"{home}.{name}" for home in dict.fromkeys((module, "jaxvibro")) if f"{home}.{name}" in TOLD]
-    return f"{{py:obj}}`{code.strip('`')} <{found[0]}>`" if found else code
+def _indent(text):
+    return "\n".join(f"   {line}".rstrip() for line in text.splitlines())

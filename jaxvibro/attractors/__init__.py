@@ -1,6 +1,6 @@
-"""What a scene settles on: attractors, exponents, basins, invariant manifolds.
+"""Attractors, Lyapunov exponents, basins of attraction and invariant manifolds.
 
-In: a scene, and starts. Out: attractors with their shares, swept diagrams, both Lyapunov exponents, which attractor
-each start of a grid ends on, the manifolds of a saddle. Start with `attractors`; `transients` and `classify` do its
-work.
+In: a scene and initial states. Out: attractors with their basin fractions, swept bifurcation diagrams, both Lyapunov
+exponents, the attractor that each initial state of a grid approaches, and the manifolds of a saddle. Start with `find`;
+`transients` and `classify` do its work.
 """

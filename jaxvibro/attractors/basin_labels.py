@@ -1,4 +1,7 @@
-"""Which attractor each of very many starts ends on: they are run on together, and dropped once a trap holds them."""
+"""Label many initial states with the attractor they approach.
+
+The states are simulated together, and a state is dropped once a trapping region contains it.
+"""
 
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
@@ -22,28 +25,52 @@ from ..scene.state import State
 from ..stores.engines import n_usable_cores
 from .trapping_region import PointCloud, TrappingRegion, find_trapping_region, sample_attractor
 
-PERIODS_PER_CHECK = 8  # drive periods between two looks
-LANES_PER_CALL = 1 << 14  # of one compiled call
-MIN_CONSECUTIVE_CHECKS = 8  # looks in a row at which a start must be near a chaotic attractor
+PERIODS_PER_CHECK = 8  # drive periods between two checks
+LANES_PER_CALL = 1 << 14  # lanes of one compiled call
+MIN_CONSECUTIVE_CHECKS = 8  # consecutive checks near a chaotic attractor that identify it
 UNRESOLVED, OUTSIDE = -1, -2
-FAR_COORDINATE = 1e18  # where lanes without an end are put, on no attractor
+FAR_COORDINATE = 1e18  # position of lanes without a final state, on no attractor
 
 
 class AttractorNeighbourhood(NamedTuple):
-    """An attractor at a phase: points on Sigma (n, 2), a sample where chaotic; its `TrappingRegion` or `PointCloud`, or
-    None."""
+    """Attractor at a phase of the drive, with the region that identifies it.
+
+    Attributes
+    ----------
+    points : ndarray
+        Points on the section, a sample of a chaotic attractor. Array of shape (n, 2).
+    region : TrappingRegion, PointCloud or None
+        Trapping region of a periodic attractor, point cloud of a chaotic one; None if there is no such region.
+    """
 
     points: Float[np.ndarray, "points 2"]
     region: TrappingRegion | PointCloud | None
 
 
 def build_neighbourhoods(scene, attractors, phase, scale):
-    """The `AttractorNeighbourhood` of each of some attractors, at a phase of the drive (rad); scale: of x and v, the
-    largest."""
+    """Build the neighbourhoods of some attractors at a phase of the drive.
+
+    Parameters
+    ----------
+    scene : Scene
+        Scene without lanes.
+    attractors : sequence of Attractor
+        Attractors.
+    phase : float
+        Phase of the drive, in rad.
+    scale : float
+        Largest magnitude of x and v.
+
+    Returns
+    -------
+    list of AttractorNeighbourhood
+        Neighbourhood of each attractor.
+    """
     return [_build_neighbourhood(scene, attractor, phase, scale) for attractor in attractors]
 
 
 def _build_neighbourhood(scene, attractor, phase, scale):
+    """Build the neighbourhood of one attractor."""
     if attractor.kind == "unresolved":
         return AttractorNeighbourhood(attractor.points, None)
     if attractor.kind == "chaotic":
@@ -56,16 +83,38 @@ def _build_neighbourhood(scene, attractor, phase, scale):
 
 
 def assign_labels(scene, x, v, phase, neighbourhoods, max_periods):
-    """`label_starts` by all processor cores."""
+    """Label initial states with the attractors they approach, using all processor cores.
+
+    Parameters
+    ----------
+    scene : Scene
+        Scene without lanes.
+    x : ndarray
+        Positions. Array of shape (lanes,).
+    v : ndarray
+        Velocities. Array of shape (lanes,).
+    phase : float
+        Phase of the drive, in rad.
+    neighbourhoods : sequence of AttractorNeighbourhood
+        Neighbourhoods of the attractors.
+    max_periods : int
+        Largest number of drive periods.
+
+    Returns
+    -------
+    tuple of ndarray
+        Labels and periods, as returned by `label_starts`.
+    """
     with ThreadPoolExecutor(n_usable_cores()) as pool:
         return label_starts(pool, scene, x, v, phase, neighbourhoods, max_periods)
 
 
 def label_starts(pool, scene, x, v, phase, neighbourhoods, max_periods):
-    """(label, periods): where each start (lanes,) ends, and the drive periods after which that was seen.
+    """Return (label, periods) of each initial state (lanes,).
 
-    label: the place in `neighbourhoods`; UNRESOLVED where no trap held the start within so many periods, and OUTSIDE
-    beyond a wall. pool: of threads."""
+    label: index in `neighbourhoods`; UNRESOLVED if no region contained the state within `max_periods`, and OUTSIDE
+    beyond a wall. periods: drive periods after which the region contained the state. pool: of threads.
+    """
     labels, periods = np.full(len(x), UNRESOLVED, np.int32), np.zeros(len(x), np.int32)
     lanes = np.arange(len(x))
     lane_states = np.stack([x, v, np.zeros(len(x))]).astype(scene.dtype)
@@ -91,7 +140,7 @@ def label_starts(pool, scene, x, v, phase, neighbourhoods, max_periods):
 
 
 def _check_block(scene, phase, neighbourhoods, lane_states, near_counts):
-    """((x, v, contact), looks in a row near each home, its place or UNRESOLVED, status) one round later, lanes last."""
+    """Advance lanes by one round; return ((x, v, contact), consecutive checks near each attractor, label, status)."""
     n_lanes = lane_states.shape[1]
     padded_states = [np.pad(array, (0, LANES_PER_CALL - n_lanes)) for array in lane_states]
     *end_states, status = (
@@ -116,9 +165,10 @@ def _check_block(scene, phase, neighbourhoods, lane_states, near_counts):
 
 @persistent_jit(compiler_options=COMPILER_OPTIONS)
 def _advance_lanes(scene, x, v, contact, phase, n_blocks):
-    """(x, v, contact, status) a round later, of so many blocks of lanes; the rest stays as it is."""
+    """Return (x, v, contact, status) after one round of the first `n_blocks` blocks; the rest is unchanged."""
 
     def advance_block(block_index, carry):
+        """Advance one block of lanes."""
         start = block_index * BLOCK_WIDTH
         block_states = [lax.dynamic_slice_in_dim(array, start, BLOCK_WIDTH) for array in carry[:3]]
         end_state, impacts = two_tiers.strobe(

@@ -1,4 +1,4 @@
-"""Basins of attraction: which attractor each start of a grid ends on."""
+"""Compute the basins of attraction of a scene on a grid of initial states."""
 
 from collections.abc import Callable, Sequence
 
@@ -18,8 +18,8 @@ from .basins_study import BasinsStudy
 from .find import Attractor, find_attractors
 from .fractal import BOX_SIZE, basin_entropies, boundary_dimension
 
-STARTS_PER_CHUNK = 1 << 16  # starts that are worked out together
-MAX_PERIODS = 2000  # drive periods after which a start is given up
+STARTS_PER_CHUNK = 1 << 16  # initial states of a chunk
+MAX_PERIODS = 2000  # drive periods after which a state is unresolved
 
 
 @check.host_only("use strobe")
@@ -35,31 +35,76 @@ def basins(
     *,
     max_seconds: float | None = None,
 ) -> xr.Dataset:
-    """The basins of attraction on Sigma: an xarray.Dataset.
+    """Compute the basins of attraction on a grid of the section.
 
-    scene: a single one. x (columns,), v (rows,): positions and velocities of the starts, rising, at least two of each;
-    past a soft wall a start is within it; phase: of the drive at the start, rad. attractors: a tuple as from
-    `find_attractors`, which is asked where it is None; those that it calls unresolved take no starts. patience: drive
-    periods that a start may take, a whole number from 1 on. progress: called with the number of starts that are done.
-    store: a `Store` to keep labels and periods in and to go on with; None: in memory. max_seconds: wall-clock time, s,
-    after which no chunk of starts is begun; None is no limit. The label of a start that is not done is -3, it
-    counts as unresolved, and the attribute `stopped` says why; a later call with the same store goes on.
+    Each initial state of the grid is simulated until it is certain which attractor it approaches.
 
-    Dataset: label(v, x): the attractor's place in the tuple, -1 where the start is not certain to be on any (many of
-    them: another attractor, ask `find_attractors` with more starts), -2 beyond a rigid wall; periods(v, x): drive
-    periods after which it was seen. Of each attractor, over the dimension "attractor": name (P n p q, "chaotic", ...),
-    kind, mirror_of (place of its mirror image, -1: none), point_x and point_v on Sigma at the phase (nan where it has
-    fewer), fraction: of the starts that are beyond no rigid wall, fraction_error: the spread between the four grids of
-    every other row and column, and the unresolved share. mixed(side): the share of boxes, so many cells wide, with more
-    than one label.
-    Attributes: the scene's numbers; phase; basin_entropy and boundary_basin_entropy of boxes of 5 x 5 starts (Daza et
-    al., Sci. Rep. 6, 31416, 2016); boundary_dimension and its error (`fractal.dimension`).
+    Parameters
+    ----------
+    scene : Scene
+        Scene without lanes.
+    x : array_like
+        Positions of the initial states, increasing, at least two. Array of shape (columns,). Beyond the face of a soft
+        wall the mass is inside the wall.
+    v : array_like
+        Velocities of the initial states, increasing, at least two. Array of shape (rows,).
+    phase : float, optional
+        Phase of the drive at the initial states, in rad.
+    attractors : sequence of Attractor, optional
+        Attractors as returned by `find_attractors`. None computes them. Unresolved entries attract no initial state.
+    patience : int, optional
+        Largest number of drive periods for an initial state, at least 1.
+    progress : callable, optional
+        Called with the number of initial states done.
+    store : Store, optional
+        Store that keeps labels and periods and from which the computation resumes. None keeps them in memory.
+    max_seconds : float, optional
+        Wall-clock time, in s, after which no chunk of initial states is started. None is no limit.
 
-    A start is on a periodic attractor once it is in an ellipse that the return map takes into itself, tried on a fan of
-    states (`trap`); on a chaotic one when it was near a sample of it at eight looks in a row, eight periods apart. An
-    attractor with an impact on a rigid wall just at the section's phase has no such ellipse: take another phase.
+    Returns
+    -------
+    xarray.Dataset
+        Variables on the grid (v, x): ``label``, the index of the attractor, -1 if the initial state is not certain to
+        approach any, -2 beyond a rigid wall, -3 if it is not done; ``periods``, the drive periods after which the
+        attractor was recognised. Along ``attractor``: ``name`` (P n p q, ``"chaotic"``, ...), ``kind``, ``mirror_of``
+        (index of the mirror image, -1 for none), ``point_x`` and ``point_v`` (points on the section at the phase,
+        padded with nan), ``fraction`` (of the initial states that are not beyond a rigid wall), and ``fraction_error``
+        (spread between the four subgrids of every other row and column, plus the unresolved fraction). Along ``side``,
+        the side of a box in cells: ``mixed``, the fraction of boxes with more than one label. Attributes: the
+        parameters of the scene, ``phase``, ``basin_entropy`` and ``boundary_basin_entropy`` of boxes of 5 x 5 initial
+        states, ``boundary_dimension`` and ``boundary_dimension_error``.
 
-    Raises ArgumentError for a batch of scenes and for numbers that cannot be, and what the store raises.
+    Raises
+    ------
+    ArgumentError
+        If the scene has lanes or an argument is invalid.
+
+    See Also
+    --------
+    find_attractors : Find the attractors of a scene.
+    fractions : Compute basin fractions along a parameter.
+
+    Notes
+    -----
+    An initial state is on a periodic attractor once it is inside an ellipse that the return map takes into itself,
+    which is tested on a fan of states. It is on a chaotic attractor after eight consecutive checks, eight periods
+    apart, near a sample of that attractor. An attractor with an impact on a rigid wall exactly at the phase of the
+    section has no such ellipse: choose another phase. Many labels -1 indicate an attractor that is missing: call
+    `find_attractors` with more initial states.
+
+    After `max_seconds`, initial states that are not done count as unresolved, and the attribute ``stopped`` gives the
+    reason. A later call with the same store resumes. The errors of the store are passed on.
+
+    References
+    ----------
+    Daza, Wagemakers, Georgeot, Guery-Odelin and Sanjuan, Sci. Rep. 6, 31416 (2016): basin entropy.
+
+    Examples
+    --------
+    >>> attractors = jv.find_attractors(scene, starts=50)
+    >>> data = jv.basins(scene, np.linspace(-0.9, 0.9, 20), np.linspace(-2.0, 2.0, 20), attractors=attractors)
+    >>> data["fraction"].values.round(2).tolist()
+    [0.87, 0.13]
     """
     limits = limits_of(None, max_seconds, None, check.ArgumentError)
     check.require_single(scene)
@@ -80,13 +125,15 @@ def basins(
 
 
 def _check_axis(key, values) -> Float[np.ndarray, " numbers"]:
+    """Return the values of an axis, checked."""
     values = check.finite_array(key, values, np.float64)
     if values.ndim != 1 or len(values) < 2 or not (np.diff(values) > 0).all():
-        raise check.ArgumentError(key, "must be at least two numbers in rising order", values)
+        raise check.ArgumentError(key, "must be at least two numbers in increasing order", values)
     return values
 
 
 def _make_dataset(scene, phase, attractors, neighbourhoods, data):
+    """Return the named result: labels, basin fractions, entropies and boundary dimension."""
     labels, max_points = (
         data["label"].values,
         max((len(neighbourhood.points) for neighbourhood in neighbourhoods), default=0),
@@ -131,9 +178,10 @@ def _make_dataset(scene, phase, attractors, neighbourhoods, data):
 
 
 def _basin_fractions(labels, n_attractors):
-    """(shares of the starts beyond no rigid wall, their errors), each (count,)."""
+    """Return (basin fractions, their errors), each (count,), of the starts that are not beyond a rigid wall."""
 
     def basin_shares(subgrid_labels):
+        """Return the fraction of each attractor on a grid of labels."""
         n_inside = max(1, (subgrid_labels != OUTSIDE).sum())
         return np.array([(subgrid_labels == index).sum() for index in range(n_attractors)]) / n_inside
 

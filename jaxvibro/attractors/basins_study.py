@@ -1,4 +1,4 @@
-"""The starts of basins as a `Study`: a grid on Sigma in bands of rows, each start labelled by what holds it."""
+"""Compute basins as a `Study`: a band of rows of the grid is a chunk."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -17,14 +17,33 @@ from ..stores.study import Column, Grid, fingerprint_axis
 from .basin_labels import OUTSIDE, UNRESOLVED, AttractorNeighbourhood, label_starts
 from .trapping_region import PointCloud, TrappingRegion
 
-MAX_INT16_PERIODS = 32_000  # drive periods of patience up to which numbers of them take two bytes
-NOT_DONE = -3  # label of a start whose chunk is not done
+MAX_INT16_PERIODS = 32_000  # largest `max_periods` whose period counts are stored in two bytes
+NOT_DONE = -3  # label of an initial state whose chunk is not done
 
 
 @dataclass(frozen=True)
 class BasinsStudy:
-    """Basins as a `Study`. x, v: of the starts; phase: rad; neighbourhoods: of the attractors, which are called so;
-    chunk_size: starts of a chunk, about."""
+    """Basins of attraction as a `Study`.
+
+    Parameters
+    ----------
+    scene : Scene
+        Scene without lanes.
+    x : ndarray
+        Positions of the initial states. Array of shape (columns,).
+    v : ndarray
+        Velocities of the initial states. Array of shape (rows,).
+    phase : float
+        Phase of the drive, in rad.
+    neighbourhoods : tuple of AttractorNeighbourhood
+        Neighbourhoods of the attractors.
+    labels : tuple of str
+        Labels of the attractors.
+    max_periods : int
+        Largest number of drive periods.
+    chunk_size : int
+        Approximate number of initial states of a chunk.
+    """
 
     scene: Scene
     x: Float[np.ndarray, " columns"]
@@ -36,7 +55,7 @@ class BasinsStudy:
     chunk_size: int
 
     def __reduce__(self):
-        """Sent to a worker without the traps, which may be large: it reads them from the store."""
+        """Pickle without the regions, which may be large; a worker reads them from the store."""
         neighbourhoods = tuple(
             AttractorNeighbourhood(neighbourhood.points, None) for neighbourhood in self.neighbourhoods
         )
@@ -53,12 +72,14 @@ class BasinsStudy:
 
     @cached_property
     def grid(self) -> Grid:
+        """Initial states, in bands of rows."""
         n_rows, n_columns = len(self.v), len(self.x)
         n_bands = -(-n_rows * n_columns // self.chunk_size)
         return Grid({"v": n_rows, "x": n_columns}, (-(-n_rows // n_bands), n_columns))
 
     @property
     def columns(self) -> dict[str, Column]:
+        """Columns label and periods."""
         period_type = np.int16 if self.max_periods <= MAX_INT16_PERIODS else np.int32
         label_text = f"attractor, {UNRESOLVED} unresolved, {OUTSIDE} beyond a rigid wall"
         return {
@@ -68,12 +89,14 @@ class BasinsStudy:
 
     @cached_property
     def identity(self) -> dict[str, str]:
+        """Texts that identify the basins."""
         axis_texts = {name: fingerprint_axis(getattr(self, name)) for name in ("x", "v")}
         setting_texts = {"phase": repr(self.phase), "patience": repr(self.max_periods), "attractors": repr(self.labels)}
         return {"scene": scene_toml(self.scene), **axis_texts, **setting_texts, "dtype": str(self.scene.dtype)}
 
     @cached_property
     def frame(self) -> xr.Dataset:
+        """Coordinates and the neighbourhoods of the attractors."""
         coords = {
             "x": ("x", self.x, {"long_name": "displacement", "units": LENGTH}),
             "v": ("v", self.v, {"long_name": "velocity", "units": SPEED}),
@@ -94,6 +117,7 @@ class BasinsStudy:
         )
 
     def compute(self, number: int, frame: xr.Dataset) -> tuple[dict[str, np.ndarray], int]:
+        """Return the columns of a band, and the number of unresolved initial states."""
         row_slice, column_slice = self.grid.chunk_slices(number)
         x_grid, v_grid = np.meshgrid(self.x[column_slice], self.v[row_slice])
         neighbourhoods = (
@@ -110,7 +134,7 @@ class BasinsStudy:
 
 
 def _read_neighbourhood(frame, index):
-    """The `AttractorNeighbourhood` of an attractor as a store's frame has it."""
+    """Return the `AttractorNeighbourhood` of an attractor from a store's frame."""
     points = frame[f"points_{index}"].values
     if f"lengths_{index}" in frame:
         return AttractorNeighbourhood(points, TrappingRegion(points, frame[f"lengths_{index}"].values))

@@ -1,18 +1,32 @@
-"""How well a mean along trajectories is known: standard errors by batch means, of numbers that hang together."""
+"""Estimate standard errors of means along trajectories by batch means, for correlated samples."""
 
 import numpy as np
 
-MIN_BATCHES = 8  # batches of a copy that a standard error is told from, where copies count one by one
-MIN_TIME_BATCHES = 32  # batches in time, where only their means over the copies count
+MIN_BATCHES = 8  # fewest batches of a copy for a standard error that counts the copies one by one
+MIN_TIME_BATCHES = 32  # fewest batches in time for a standard error of the means over the copies
 EXCESS_ERRORS = 3.0  # standard errors of its own by which the second estimate must exceed the first
 
 
 def standard_error(block_sums, block_periods):
-    """The standard error of the mean a period, from sums over blocks of so many periods, shape (blocks, copies).
+    """Estimate the standard error of a mean per period by batch means.
 
-    Blocks of a copy hang together, so batches of 1, 2, 4, ... blocks are tried, which makes the error grow until they
-    are long enough: the largest counts. Copies may hang together as well; the spread in time of the copies' mean knows
-    of no independence between them, and takes over where it is larger beyond doubt. inf for less than FEWEST blocks.
+    Parameters
+    ----------
+    block_sums : ndarray
+        Sums over blocks of periods. Array of shape (blocks, copies).
+    block_periods : int
+        Periods of a block.
+
+    Returns
+    -------
+    float
+        Standard error; inf for fewer than `MIN_BATCHES` blocks.
+
+    Notes
+    -----
+    Blocks of a copy are correlated, so batches of 1, 2, 4, ... blocks are formed. The error grows with their length
+    until they are long enough, and the largest error counts. Copies may be correlated as well. The spread in time of
+    the mean over the copies assumes no independence between them, and is used if it is larger beyond doubt.
     """
     errors, batch_length = [np.inf if len(block_sums) < MIN_BATCHES else 0.0], 1
     while (n_batches := len(block_sums) // batch_length) >= MIN_BATCHES:

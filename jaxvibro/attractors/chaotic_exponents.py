@@ -1,8 +1,8 @@
-"""The Lyapunov exponents of motions that do not recur: averages of a tangent's growth, over many copies of a motion.
+"""Average the Lyapunov exponents of motions that do not recur, over many copies of a motion.
 
-The first exponent is the mean growth of a tangent vector, the second what is left of ln abs det M, which impacts and
-damping tell (`orbit_exponents.shrinkage`). With one tangent and the determinant this is Benettin's method for two
-exponents.
+The first exponent is the mean growth of a tangent vector. The second is the rest of ``ln abs det M``, which follows
+from impacts and damping (`orbit_exponents.log_determinant`). With one tangent and the determinant this is Benettin's
+method for two exponents.
 """
 
 from typing import NamedTuple
@@ -21,16 +21,28 @@ from .recurrence import recurrence_distances, recurrence_periods
 from .tangent import RECORDED_PERIODS, TangentLanes, run_tangents, start_tangents, worse_status_on_host
 
 BLOCK_PERIODS = 16  # periods whose growth is summed
-INITIAL_CHUNKS = 16  # times LAPS periods before the error is first looked at
-MIN_GROWTH_RATE = 0.02  # growth a period below which copies of a motion may stay together for thousands of periods
+INITIAL_CHUNKS = 16  # times `RECORDED_PERIODS` before the first check of the error
+MIN_GROWTH_RATE = 0.02  # growth per period below which copies may stay together for thousands of periods
 
 
 class SettledLanes(NamedTuple):
-    """Lanes that have been run for a while, NumPy arrays, lanes last.
+    """Lanes after a transient, as NumPy arrays, lanes last.
 
-    lanes: where they are; status: the worst met; periods: after which each recurs, 0 for not at all; growth_rate: mean
-    growth; visited_states: states on the way, LAPS periods apart, leaves (visits, lanes); scale: of x and v, the
-    largest."""
+    Attributes
+    ----------
+    lanes : TangentLanes
+        States and tangents.
+    status : ndarray
+        Worst status.
+    periods : ndarray
+        Periods after which each lane recurs; 0 if it does not.
+    growth_rate : ndarray
+        Mean growth per period.
+    visited_states : State
+        Visited states, `RECORDED_PERIODS` apart. Leaves of shape (visits, lanes).
+    scale : ndarray
+        Largest magnitude of x and v.
+    """
 
     lanes: TangentLanes
     status: Int[np.ndarray, " lanes"]
@@ -41,19 +53,19 @@ class SettledLanes(NamedTuple):
 
     @property
     def is_valid(self) -> bool:
-        """Whether a single lane has not met its end."""
+        """True if a single lane has a finite state."""
         return bool(np.isfinite(np.ravel(self.lanes.state.x)[0]))
 
     @property
     def is_unsettled(self) -> bool:
-        """Whether a single lane has yet to settle."""
+        """True if a single lane has a finite state and does not recur yet."""
         return self.is_valid and not self.periods[0]
 
 
 def run_until_recurrence(scene, lanes, settle, max_rounds):
-    """`SettledLanes`: lanes run on for `settle` periods, then for LAPS, so many times or until all recur.
+    """Return `SettledLanes` after `settle` periods and up to `max_rounds` rounds of `RECORDED_PERIODS`.
 
-    scene: a single one or a lane of a batch each.
+    The rounds end once all lanes recur. scene: a single one, or one with a lane of its own for each lane.
     """
     lanes, records = run_tangents(scene, lanes, settle + RECORDED_PERIODS)
     previous_distances, status, dtype = recurrence_distances(records.points), records.status, lanes.state.x.dtype
@@ -79,12 +91,12 @@ def run_until_recurrence(scene, lanes, settle, max_rounds):
 
 
 def estimate_exponents(scene, settled_lanes, target_error, max_periods):
-    """(`ExponentEstimate`, None) of the motion of a single scene; where it ends on a periodic orbit after all,
-    `SettledLanes` as well.
+    """Return (`ExponentEstimate`, None) of the motion of a single scene.
 
-    settled_lanes: `SettledLanes`, of one lane; target_error: the standard error to come to, with at most about so many
-    periods. WIDTH copies of the motion are run: from states that it visited, with speeds a little off, until the copies
-    have gone their own ways; where they hardly part, from one state, so that what they have in common is seen as such.
+    If the motion ends on a periodic orbit, its `SettledLanes` take the place of None. settled_lanes: of one lane;
+    target_error: standard error at which the average ends, after at most about `max_periods`. `BLOCK_WIDTH` copies of
+    the motion are simulated: from visited states with slightly different velocities, until they have separated. If they
+    hardly separate, all start at one state, so that their correlation is visible.
     """
     scale = settled_lanes.scale[0]
     lanes = _make_copies(settled_lanes, scale)
@@ -140,7 +152,7 @@ def _select_lanes(lanes, selection):
 
 
 def _make_copies(settled_lanes, scale):
-    """The `TangentLanes` of WIDTH copies of a motion."""
+    """Return the `TangentLanes` of `BLOCK_WIDTH` copies of a motion."""
     n_visits = len(settled_lanes.visited_states.x) if settled_lanes.growth_rate[0] > MIN_GROWTH_RATE else 1
     visit_indices = -1 - np.arange(BLOCK_WIDTH) % n_visits
     state = jax.tree.map(lambda leaf: leaf[visit_indices, 0], settled_lanes.visited_states)
@@ -152,8 +164,10 @@ def _make_copies(settled_lanes, scale):
 
 
 def _average_blocks(scene, block_sums, status):
-    """The `ExponentEstimate` of sums of growth, impacts (left, right, all), `measured_area_growth` and the time within
-    each wall over blocks, shape (7, blocks, copies)."""
+    """Return the `ExponentEstimate` of sums over blocks, shape (7, blocks, copies).
+
+    The sums are of growth, impacts (left, right, all), `measured_area_growth` and the time inside each wall.
+    """
     growth, left_impacts, right_impacts, all_impacts, area_growth, *time_within = block_sums
     n_periods = growth.size * BLOCK_PERIODS
     if status >= Status.CAP or np.isnan(growth).any() or np.isposinf(growth).any():
@@ -176,7 +190,7 @@ def _average_blocks(scene, block_sums, status):
     if abs(exponent) < MIN_GROWTH_RATE:
         errors = np.maximum(
             errors, 1.0 / (len(growth) * BLOCK_PERIODS)
-        )  # a shear alone grows like ln(time), which looks steady
+        )  # a mere shear grows like ln(time), which looks like a steady rate
     return ExponentEstimate(
         np.array([exponent, exponent_sum - exponent]), errors, impact_rates, time_within, 0, status, n_periods
     )

@@ -1,4 +1,4 @@
-"""Evidence for an attractor: an orbit that recurs and draws in, or motion that does neither recur nor stay together."""
+"""Classify motions as attractors: orbits that recur and attract, or chaotic motion."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -20,21 +20,28 @@ from .largest_exponent import largest_exponents
 from .transients import cluster_orbits, extract_orbit
 from .weak_chaos import assess_weak_chaos
 
-POLISH_FACTOR = 4  # times `settle` periods that a periodic orbit is run on before it is read
-MAX_SLOTS = 1000  # slots for an orbit with more impacts in a period than `iterate` records: as many as the impact cap
+POLISH_FACTOR = 4  # times `settle` periods, simulated before a periodic orbit is read
+MAX_SLOTS = 1000  # slots for orbits with more impacts in a period than `iterate` records: the impact cap
 MIN_CHAOS_EXPONENT = (
-    0.01  # per period, of chaos: mere shear passes for 0.002 over the periods that `largest_exponents` averages
+    0.01  # per period: a mere shear appears as 0.002 over the periods that `largest_exponents` averages
 )
-MAX_LONG_ESTIMATES = 4  # sets of motion at most that the spectrum's estimator is asked about
-SAMPLE_ROUNDS = 8  # times KEEP periods of chaos that are looked at
+MAX_LONG_ESTIMATES = 4  # largest number of sets that `assess_weak_chaos` examines
+SAMPLE_ROUNDS = 8  # times `MAX_RECORDED_PERIODS` of a sample of chaos
 
 
 @dataclass(frozen=True, eq=False)
 class AttractorCandidate:
-    """An attractor before its share and its mirror image are known.
+    """Attractor before its share and its mirror image are known.
 
-    lanes: those that are on it; impact_points: its impacts as points (`orbit_comparison`); fields: the fields of
-    `Attractor`, the note without the exponent."""
+    Parameters
+    ----------
+    lanes : list of int
+        Lanes on the attractor.
+    impact_points : ndarray
+        Impacts as points (see `orbit_comparison`). Array of shape (impacts, 4).
+    fields : dict
+        Fields of `Attractor`, with the note without the exponent.
+    """
 
     lanes: list[int]
     impact_points: Float[np.ndarray, "impacts 4"]
@@ -42,10 +49,27 @@ class AttractorCandidate:
 
 
 def find_periodic(scene, iterates, periods, settle, scale):
-    """(periodic attractors, why other lanes that recur are on none): a list of `AttractorCandidate`, and {lane:
-    reason}.
+    """Return (periodic attractors, {lane: reason} of other recurrent lanes).
 
-    iterates: a `Iterates`; periods: those after which its lanes recur, 0 for none; scale: of x and v, the largest.
+    Parameters
+    ----------
+    scene : Scene
+        Scene without lanes.
+    iterates : Iterates
+        Iterates of the lanes.
+    periods : ndarray
+        Periods after which lanes recur; 0 if they do not. Array of shape (lanes,).
+    settle : int
+        Drive periods of the transient.
+    scale : float
+        Largest magnitude of x and v.
+
+    Returns
+    -------
+    candidates : list of AttractorCandidate
+        Periodic attractors.
+    failures : dict of int to str
+        Reason why a recurrent lane is on no attractor.
     """
     eps, failures, candidates = float(np.finfo(scene.dtype).eps), {}, []
     tolerance, neutral_growth = eps**0.4 * scale, 4.0 * eps**0.5
@@ -73,12 +97,12 @@ def _select_lanes(state, lanes):
 
 
 def record_iterates(scene, state):
-    """The trail of the state of one lane over KEEP periods, with all of its impacts."""
+    """Return the iterates of one lane over `MAX_RECORDED_PERIODS` periods with all impacts."""
     return complete_iterates(scene, iterate(scene, state, MAX_RECORDED_PERIODS, max_single_lanes=0))
 
 
 def complete_iterates(scene, iterates):
-    """The trail of one lane, or, where its slots are full, one that goes on from there with all impacts."""
+    """Return the iterates of one lane; if its slots are full, continue it with slots for all impacts."""
     return (
         iterate(scene, iterates.state, MAX_RECORDED_PERIODS, MAX_SLOTS)
         if iterates.status[0] == Status.FULL
@@ -87,7 +111,7 @@ def complete_iterates(scene, iterates):
 
 
 def periodic_candidate(scene, iterates, lanes, n_periods, scale, extra_fields):
-    """A periodic attractor from a trail of one lane on it, read from its least rotation on."""
+    """Return a periodic attractor from the iterates of one lane on it, read from its `canonical_start`."""
     points, itinerary_words = extract_orbit(iterates, 0, n_periods)
     rotated_words = itinerary_words[1:] + itinerary_words[:1]
     rotation = itinerary.canonical_start(rotated_words, points)
@@ -109,27 +133,50 @@ def periodic_candidate(scene, iterates, lanes, n_periods, scale, extra_fields):
 
 
 def _state_at(iterates, period):
-    """The state at the end of a kept period of a trail of one lane."""
+    """Return the state at the end of a recorded period of one lane."""
     x, v, contact = (float(record[period, 0]) for record in (iterates.x, iterates.v, iterates.contact))
     return State(x, v, 0.0, contact)
 
 
 def _least_speed(side, speed):
+    """Return the smallest impact speed, inf without impacts."""
     return float(np.min(speed, where=side != 0, initial=np.inf))
 
 
 def is_dissipative(scene):
-    """Whether motions of a single scene draw together at all: it is damped, or a wall is not elastic. Of a force of the
-    user's own it is taken for granted where the force depends on the speed."""
+    """Return True if the motions of a single scene contract: it is damped, or a wall is inelastic.
+
+    A user-defined force counts as damped if it depends on the velocity.
+    """
     if scene.force is not None:
         return force_rates(scene)[1] > 0 or any(bool(abs(scene.bounce(side)) < 1) for side in scene.walls)
     is_damped = any(bool(scene.parameter(name) > 0) for name in scene.names if name.endswith("damping"))
-    return is_damped or any(bool(abs(scene.bounce(side)) < 1) for side in scene.walls)  # -1: a soft one
+    return is_damped or any(bool(abs(scene.bounce(side)) < 1) for side in scene.walls)  # `bounce` is -1 for a soft wall
 
 
 def find_chaotic(scene, iterates, lanes, scale, limits=UNLIMITED):
-    """(chaotic attractors, why other lanes are on none), of the lanes that do not recur; as `find_periodic`. limits: no
-    further lane is looked at once their time is over."""
+    """Find the chaotic attractors among lanes that do not recur.
+
+    Parameters
+    ----------
+    scene : Scene
+        Scene without lanes.
+    iterates : Iterates
+        Iterates of the lanes.
+    lanes : ndarray
+        Indices of the lanes that do not recur.
+    scale : float
+        Largest magnitude of x and v.
+    limits : Limits, optional
+        Time limit, after which no further lane is examined.
+
+    Returns
+    -------
+    candidates : list of AttractorCandidate
+        Chaotic attractors.
+    failures : dict of int to str
+        Reason why a lane is on no attractor.
+    """
     candidates, failures = [], {}
     if not lanes.size or limits.expired:
         return candidates, dict.fromkeys(lanes.tolist(), EXPIRED_REASON)
@@ -149,10 +196,12 @@ def find_chaotic(scene, iterates, lanes, scale, limits=UNLIMITED):
 
 
 def _group_chaotic_lanes(scene, state, lanes, growth_rates, is_certain, scale, candidates, limits):
-    """Puts chaotic lanes that fill the same set together, into `candidates`; {lane: reason} of those that are on none.
+    """Group chaotic lanes that fill the same set into `candidates`; return {lane: reason} of the others.
 
-    is_certain: the lanes whose exponents, the rates, are positive beyond doubt. Of each set of others one lane is
-    weighed, and of those that may rest, as nearby trajectories that rest at other times part without chaos."""
+    is_certain: lanes whose exponents (growth_rates) are positive beyond doubt. Of each set of other lanes one is
+    examined, and also of lanes that may stick, since nearby trajectories that stick at different times separate without
+    chaos.
+    """
     iterates, failures, verdicts = sample_motion(scene, state), {}, []
     for index, lane in enumerate(lanes.tolist()):
         if limits.expired:
@@ -185,10 +234,11 @@ def _group_chaotic_lanes(scene, state, lanes, growth_rates, is_certain, scale, c
 
 
 def _rejection_reason(scene, state, candidate, verdicts, is_certain):
-    """Why the motion of one lane is not taken for chaos; None where it is: its exponent is then among its numbers.
+    """Return the reason why the motion of one lane is not chaotic, or None if it is.
 
-    is_certain: whether it is for chaos where the estimator cannot tell; verdicts: (hits, why not) of those that were
-    weighed before, to which it is added."""
+    A chaotic motion then has its exponent among its fields. is_certain: True if it is chaotic where the estimator
+    cannot decide; verdicts: (impact points, reason) of motions examined before, to which this one is added.
+    """
     earlier_reason = next(
         (reason for points, reason in verdicts if reason is not None and is_same_set(candidate.impact_points, points)),
         None,
@@ -196,7 +246,7 @@ def _rejection_reason(scene, state, candidate, verdicts, is_certain):
     if earlier_reason is not None:
         return earlier_reason
     if len(verdicts) == MAX_LONG_ESTIMATES:
-        return None if is_certain else "does not recur, and was not looked at for long"
+        return None if is_certain else "does not recur, and was not examined for long"
     growth_rate, note = assess_weak_chaos(scene, state)
     if np.isfinite(growth_rate):
         candidate.fields.update(exponent=growth_rate, note=note)
@@ -207,7 +257,20 @@ def _rejection_reason(scene, state, candidate, verdicts, is_certain):
 
 
 def sample_motion(scene, state):
-    """A trail of SAMPLES times KEEP periods."""
+    """Sample motions over `SAMPLE_ROUNDS` times `MAX_RECORDED_PERIODS` periods.
+
+    Parameters
+    ----------
+    scene : Scene
+        Scene without lanes.
+    state : State
+        States. Leaves of shape (lanes,).
+
+    Returns
+    -------
+    Iterates
+        Iterates with the worst status of all rounds.
+    """
     segments = []
     for _ in range(SAMPLE_ROUNDS):
         segments.append(iterate(scene, state, MAX_RECORDED_PERIODS, max_single_lanes=0))
@@ -217,7 +280,24 @@ def sample_motion(scene, state):
 
 
 def chaotic_candidate(scene, iterates, scale, extra_fields):
-    """A chaotic attractor, of no lanes yet, from a trail of one lane on it."""
+    """Make the candidate of a chaotic attractor from the iterates of one lane on it.
+
+    Parameters
+    ----------
+    scene : Scene
+        Scene without lanes.
+    iterates : Iterates
+        Iterates of one lane.
+    scale : float
+        Largest magnitude of x and v.
+    extra_fields : dict
+        Further fields of the candidate.
+
+    Returns
+    -------
+    AttractorCandidate
+        Candidate without lanes.
+    """
     fields = {
         "label": "chaotic",
         "kind": "chaotic",

@@ -1,4 +1,4 @@
-"""Attractors that need no start to find them: the free response, and the mirror images of those that are known."""
+"""Derive attractors without initial states: the free response, and mirror images of known attractors."""
 
 import numpy as np
 
@@ -10,12 +10,14 @@ from ..scene.state import State
 from ..scene.symmetry import is_symmetric
 from .classify import AttractorCandidate, chaotic_candidate, periodic_candidate, record_iterates, sample_motion
 
-MIRROR_NOTE = "mirror image of one that starts settled on; none settled on it"
+MIRROR_NOTE = "mirror image of another attractor; no start settled on it"
 
 
 def free_response(scene, candidates):
-    """[the free response as `AttractorCandidate`] where it attracts, keeps off the walls and is not among those seen;
-    else []."""
+    """Return a list with the free response as `AttractorCandidate`, or an empty list.
+
+    It is included if it is stable, clears the walls and is not among the candidates.
+    """
     if any(
         candidate.fields["periods"] == 1 and not candidate.impact_points.size and not candidate.fields["state"].contact
         for candidate in candidates
@@ -40,8 +42,22 @@ def free_response(scene, candidates):
 
 
 def mirror_images(scene, candidates, scale):
-    """The mirror images, as `AttractorCandidate`, of those attractors seen whose image is not among them, in a
-    symmetric scene."""
+    """Derive the mirror images that are missing among the candidates of a symmetric scene.
+
+    Parameters
+    ----------
+    scene : Scene
+        Scene without lanes.
+    candidates : list of AttractorCandidate
+        Known attractors.
+    scale : float
+        Largest magnitude of x and v.
+
+    Returns
+    -------
+    list of AttractorCandidate
+        Missing mirror images; empty if the scene is not symmetric.
+    """
     if not is_symmetric(scene):
         return []
     image_candidates = [
@@ -53,7 +69,20 @@ def mirror_images(scene, candidates, scale):
 
 
 def mirror_index(candidate, candidates):
-    """The place of an attractor's mirror image, None where it is not among those seen."""
+    """Return the index of an attractor's mirror image.
+
+    Parameters
+    ----------
+    candidate : AttractorCandidate
+        Attractor.
+    candidates : list of AttractorCandidate
+        Known attractors.
+
+    Returns
+    -------
+    int or None
+        Index of the image; None if it is not among the candidates.
+    """
     n_periods = candidate.fields["periods"]
     is_same = is_same_orbit if n_periods else is_same_set
     indices = (index for index, other in enumerate(candidates) if other.fields["periods"] == n_periods)
@@ -68,7 +97,7 @@ def mirror_index(candidate, candidates):
 
 
 def _mirror_candidate(scene, candidate, candidates, scale):
-    """The mirror image of an attractor, None where it turns out to be one that is among those seen."""
+    """Return the mirror image of an attractor, None if it is already among the candidates."""
     fields, original = candidate.fields, candidate.fields["state"]
     mirror_state = State(-original.x, -original.v, np.pi, -original.contact)
     mirror_state = State(

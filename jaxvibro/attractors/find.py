@@ -1,4 +1,4 @@
-"""What a scene settles on from many random starts: its attractors, each with its share of the starts."""
+"""Find the attractors of a scene from random initial states, with their basin fractions."""
 
 from collections import Counter
 from dataclasses import dataclass, replace
@@ -27,21 +27,48 @@ from .transients import settle_lanes
 
 @dataclass(frozen=True, eq=False)
 class Attractor:
-    """One of the things that starts settle on.
+    """Attractor of a scene, or the set of unresolved initial states.
 
-    label: P n p q (P1-0-inf with complete chatter on the right), "chaotic" or "unresolved". kind: "periodic", "chaotic"
-    or "unresolved"; the last stands for all starts that gave evidence for neither. orbit: the `Orbit` of a periodic
-    one, polished, with its multipliers; None where there is none, or none was found; its state and itinerary are these
-    here, read from phase 0 on. share: of the starts; all shares sum to 1; 0 of what none settled on. share_bounds: the
-    lowest and the highest share that so many starts speak for, at 95 % (`shares.share_bounds`). starts: how many there
-    were. state: on it, at phase 0; of the unresolved, the first of the starts. periods: minimal number of drive periods
-    of a periodic one, else 0. itinerary: the walls it hits, a word a period from `state` on, else (). points: x and v
-    on Sigma from `state` on, shape (periods, 2); a sample where chaotic. least_speed: of its impacts, inf if none.
-    exponent: the largest Lyapunov exponent per drive period, of an orbit by its multipliers; -inf where it is too low
-    to be measured, nan where unknown. mirror_of: the place in the tuple of its mirror image, its own where it is
-    symmetric; None where none was found or the scene has no mirror symmetry. note: what was seen. rests: whether the
-    mass of a periodic one rests on a wall for a while; the itinerary has the hops of complete chatter up to where they
-    are certain to end. scales: the scene's.
+    Attributes
+    ----------
+    label : str
+        P n p q (``P1-0-inf`` with complete chatter on the right wall), ``"chaotic"`` or ``"unresolved"``.
+    kind : {"periodic", "chaotic", "unresolved"}
+        Kind of attractor. ``"unresolved"`` stands for all initial states with evidence for neither of the other kinds.
+    share : float
+        Fraction of the initial states that approach the attractor. All shares sum to 1. It is 0 for an attractor that
+        no initial state approached.
+    share_bounds : tuple of float
+        Lower and upper bound of the share at 95 % confidence (Clopper and Pearson).
+    starts : int
+        Number of initial states.
+    state : State
+        State on the attractor at phase 0. For the unresolved, the first of the initial states.
+    periods : int
+        Minimal number of drive periods of a periodic attractor, else 0.
+    itinerary : tuple of str
+        Sequence of walls hit, a word for each period from `state` on; empty if the attractor is not periodic. With
+        complete chatter it has the impacts up to the point from which the chatter is certain to end.
+    points : ndarray
+        Positions and velocities on the section from `state` on. Array of shape (periods, 2); a sample of a chaotic
+        attractor.
+    least_speed : float
+        Smallest impact speed; inf without impacts.
+    exponent : float
+        Largest Lyapunov exponent per drive period. From the multipliers for an orbit; -inf if it is too low to be
+        measured, and nan if it is unknown.
+    mirror_of : int or None
+        Index of the mirror image in the tuple, its own index if the attractor is symmetric. None if no image was found
+        or the scene has no mirror symmetry.
+    note : str
+        Evidence for the classification.
+    orbit : Orbit or None
+        Refined orbit of a periodic attractor with its multipliers, read from phase 0 with the same state and itinerary.
+        None if there is none or none was found.
+    rests : bool
+        True if the mass of a periodic attractor sticks to a wall for part of its period.
+    scales : Scales or None
+        Scales of the scene.
     """
 
     label: str
@@ -66,19 +93,56 @@ class Attractor:
 def find_attractors(
     scene: Scene, starts: int = 200, seed: int = 0, settle: int = 300, *, max_seconds: float | None = None
 ) -> Results[Attractor]:
-    """What a scene settles on: a tuple of `Attractor`, the largest share first, unresolved starts last.
+    """Find the attractors of a scene from random initial states.
 
-    scene: a single one. starts: how many, at phase 0, the same ones each time: drawn from `seed`, uniformly in
-    `initial_conditions.box`, x between the walls, at most 3 max(1, omega A / sqrt(D)) fast. Shares are of that box.
-    settle: drive periods before recurrence is looked for. Periodic is what recurs after at most 32 periods and draws
-    nearby trajectories in. Chaotic is what does not recur and has a largest exponent that is positive beyond doubt, in
-    a scene that loses energy; starts that fill the same set there are one attractor. All else is unresolved. Whatever
-    the starts say, the free response is there if it attracts and keeps off the walls, and so are mirror images.
+    The initial states are simulated until they recur or until the time limit of the transient. States that recur after
+    at most 32 periods and attract nearby trajectories are on a periodic attractor. States that do not recur and have a
+    largest Lyapunov exponent that is positive beyond doubt are chaotic, in a scene that loses energy. All other states
+    are unresolved.
 
-    max_seconds: wall-clock time, s, after which starts that have not settled are run no further; None is no limit. They
-    are then unresolved, and the attribute `stopped` of the tuple, else "", says how many starts are done.
+    Parameters
+    ----------
+    scene : Scene
+        Scene without lanes.
+    starts : int, optional
+        Number of initial states, at phase 0.
+    seed : int, optional
+        Seed of the random draw. The same seed gives the same initial states.
+    settle : int, optional
+        Drive periods before recurrence is tested.
+    max_seconds : float, optional
+        Wall-clock time, in s, after which the simulation of initial states that have not settled ends. They are then
+        unresolved. None is no limit.
 
-    Raises ArgumentError for a batch of scenes and for counts that cannot be.
+    Returns
+    -------
+    tuple of Attractor
+        Attractors in order of decreasing share, the unresolved initial states last. Its attribute ``stopped`` states
+        how many initial states are done if the time limit was reached; else it is ``""``.
+
+    Raises
+    ------
+    ArgumentError
+        If the scene has lanes or a count is invalid.
+
+    See Also
+    --------
+    basins : Compute the basins of attraction on a grid.
+    fractions : Compute basin fractions along a parameter.
+
+    Notes
+    -----
+    Initial states are drawn uniformly: x between the walls, the speed at most ``3 max(1, omega A / sqrt(D))``. The
+    shares refer to this box. Chaotic states that fill the same set are one attractor.
+
+    The free response is included if it is stable and clears the walls, and so are the mirror images of all attractors,
+    even if no initial state approached them.
+
+    Examples
+    --------
+    >>> attractors = jv.find_attractors(scene, starts=50)
+    >>> [(attractor.label, round(attractor.share, 2)) for attractor in attractors]
+    [('P111', 0.98), ('P100', 0.02)]
     """
     limits = limits_of(None, max_seconds, None, check.ArgumentError)
     check.require_single(scene)
@@ -95,9 +159,19 @@ def find_attractors(
 
 
 class SettledStarts(NamedTuple):
-    """What starts have settled on. candidates: a list of `AttractorCandidate`, its lanes the places of the starts that
-    did, the most first; failures: {start: why it is on none of these}; scale: of x and v, the largest; status: of each
-    start."""
+    """Outcome of the transients of some initial states.
+
+    Attributes
+    ----------
+    candidates : list of AttractorCandidate
+        Attractors, the most frequent first. Their lanes are the indices of the initial states.
+    failures : dict of int to str
+        Reason why an initial state is on no attractor, by its index.
+    scale : float
+        Largest magnitude of x and v.
+    status : ndarray
+        Status of each initial state. Array of shape (starts,).
+    """
 
     candidates: list[AttractorCandidate]
     failures: dict[int, str]
@@ -106,8 +180,24 @@ class SettledStarts(NamedTuple):
 
 
 def settle_starts(scene, start_states, settle, limits=UNLIMITED):
-    """What these starts of a scene settle on, and what is known without a start: `SettledStarts`. limits: of the time,
-    after which starts are left as they are."""
+    """Find the attractors that some initial states approach, and those that are known without simulation.
+
+    Parameters
+    ----------
+    scene : Scene
+        Scene without lanes.
+    start_states : State
+        Initial states at phase 0. Leaves of shape (starts,).
+    settle : int
+        Drive periods before recurrence is tested.
+    limits : Limits, optional
+        Time limit of the simulation of initial states.
+
+    Returns
+    -------
+    SettledStarts
+        Candidates, failures, scale and status.
+    """
     x_min, x_max, _ = initial_box(scene)
     iterates, periods, scale = settle_lanes(scene, start_states, settle, max(abs(x_min), abs(x_max)), limits)
     orbit_candidates, orbit_failures = find_periodic(scene, iterates, periods, settle, scale)
@@ -127,8 +217,22 @@ def settle_starts(scene, start_states, settle, limits=UNLIMITED):
 
 
 def make_attractors(scene, candidates, n_starts):
-    """The `AttractorCandidate` of a scene's attractors as `Attractor`s, with their shares, and their mirror images
-    where the scene is symmetric."""
+    """Convert candidates into attractors with shares and, in a symmetric scene, mirror images.
+
+    Parameters
+    ----------
+    scene : Scene
+        Scene without lanes.
+    candidates : list of AttractorCandidate
+        Candidates of the scene.
+    n_starts : int
+        Number of initial states.
+
+    Returns
+    -------
+    tuple of Attractor
+        Attractors in the order of the candidates.
+    """
     symmetric = is_symmetric(scene)
     orbits = [_polish_orbit(scene, candidate.fields) for candidate in candidates]
     return tuple(
@@ -144,7 +248,7 @@ def make_attractors(scene, candidates, n_starts):
 
 
 def _exponent_fields(fields, orbit):
-    """{"exponent", "note"} of an attractor: of an orbit by its multipliers, else as it was measured."""
+    """Return the fields ``exponent`` and ``note``: from the multipliers for an orbit, else as measured."""
     exponent = fields["exponent"]
     if orbit is not None and np.isfinite(orbit.multipliers).all():
         with np.errstate(divide="ignore"):
@@ -153,11 +257,12 @@ def _exponent_fields(fields, orbit):
 
 
 def _share_fields(n_settled, n_starts):
+    """Return the fields ``share``, ``share_bounds`` and ``starts``."""
     return {"share": n_settled / n_starts, "share_bounds": share_bounds(n_settled, n_starts), "starts": n_starts}
 
 
 def _polish_orbit(scene, fields):
-    """The `Orbit` of a periodic attractor, at the attractor's own phase and period; None where there is none."""
+    """Return the `Orbit` of a periodic attractor at the attractor's phase and period, or None."""
     if not fields["periods"]:
         return None
     try:
@@ -170,7 +275,7 @@ def _polish_orbit(scene, fields):
 
 
 def _unresolved_attractor(start_states, reasons, n_starts):
-    """One entry for all lanes that are on no attractor, none where there are no such lanes."""
+    """Return one entry for all lanes on no attractor, or an empty tuple without such lanes."""
     if not reasons:
         return ()
     first_lane = min(reasons)

@@ -1,4 +1,4 @@
-"""How mixed a picture of labels is: basin entropy and the dimension of the boundaries. Labels below 0 are left out."""
+"""Measure basin boundaries: basin entropy and boundary dimension. Labels below 0 are left out."""
 
 from typing import NamedTuple
 
@@ -6,14 +6,26 @@ import numpy as np
 import scipy
 from jaxtyping import Float, Int
 
-BOX_SIZE = 5  # labels along the side of a box of the entropies: 25 in it, as the source takes
-MIN_BOXES_ACROSS = 8  # boxes of the largest size lie across the picture, at least
-BOX_ROWS_PER_BATCH = 64  # rows of boxes that are looked at together
-MAX_MIXED_SHARE = 0.2  # of the boxes: where more are mixed, several boundaries meet in a box
+BOX_SIZE = 5  # labels along the side of a box for the entropies, 25 in a box as in the source
+MIN_BOXES_ACROSS = 8  # fewest boxes of the largest size across the grid
+BOX_ROWS_PER_BATCH = 64  # rows of boxes evaluated together
+MAX_MIXED_SHARE = 0.2  # fraction of mixed boxes above which several boundaries meet in a box
 
 
 class BoundaryDimension(NamedTuple):
-    """The boundaries' dimension by counting boxes, its error, the sides of the boxes (cells), the share mixed."""
+    """Box-counting dimension of the basin boundaries.
+
+    Attributes
+    ----------
+    value : float
+        Dimension.
+    error : float
+        Its error.
+    box_sides : ndarray
+        Sides of the boxes in cells.
+    mixed_shares : ndarray
+        Fraction of boxes with more than one label, for each side.
+    """
 
     value: float
     error: float
@@ -22,11 +34,12 @@ class BoundaryDimension(NamedTuple):
 
 
 def basin_entropies(labels, box_size=BOX_SIZE):
-    """(basin entropy, boundary basin entropy) of a picture of labels (rows, columns), in nats.
+    """Return (basin entropy, boundary basin entropy), in nats, of a grid of labels (rows, columns).
 
-    A box of box x box labels in shares p_k has the entropy -sum p_k ln p_k. The first is the mean over all boxes, the
-    second over those with more than one label, 0 where there is none: above ln 2 the boundary is fractal. nan where the
-    picture holds no whole box. Daza, Wagemakers, Georgeot, Guery-Odelin and Sanjuan, Sci. Rep. 6, 31416 (2016).
+    A box of box_size x box_size labels with fractions p_k has the entropy ``-sum p_k ln p_k``. The basin entropy is the
+    mean over all boxes. The boundary basin entropy is the mean over the boxes with more than one label, 0 without such
+    a box; above ln 2 the boundary is fractal. Both are nan if the grid contains no whole box. Source: Daza, Wagemakers,
+    Georgeot, Guery-Odelin and Sanjuan, Sci. Rep. 6, 31416 (2016).
     """
     n_rows, n_columns = (size // box_size for size in labels.shape)
     batches = [
@@ -42,7 +55,7 @@ def basin_entropies(labels, box_size=BOX_SIZE):
 
 
 def _box_entropies(labels, n_columns, box_size):
-    """(the entropy, whether there is more than one label) of the whole boxes of some rows that have any label."""
+    """Return (entropy, True for more than one label) of the whole boxes of some rows that have any label."""
     n_rows = len(labels) // box_size
     boxes = (
         labels[: n_rows * box_size, : n_columns * box_size]
@@ -59,13 +72,13 @@ def _box_entropies(labels, n_columns, box_size):
 
 
 def boundary_dimension(labels):
-    """The `BoundaryDimension` of the boundaries in a picture of labels (rows, columns), by counting boxes.
+    """Return the `BoundaryDimension` of a grid of labels (rows, columns), by box counting.
 
-    The labels are those of the corners of a lattice's cells. A box of b x b cells is mixed if its corners, on its rim
-    too, have more than one label: the share of mixed boxes goes like b^(2 - D). A line is fitted through the logarithms
-    for b = 1, 2, 4, ... as long as at most a fifth of the boxes are mixed, or through the first three. error: the fit's
-    standard error, or half of the difference between the slopes of its two halves where that is larger. value and error
-    are nan where no box is mixed or the picture has no three sizes.
+    The labels belong to the corners of a lattice's cells. A box of b x b cells is mixed if its corners, those on its
+    rim included, have more than one label. The fraction of mixed boxes scales as ``b^(2 - D)``. A line is fitted to the
+    logarithms for b = 1, 2, 4, ... as long as at most a fifth of the boxes are mixed, or to the first three sides. The
+    error is the standard error of the fit, or half the difference between the slopes of its two halves if that is
+    larger. Value and error are nan if no box is mixed or fewer than three sides are available.
     """
     labels = labels.astype(np.int8) if labels.max(initial=0) < np.iinfo(np.int8).max else labels
     no_label = np.iinfo(labels.dtype).max
@@ -90,13 +103,13 @@ def boundary_dimension(labels):
 
 
 def _corner_extremes(values, extreme):
-    """The least or the largest of the corners of each cell."""
+    """Return the smallest or the largest label of the corners of each cell."""
     row_extremes = extreme(values[:, :-1], values[:, 1:])
     return extreme(row_extremes[:-1], row_extremes[1:])
 
 
 def _mixed_share(min_labels, max_labels, box_side):
-    """The share of whole boxes with more than one label, of those that have any."""
+    """Return the fraction of whole boxes with more than one label, among those with any."""
     n_rows, n_columns = (size // box_side for size in min_labels.shape)
 
     def split_boxes(values):
@@ -108,7 +121,7 @@ def _mixed_share(min_labels, max_labels, box_side):
 
 
 def _fit_line(x, y):
-    """The slope of the line of least squares, and its standard error."""
+    """Return the slope of the least-squares line and its standard error."""
     x_centred = x - x.mean()
     slope = x_centred @ y / (x_centred @ x_centred)
     residual = y - y.mean() - slope * x_centred

@@ -1,12 +1,14 @@
-"""A strand: one side of an invariant manifold, as images of a fundamental piece of its germ.
+"""Grow one side of an invariant manifold from images of a fundamental segment of the local manifold.
 
-Point k + u of a strand, 0 <= u < 1, is F^k(W(a^(1-u) b^u)), W the germ, b its end, a what F leads there: F draws in
-across the strand. A negative multiplier changes the sides, and so does the piece with each level; with F twice in place
-of F it would be stretched by the multiplier's square. Where neighbours lie too far apart, or the strand turns too much
-between them, the point half way in u is added, computed from the start: nothing is interpolated. Level by level k
-grows. This is Hobson's scheme (J. Comput. Phys. 104, 14, 1993) with the control of Krauskopf and Osinga (J. Comput.
-Phys. 146, 404, 1998). As levels are stretched, the piece's points have to be known better and better: the rounding of x
-and v, over the distance from the saddle, ends what can be told. So the germ is to be long.
+Point k + u of a side, 0 <= u < 1, is ``F^k(W(a^(1-u) b^u))``. W is the local manifold, b its end, and F maps a to b.
+F contracts across the curve. A negative multiplier swaps the sides, so the segment changes sides with each level;
+iterating F twice instead would stretch it by the square of the multiplier. Where neighbours are too far apart, or the
+curve turns too much between them, the midpoint in u is added and computed from the start: nothing is interpolated. k
+grows level by level. This is Hobson's scheme (J. Comput. Phys. 104, 14, 1993) with the step control of Krauskopf and
+Osinga (J. Comput. Phys. 146, 404, 1998).
+
+Levels are stretched, so the points of the segment need an increasing accuracy. The rounding of x and v, relative to the
+distance from the saddle, limits the length of the curve. A long local manifold is therefore better.
 """
 
 from typing import NamedTuple
@@ -18,23 +20,35 @@ from continuation.limits import UNLIMITED
 
 from .local_manifold import MIN_RADIUS, iterate_map
 
-N_START_POINTS = 33  # points of the germ, and of its first image
-MIN_PARAMETER_STEP = 1e-14  # in u: nearer ones are no longer told apart
+N_START_POINTS = 33  # points of the local manifold and of its first image
+MIN_PARAMETER_STEP = 1e-14  # in u: nearer points are indistinguishable
 HALF_FRACTION, QUARTER_FRACTIONS = np.array([0.5]), np.array([0.25, 0.5, 0.75])
-MAX_QUARTERED_GAPS = (
-    16  # gaps that are split in four at once, on the way to corners: a call costs the same for a hundred lanes
-)
-ATTRACTOR_LENGTH = 1e-4  # of the spacing: a level as short, and shorter than the one before, has come to an attractor
-MAX_LEVELS = 1000  # levels
-CORNER_DISTANCE = (
-    1e-7  # of the scene's size: where itineraries change and neighbours are nearer, the strand has a corner
-)
+MAX_QUARTERED_GAPS = 16  # up to this many gaps are split in four at once: a call costs the same for a hundred lanes
+ATTRACTOR_LENGTH = 1e-4  # times the spacing: a shorter, shrinking level has reached an attractor
+MAX_LEVELS = 1000
+CORNER_DISTANCE = 1e-7  # times the scene's size: nearer neighbours with different itineraries mark a corner
 
 
 class ManifoldRules(NamedTuple):
-    """spacing: the largest distance of neighbours; angle: the largest turn (rad); min_distance: the distance below
-    which turns do not matter; usual_speed: the speed beyond which spacing grows with it; fastest: that at which a
-    strand is left; length, max_points: of the strand, of its points."""
+    """Rules for the points of a manifold.
+
+    Attributes
+    ----------
+    spacing : float
+        Largest distance of neighbours.
+    angle : float
+        Largest turn between neighbours, in rad.
+    min_distance : float
+        Distance below which turns do not matter.
+    usual_speed : float
+        Speed beyond which the spacing grows with the speed.
+    fastest : float
+        Speed beyond which the curve is left out.
+    length : float
+        Length of a side.
+    max_points : int
+        Largest number of points of a side.
+    """
 
     spacing: float
     angle: float
@@ -46,7 +60,19 @@ class ManifoldRules(NamedTuple):
 
 
 class ManifoldLevel(NamedTuple):
-    """Points of a strand, F^k of some: u, z (points, 2), the impacts on their ways, whether they have an end."""
+    """Points of one level, images under F^k of points of the segment.
+
+    Attributes
+    ----------
+    u : ndarray
+        Parameters. Array of shape (points,).
+    z : ndarray
+        States. Array of shape (points, 2).
+    n_impacts : ndarray
+        Numbers of impacts on the way.
+    valid : ndarray
+        True for points with a final state.
+    """
 
     u: Float[np.ndarray, " points"]
     z: Float[np.ndarray, "points 2"]
@@ -57,11 +83,12 @@ class ManifoldLevel(NamedTuple):
 def grow_levels(
     scene, local_manifold, side, multiplier_sign, periods, phase, inverse, scene_size, rules, limits=UNLIMITED
 ):
-    """The `ManifoldLevel`s of a strand, and why it ends.
+    """Return the `ManifoldLevel`s of a side, and the reason for its end.
 
-    local_manifold: its `Germ`; side: -1 or 1; multiplier_sign: that of the multiplier; periods: of the drive that F
-    takes, or its inverse where `inverse`; scene_size: a length of the scene; limits: no further level is begun once
-    their time is over."""
+    local_manifold: a `LocalManifold`; side: -1 or 1; multiplier_sign: sign of the multiplier; periods: drive periods of
+    F, or of its inverse if `inverse`; scene_size: a length of the scene; limits: time limit, after which no further
+    level is started.
+    """
     levels, remaining_length, previous_length, n_points = [], rules.length, 0.0, 0
     for level_index in range(MAX_LEVELS):
         outer_end = side * multiplier_sign**level_index * local_manifold.radius
@@ -70,6 +97,7 @@ def grow_levels(
         )
 
         def evaluate_level(u, level_index=level_index, inner_end=inner_end, outer_end=outer_end):
+            """Return the level at these parameters."""
             z = local_manifold.points_at(outer_end * (inner_end / outer_end) ** (1.0 - u))
             z, n_impacts, valid = iterate_map(scene, z, phase, level_index * periods, inverse)
             return ManifoldLevel(u, z, n_impacts, valid & (abs(z[:, 1]) <= rules.fastest))
@@ -96,7 +124,7 @@ def grow_levels(
 
 
 def neighbour_gaps(level, scene_size, rules):
-    """(distance of neighbours over that allowed, whether they are joined, distance), each (points - 1,)."""
+    """Return (distance over largest distance, True if joined, distance) of neighbours, each (points - 1,)."""
     valid = level.valid[:-1] & level.valid[1:]
     with np.errstate(invalid="ignore"):
         distances = np.where(valid, np.hypot(*np.diff(level.z, axis=0).T), np.inf)
@@ -108,7 +136,7 @@ def neighbour_gaps(level, scene_size, rules):
 
 
 def _refine_level(level, evaluate_level, scene_size, rules):
-    """The level with points added until its rules are kept, as far along as the length asks for."""
+    """Return the level with points added until its rules hold, up to the required length."""
     while len(level.u) < rules.max_points:
         needs_split = _needs_refinement(level, scene_size, rules)
         if not needs_split.any():
@@ -125,7 +153,7 @@ def _refine_level(level, evaluate_level, scene_size, rules):
 
 
 def _needs_refinement(level, scene_size, rules):
-    """Which pairs of neighbours need a point between them."""
+    """Return True for pairs of neighbours that need a point between them."""
     spacing_ratio, connected, distances = neighbour_gaps(level, scene_size, rules)
     count_changes = np.diff(level.n_impacts) != 0
     any_valid = level.valid[:-1] | level.valid[1:]

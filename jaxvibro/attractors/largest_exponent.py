@@ -1,6 +1,6 @@
-"""The largest Lyapunov exponent, from the distance between two nearby trajectories (Benettin, Galgani and Strelcyn).
+"""Estimate the largest Lyapunov exponent from two nearby trajectories (Benettin, Galgani and Strelcyn).
 
-The distance is brought back to its first size every few periods, and the logarithms of its growth are averaged.
+The distance is renormalised every few periods, and the logarithms of its growth are averaged.
 """
 
 import jax
@@ -16,11 +16,11 @@ N_RENORMALISATIONS = 200  # renormalisations; the second half is averaged
 
 
 def largest_exponents(scene, state, scale):
-    """(mean, error) per period of each lane's largest exponent: growth rates and their standard errors, shape (lanes,).
+    """Return (mean, standard error) of each lane's largest exponent per period, shape (lanes,).
 
-    scene: a single one; state: leaves (lanes,), on what the exponent is asked of; scale: of x and v, the largest. Where
-    a lane or its companion gets a bad status both are nan. Where the distance shrinks to rounding within EVERY periods,
-    as after an impact that leaves no speed, the mean is -inf: it is below what can be measured.
+    scene: a single one; state: leaves (lanes,), after the transient; scale: largest magnitude of x and v. Both are nan
+    if a lane or its companion gets a bad status. The mean is -inf if the distance shrinks to rounding within
+    `RENORMALISATION_PERIODS`, as after an impact without rebound: it is too low to be measured.
     """
     eps = np.finfo(scene.dtype).eps
     n_lanes, separation = len(state.x), eps**0.5 * scale
@@ -47,7 +47,7 @@ def largest_exponents(scene, state, scale):
 
 
 def _add_companions(scene, state, step):
-    """The lanes, then their companions a step away; to the other side where the step leads through a wall."""
+    """Return the lanes followed by their companions one step away, on the other side if the step crosses a wall."""
     (x_min, _), (x_max, _) = jax.tree.map(np.asarray, wall_states(scene, state.phase[0]))
     x = state.x + step[0]
     signed_step = np.where((x < x_min) | (x > x_max), -step, step)
@@ -56,4 +56,5 @@ def _add_companions(scene, state, step):
 
 
 def _pair_differences(pairs, n_lanes):
+    """Return the differences of companions and lanes, (2, lanes)."""
     return np.stack([pairs.x[n_lanes:] - pairs.x[:n_lanes], pairs.v[n_lanes:] - pairs.v[:n_lanes]])

@@ -1,9 +1,9 @@
-"""The germ of a manifold: the curve near its saddle, as a graph over the eigenvector's line.
+"""Compute the local manifold of a saddle as a graph over the line of its eigenvector.
 
-Near saddle + a e the curve is saddle + a e + g(a) n, n across e. g, a polynomial, is the fixed point of the graph
-transform (Hadamard): F leads the points of the curve near a / r to those near a, r being the multiplier, and draws in
-across the curve. They tell the way back along it too: F leads its point at p(a) to that at a. g belongs to the curve
-alone, so that no rounding along the curve enters it.
+Near the saddle the curve is ``saddle + a e + g(a) n``, with n perpendicular to e. The polynomial g is the fixed point
+of the graph transform (Hadamard): with the multiplier r, F maps the points of the curve near a / r to those near a, and
+contracts across the curve. The images also give the inverse along the curve: F maps its point at p(a) to that at a. g
+depends on the curve only, so rounding along the curve does not enter.
 """
 
 from typing import NamedTuple
@@ -24,19 +24,33 @@ from ..maps.inverse import strobe_backward
 from ..scene.codes import Status
 from ..scene.state import State
 
-LANES_PER_CALL = 1 << 12  # of one compiled call
-MIN_RADIUS = 1e-6  # of the scene's size: so far from the saddle the line is the curve, to the square of it
-MAX_RADIUS = 0.1  # of the scene's size: the longest germ that is tried
-N_NODES, DEGREE = 32, 14  # of the polynomial
-MAX_ITERATIONS = 30  # of the graph transform, at most
+LANES_PER_CALL = 1 << 12  # lanes of one compiled call
+MIN_RADIUS = 1e-6  # times the scene's size: at this distance the line deviates from the curve by the square of it
+MAX_RADIUS = 0.1  # times the scene's size: the longest local manifold that is tried
+N_NODES, DEGREE = 32, 14  # nodes and degree of the polynomial
+MAX_ITERATIONS = 30  # largest number of iterations of the graph transform
 CHANGE_ROUNDINGS, ERROR_ROUNDINGS = (
     5,
     500,
-)  # roundings of the scene's size: g changes no more; g is the curve, and a germ may be as long
+)  # roundings of the scene's size: changes of g that count as converged; errors of g that are accepted
 
 
 class LocalManifold(NamedTuple):
-    """radius: as far along the line, to both sides, g (across) and p (before) hold: Chebyshev series in a / reach."""
+    """Local manifold of a saddle.
+
+    Attributes
+    ----------
+    saddle : ndarray
+        Saddle. Array of shape (2,).
+    direction : ndarray
+        Eigenvector of length 1.
+    radius : float
+        Distance along the line, in both directions, up to which the series hold.
+    offset_series : ndarray
+        Chebyshev series of g (across) in a / radius.
+    preimage_series : ndarray
+        Chebyshev series of p (before) in a / radius.
+    """
 
     saddle: Float[np.ndarray, "2"]
     direction: Float[np.ndarray, "2"]
@@ -45,18 +59,18 @@ class LocalManifold(NamedTuple):
     preimage_series: Float[np.ndarray, " before"]
 
     def points_at(self, coordinate: Float[np.ndarray, " lanes"]) -> Float[np.ndarray, "lanes 2"]:
-        """The curve's points (lanes, 2) so far along the line, of either sign."""
+        """Return the points (lanes, 2) of the curve at these coordinates along the line, of either sign."""
         normal = np.array([-self.direction[1], self.direction[0]])
         offset = chebyshev.chebval(coordinate / self.radius, self.offset_series)
         return self.saddle + coordinate[:, None] * self.direction + offset[:, None] * normal
 
     def preimage(self, coordinate: Float[ArrayLike, "*lanes"]) -> Float[ArrayLike, "*lanes"]:
-        """How far along are the points that the map leads to those so far along."""
+        """Return the coordinates that the map takes to these coordinates."""
         return chebyshev.chebval(coordinate / self.radius, self.preimage_series)
 
 
 def iterate_map(scene, z, phase, n_steps, inverse):
-    """(z, impacts, good): F^steps of states (lanes, 2) at a phase, or of the inverse where `inverse`."""
+    """Return (z, impacts, valid) after F^n_steps of states (lanes, 2) at a phase, or of its inverse if `inverse`."""
     chunk_results = []
     for start in range(0, len(z), LANES_PER_CALL):
         chunk = z[start : start + LANES_PER_CALL]
@@ -71,6 +85,8 @@ def iterate_map(scene, z, phase, n_steps, inverse):
 
 @persistent_jit(static_argnames="inverse", compiler_options=COMPILER_OPTIONS)
 def _iterate_blocks(scene, x, v, phase, n_steps, n_blocks, inverse):
+    """Return (x, v, impacts, status) of blocks of lanes after `n_steps`."""
+
     def iterate_once(_, carry):
         x, v, contact, n_impacts, status = carry
         state = State(x, v, phase, contact)
@@ -101,14 +117,15 @@ def _iterate_blocks(scene, x, v, phase, n_steps, n_blocks, inverse):
 
 
 def compute_local_manifold(scene, saddle, direction, stretch, periods, phase, inverse, scene_size):
-    """The longest `LocalManifold` that is the curve to rounding; where none is, the line itself.
+    """Return the longest `LocalManifold` that is accurate to rounding, or else the line itself.
 
-    saddle (2,); direction: the eigenvector, of length 1; stretch: how much `periods` drive periods (those of the
-    inverse where `inverse`) stretch it, beyond 1 or -1; scene_size: a length of the scene."""
+    saddle (2,); direction: eigenvector of length 1; stretch: its multiplier over `periods` drive periods (of the
+    inverse if `inverse`), beyond 1 or -1; scene_size: a length of the scene.
+    """
     rounding, axes = scene_size * np.finfo(scene.dtype).eps, np.array([direction, [-direction[1], direction[0]]])
 
     def image_of(local_manifold, coordinate):
-        """(along, across) of the images of a germ's points, or None: between them is a corner, a wall or a fold."""
+        """Return (along, across) of the images of points of the curve, or None for a corner, a wall or a fold."""
         z, n_impacts, valid = iterate_map(scene, local_manifold.points_at(coordinate), phase, periods, inverse)
         image_coords = axes @ (z - saddle).T
         is_folded = not (np.diff(image_coords[0]) > 0).all()
@@ -128,7 +145,7 @@ def compute_local_manifold(scene, saddle, direction, stretch, periods, phase, in
 
 
 def _converge_series(local_manifold, image_of, rounding):
-    """The germ with its series found, or None: the curve is no polynomial of this degree as far as that."""
+    """Return the local manifold with converged series, or None if no polynomial of this degree fits."""
     nodes = local_manifold.radius * chebyshev.chebpts2(N_NODES)
     for _ in range(MAX_ITERATIONS):
         preimages = local_manifold.preimage(nodes)

@@ -1,4 +1,4 @@
-"""Invariant manifolds of a saddle on Sigma: the curves that come from it, and those that lead into it."""
+"""Compute the invariant manifolds of a saddle on the section."""
 
 import numpy as np
 import xarray as xr
@@ -19,7 +19,7 @@ from .global_manifold import ManifoldRules, grow_levels, neighbour_gaps
 from .local_manifold import compute_local_manifold, iterate_map
 
 KINDS = ("stable", "unstable")
-SAME_POINT_DISTANCE = 1e-6  # of the scene's size: two points as near are one, and a point as near to a wall is on it
+SAME_POINT_DISTANCE = 1e-6  # times the scene's size: nearer points are one, and a point nearer to a wall is on it
 
 
 @check.host_only("use strobe or monodromy")
@@ -35,29 +35,70 @@ def manifold(
     *,
     max_seconds: float | None = None,
 ) -> xr.Dataset:
-    """The stable or the unstable manifold of a saddle on Sigma, both sides of each of its points: an xarray.Dataset.
+    """Compute the stable or unstable manifold of a saddle of the stroboscopic map.
 
-    orbit: an `Orbit` with one multiplier inside the unit circle and one outside. kind: "stable" (what leads into it) or
-    "unstable" (what comes from it). length: of the curve on each side of each point. phase: of Sigma, rad; None takes
-    the orbit's. spacing, angle: neighbours are no further apart, and between them the curve turns no more (rad); beyond
-    the speed of `initial_conditions.box` spacing grows with the speed. fastest: the speed beyond which the curve is
-    left out; None takes twice that of the box. most: points of a side. max_seconds: wall-clock time, s, after which no
-    further image of a piece is computed: each side then has its first piece at least, and the attribute `stopped` says
-    how many sides are done; None is no limit.
+    Both sides of each point of the orbit are computed.
 
-    Dataset over "point": x, v; arc: length of the curve from the saddle on; side (-1, 1), origin (which of the orbit's
-    points, in order), image (how often the map, or its inverse, was applied to the piece at the saddle, which has 0),
-    piece. Over "piece_end", for each piece: began and ended, each "saddle"; "section": an impact on a rigid wall at the
-    section's phase, the curve goes on from its wall with the speed after or before it; "grazing": a corner, where an
-    impact comes or goes, of a soft wall also by being entered or left at the section's phase, the last point of one
-    piece and the first of the next; "fast": what is faster is left out; "resolution": the curve is stretched more than
-    rounding allows; "attractor": it ends there; "length"; "points"; "max_seconds".
-    Attributes: the scene's numbers, phase, kind, label and multiplier.
+    Parameters
+    ----------
+    orbit : Orbit
+        Saddle: an orbit with one multiplier inside the unit circle and one outside.
+    kind : {"stable", "unstable"}
+        Manifold to compute.
+    length : float, optional
+        Length of the curve on each side of each point.
+    phase : float, optional
+        Phase of the section, in rad. None takes that of the orbit.
+    spacing : float, optional
+        Largest distance of neighbouring points. Beyond the largest speed of the box of initial states it grows with the
+        speed.
+    angle : float, optional
+        Largest turn of the curve between neighbouring points, in rad.
+    fastest : float, optional
+        Speed beyond which the curve is left out. None takes twice the largest speed of the box of initial states.
+    most : int, optional
+        Largest number of points on one side, at least 100.
+    max_seconds : float, optional
+        Wall-clock time, in s, after which no further image of a piece is computed. Each side has its first piece at
+        least, and the attribute ``stopped`` states how many sides are done. None is no limit.
 
-    Past a soft wall the curve's points are within it. The stable manifold is grown by the certified map with time
-    reversed (`backward`). A wall without restitution, and a soft one from critical damping on, has no way back.
+    Returns
+    -------
+    xarray.Dataset
+        Variables along ``point``: ``x``, ``v``; ``arc``, length of the curve from the saddle; ``side``, -1 or 1;
+        ``origin``, index of the orbit's point; ``image``, number of applications of the map, or its inverse, to the
+        piece at the saddle, which has 0; ``piece``. Along ``piece_end``, for each piece: ``began`` and ``ended``, the
+        reasons listed in the notes. Attributes: the parameters of the scene, ``phase``, ``kind``, ``label`` and
+        ``multiplier``.
 
-    Raises ArgumentError for what is no saddle and for arguments that cannot be.
+    Raises
+    ------
+    ArgumentError
+        If the orbit is not a saddle or an argument is invalid.
+
+    Notes
+    -----
+    Reasons for the end of a piece:
+
+    - ``"saddle"``: the saddle itself.
+    - ``"section"``: an impact on a rigid wall at the phase of the section. The curve continues from the wall with the
+      speed after or before the impact.
+    - ``"grazing"``: a corner at which an impact appears or disappears. For a soft wall also an entry or exit at the
+      phase of the section. It is the last point of one piece and the first of the next.
+    - ``"fast"``: faster parts are left out.
+    - ``"resolution"``: the curve is stretched more than rounding allows.
+    - ``"attractor"``: the curve ends on an attractor.
+    - ``"length"``, ``"points"``, ``"max_seconds"``: a limit.
+
+    Points beyond the face of a soft wall are inside the wall. The stable manifold is grown with the certified map in
+    reversed time. A wall with ``R = 0``, and a soft wall with critical damping or more, cannot be reversed.
+
+    Examples
+    --------
+    >>> saddle = branch.orbit(int(abs(branch.values - 4.65).argmin()))
+    >>> data = jv.manifold(saddle, "unstable", length=0.5)
+    >>> data["ended"].values.tolist()
+    ['length', 'section', 'length']
     """
     limits = limits_of(None, max_seconds, None, check.ArgumentError)
     if not isinstance(orbit, Orbit):
@@ -88,6 +129,7 @@ def manifold(
 
 
 def _check_rules(scene, length, spacing, angle, fastest, max_points):
+    """Return (size of the scene, `ManifoldRules`) of checked arguments."""
     x_min, x_max, max_speed = initial_box(scene)
     fastest = 2.0 * max_speed if fastest is None else fastest
     arguments = {"length": length, "spacing": spacing, "angle": angle, "fastest": fastest}
@@ -102,6 +144,7 @@ def _check_rules(scene, length, spacing, angle, fastest, max_points):
 
 
 def _multiplier(orbit, kind):
+    """Return the multiplier of the manifold; raise ArgumentError if the orbit is not a saddle."""
     larger, smaller = sorted(orbit.multipliers, key=abs, reverse=True)
     if larger.imag or not abs(larger) > 1 > abs(smaller):
         raise check.ArgumentError(
@@ -111,15 +154,15 @@ def _multiplier(orbit, kind):
 
 
 def _stretch_factor(orbit, kind):
-    """How much a piece is stretched on the orbit's way round, or on the way back; negative where it changes sides."""
+    """Return the stretch of a piece in one turn of the orbit or of its inverse; negative if the sides swap."""
     multiplier = _multiplier(orbit, kind)
     if multiplier == 0:
-        raise check.ArgumentError("orbit", "must have no multiplier 0 to have a stable manifold of curves", orbit)
+        raise check.ArgumentError("orbit", "must have no multiplier 0 for its stable manifold to be a curve", orbit)
     return multiplier if kind == "unstable" else 1.0 / multiplier
 
 
 def _saddle_points(orbit, phase, inverse):
-    """(point, eigenvector) of each of the orbit's points on Sigma at a phase."""
+    """Yield (point, eigenvector) of each of the orbit's points on the section at a phase."""
     scene, state = orbit.scene, orbit.state
     lane_state = State(
         *(np.full(1, float(value), scene.dtype) for value in (state.x, state.v, state.phase, state.contact))
@@ -129,7 +172,7 @@ def _saddle_points(orbit, phase, inverse):
     for _ in range(orbit.periods):
         matrix = np.asarray(monodromy(scene, State(*point[0], phase), orbit.periods), float)
         if not np.isfinite(matrix).all():
-            raise check.ArgumentError("phase", "must not be that of an impact or a rest", phase)
+            raise check.ArgumentError("phase", "must not be the phase of an impact or of sticking", phase)
         eigenvalues, eigenvectors = np.linalg.eig(matrix)
         index = np.argmin(abs(eigenvalues)) if inverse else np.argmax(abs(eigenvalues))
         direction = eigenvectors[:, index].real
@@ -138,12 +181,12 @@ def _saddle_points(orbit, phase, inverse):
 
 
 def _assemble_branch(scene, phase, saddle, levels, end_reason, scene_size, rules):
-    """One side of one point, from the saddle on: a dict of arrays over its points, and of its pieces' ends."""
+    """Return one side of one point from the saddle outwards: arrays over its points and its piece ends."""
     wall_positions = [position for position in rigid_wall_positions(scene, phase) if np.isfinite(position)]
     z, valid, images, reasons = [saddle[None]], [[True]], [[0]], [[""]]
     for level_index, level in enumerate(levels):
         indices, gap_reasons = _duplicate_corners(level, _break_reasons(level, wall_positions, scene_size, rules))
-        new_indices = indices[min(level_index, 1) :]  # the first point of a level is the last of the one before
+        new_indices = indices[min(level_index, 1) :]  # the first point of a level is the last of the previous one
         z.append(level.z[new_indices])
         valid.append(level.valid[new_indices])
         images.append(np.full(len(new_indices), level_index))
@@ -167,7 +210,7 @@ def _assemble_branch(scene, phase, saddle, levels, end_reason, scene_size, rules
 
 
 def _break_reasons(level, wall_positions, scene_size, rules):
-    """Of each pair of neighbours why they are not joined, "" where they are."""
+    """Return for each pair of neighbours the reason why they are not joined, "" if they are."""
     spacing_ratio, connected, _ = neighbour_gaps(level, scene_size, rules)
     valid = level.valid[:-1] & level.valid[1:]
     with np.errstate(invalid="ignore"):
@@ -180,10 +223,11 @@ def _break_reasons(level, wall_positions, scene_size, rules):
 
 
 def _duplicate_corners(level, reasons):
-    """(places of the points, why neighbours among them are not joined): a corner belongs to both of its pieces.
+    """Return (indices of points, reasons between them) with each corner in both of its pieces.
 
-    It is the neighbour with fewer impacts. That is as near to it as the parameter tells, the other only to the root of
-    this (a grazing impact's speed), and the curve between them is as straight as it is short.
+    The corner is the neighbour with fewer impacts. Its distance from the true corner is of the order of the parameter
+    step, the other's only of its square root (the speed of a grazing impact). The curve between them is as straight as
+    it is short.
     """
     grazing_indices = np.flatnonzero(reasons == "grazing")
     corner_indices = grazing_indices + (level.n_impacts[grazing_indices] > level.n_impacts[grazing_indices + 1])
@@ -193,7 +237,7 @@ def _duplicate_corners(level, reasons):
 
 
 def _make_dataset(scene, branches, attrs):
-    """The strands behind each other, their pieces numbered through."""
+    """Concatenate the branches and number their pieces consecutively."""
     length_attrs, speed_attrs = {"units": LENGTH}, {"units": SPEED}
     piece_offsets = np.cumsum([0, *(len(branch["began"]) for branch in branches)])
     n_points = [len(branch["z"]) for branch in branches]

@@ -1,7 +1,7 @@
-"""The Lyapunov exponents of periodic orbits: ln abs(multiplier) / n, of many orbits at once.
+"""Compute the Lyapunov exponents of many periodic orbits, ``ln abs(multiplier) / n``.
 
-The determinant of M is known without error from impacts and damping, ln det M = 2 sum ln R - 2 gamma n T (paper, (38)):
-it gives the second multiplier, however much smaller than the first. Within a soft wall gamma2 takes the place of gamma.
+The determinant of M is known without error from impacts and damping, ``ln det M = 2 sum ln R - 2 gamma n T`` (paper,
+(38)). It gives the second multiplier, however much smaller than the first. Inside a soft wall gamma2 replaces gamma.
 """
 
 from typing import NamedTuple
@@ -14,14 +14,30 @@ from ..scene.scene import SIDES
 from ..scene.state import State
 from .tangent import run_tangents, start_tangents
 
-NEUTRAL_RATE = 1e-5  # growth a period that rounding may make of none
-NEWTON_STEPS = 5  # of Newton's method on the strobe: the last two are rounding apart
+NEUTRAL_RATE = 1e-5  # growth per period that rounding may produce
+NEWTON_STEPS = 5  # Newton steps on the stroboscopic map: the last two differ by rounding
 
 
 class ExponentEstimate(NamedTuple):
-    """What is known of one motion, or of many, lanes first. exponent, error: (2,), a period, the larger first; impacts:
-    a period, of all, left, right, (3,); within: the time within each wall, a period, left, right, (2,); periods: of the
-    orbit, 0 for none; status: see `tangent.run`; count: periods averaged."""
+    """Lyapunov exponents of one motion, or of many, lanes first.
+
+    Attributes
+    ----------
+    exponent : ndarray
+        Exponents per period, the larger first. Array of shape (2,).
+    error : ndarray
+        Their errors. Array of shape (2,).
+    impacts : ndarray
+        Impacts per period: all, left, right. Array of shape (3,).
+    within : ndarray
+        Time inside each wall per period: left, right. Array of shape (2,).
+    periods : int
+        Periods of the orbit; 0 for none.
+    status : int
+        Status, as in `tangent.run_tangents`.
+    count : int
+        Periods averaged.
+    """
 
     exponent: Float[np.ndarray, "*lanes 2"]
     error: Float[np.ndarray, "*lanes 2"]
@@ -33,19 +49,22 @@ class ExponentEstimate(NamedTuple):
 
     @property
     def is_repelling(self) -> Bool[ArrayLike, " *lanes"]:
-        """Whether motions near it certainly leave it."""
+        """True if motions near it certainly leave it."""
         return self.exponent[..., 0] > NEUTRAL_RATE
 
 
 def undefined_estimate(status):
-    """The `ExponentEstimate` of a motion that has none."""
+    """Return the `ExponentEstimate` of a motion that has none."""
     undefined = np.full(2, np.nan)
     return ExponentEstimate(undefined, undefined, np.full(3, np.nan), undefined, *np.array([0, status, 0]))
 
 
 def measured_area_growth(scene, records):
-    """What of ln abs det M `log_determinant` cannot know of each period of some records: all of it, by the matrices
-    themselves, under a force of the user's own; else what the damping of soft walls adds in the time within them."""
+    """Return the part of ``ln abs det M`` of each recorded period that `log_determinant` cannot derive.
+
+    For a user-defined force it is all of it, from the matrices; else the part of the damping of soft walls in the time
+    inside them.
+    """
     if scene.force is None:
         area_growth = np.zeros_like(records.growth)
         for side in scene.soft_sides:
@@ -58,8 +77,10 @@ def measured_area_growth(scene, records):
 
 
 def log_determinant(scene, left_impacts, right_impacts, n_periods, area_growth):
-    """ln abs det M of so many periods with these impacts on each wall: numbers that broadcast. area_growth: the sum of
-    `measured_area_growth`."""
+    """Return ``ln abs det M`` of `n_periods` periods with these impacts on each wall (numbers that broadcast).
+
+    area_growth: sum of `measured_area_growth`.
+    """
     if scene.force is not None:
         return area_growth
     period = 2.0 * np.pi / np.asarray(scene.frequency)
@@ -74,11 +95,23 @@ def log_determinant(scene, left_impacts, right_impacts, n_periods, area_growth):
 
 
 def compute_orbit_exponents(scene, state, periods):
-    """`ExponentEstimate` of the periodic orbits that states are near to, (lanes,).
+    """Compute the exponents of the periodic orbits near some states.
 
-    scene: a single one or a lane of a batch each; state: leaves (lanes,); periods: of the orbits, (lanes,), at most
-    LAPS. Newton's method on the strobe brings the states to rounding; the best of its steps gives the exponents, how
-    far the second best is from that their errors.
+    Newton's method on the stroboscopic map brings the states to rounding.
+
+    Parameters
+    ----------
+    scene : Scene
+        Scene, without lanes or with one lane for each state.
+    state : State
+        States near the orbits. Leaves of shape (lanes,).
+    periods : ndarray
+        Periods of the orbits, at most `RECORDED_PERIODS`. Array of shape (lanes,).
+
+    Returns
+    -------
+    ExponentEstimate
+        Exponents of the best Newton step. The errors are the distances to those of the second best.
     """
     newton_steps = []
     for _ in range(NEWTON_STEPS):
@@ -121,12 +154,12 @@ def compute_orbit_exponents(scene, state, periods):
 
 
 def _sum_periods(values, periods):
-    """The sum of the first so many rows of each lane."""
+    """Return the sum of the first `periods` rows of each lane."""
     return np.where(np.arange(len(values))[:, None] < periods, values, 0.0).sum(axis=0)
 
 
 def _matrix_product(matrices, periods):
-    """(M over so many periods over its largest entry, the logarithm of that), from M of each: (periods, lanes, 4)."""
+    """Return (normalised product, logarithm of its scale) of the matrices of each period, (periods, lanes, 4)."""
     n_lanes = len(periods)
     product, log_scale = np.tile(np.eye(2, dtype=matrices.dtype), (n_lanes, 1, 1)), np.zeros(n_lanes, matrices.dtype)
     for period in range(periods.max()):
@@ -140,7 +173,7 @@ def _matrix_product(matrices, periods):
 
 
 def _log_multipliers(matrix, log_scale, log_det):
-    """ln abs of the two multipliers, the larger first, (lanes, 2); log_det: ln abs det M."""
+    """Return ``ln abs`` of the two multipliers, the larger first, (lanes, 2); log_det: ``ln abs det M``."""
     half_trace = 0.5 * abs(matrix[:, 0, 0] + matrix[:, 1, 1])
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         discriminant = half_trace * half_trace - np.exp(log_det - 2.0 * log_scale)
@@ -154,9 +187,9 @@ def _log_multipliers(matrix, log_scale, log_det):
 
 
 def _newton_update(state, matrix, log_scale, residual):
-    """The states of Newton's next step, as far as there is one: none from a mass that is on a wall.
+    """Return the states after Newton's next step, unchanged for a mass that is on a wall.
 
-    One that is within a soft wall may come out of it: where it then is, it is free.
+    A mass inside a soft wall may come out of it; it is then free.
     """
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         jacobian = np.eye(2) - matrix * np.exp(log_scale)[:, None, None]
@@ -171,7 +204,7 @@ def _newton_update(state, matrix, log_scale, residual):
 
 
 def _combine_estimates(exponents, second_exponents, impacts, status, periods):
-    """`ExponentEstimate` from the exponents of the best and of the second best step."""
+    """Return the `ExponentEstimate` from the exponents of the best and of the second best step."""
     invalid = (np.isnan(exponents) | np.isposinf(exponents)).any(axis=1) | (status >= Status.CAP)
     with np.errstate(invalid="ignore"):
         difference = abs(exponents - second_exponents) + 4.0 * np.finfo(exponents.dtype).eps * abs(exponents)

@@ -1,4 +1,4 @@
-"""Recurrence: when the states on Sigma come back, after how many periods, and whether they still come nearer."""
+"""Detect recurrence: periods after which states on the section return, and their convergence."""
 
 import numpy as np
 
@@ -6,9 +6,19 @@ from ..scene.check import MAX_ORBIT_PERIODS
 
 
 def recurrence_distances(points):
-    """How far apart states are that lie n = 1 ... MOST_PERIODS periods apart, the largest over as many of the last.
+    """Return the largest distances of states n periods apart, n = 1 ... `MAX_ORBIT_PERIODS`.
 
-    points: x and v on Sigma, shape (periods, lanes, 2), 2 MOST_PERIODS periods at least. Result: (MOST_PERIODS, lanes).
+    The maximum is over the last `MAX_ORBIT_PERIODS` periods.
+
+    Parameters
+    ----------
+    points : ndarray
+        x and v on the section, over at least twice `MAX_ORBIT_PERIODS` periods. Array of shape (periods, lanes, 2).
+
+    Returns
+    -------
+    ndarray
+        Distances. Array of shape (MAX_ORBIT_PERIODS, lanes).
     """
     last_points = points[-MAX_ORBIT_PERIODS:]
     return np.stack(
@@ -20,11 +30,12 @@ def recurrence_distances(points):
 
 
 def convergence_distance(distances, previous_distances, elapsed_periods):
-    """How far lanes may still be from what they converge to, from the returns now and some periods before.
+    """Return a bound on the distance of lanes from their limit, from the return distances now and some periods before.
 
-    Returns that shrink by a factor q a period sum up to now / (1 - q^n). Those that have stopped shrinking tell
-    nothing: infinite, but for returns of exactly 0. distances, previous_distances: (MOST_PERIODS, lanes),
-    elapsed_periods: periods between them."""
+    Returns that shrink by a factor q per period sum up to ``now / (1 - q^n)``. Returns that no longer shrink give no
+    bound: the result is infinite, except for returns of exactly 0. distances, previous_distances: (MAX_ORBIT_PERIODS,
+    lanes); elapsed_periods: periods between them.
+    """
     n = np.arange(1, MAX_ORBIT_PERIODS + 1)[:, None]
     with np.errstate(divide="ignore", invalid="ignore"):
         shrink_factors = np.where(distances < previous_distances, distances / previous_distances, 1.0) ** (
@@ -35,13 +46,32 @@ def convergence_distance(distances, previous_distances, elapsed_periods):
 
 
 def recurrence_periods(distances, previous_distances, elapsed_periods, scale, dtype):
-    """The number of periods after which each lane recurs, 0 where it has not settled; shape (lanes,).
+    """Return the number of periods after which each lane recurs, 0 if it has not settled.
 
-    A lane has settled on period n where it is nearer than eps^(1/2) scale to what it converges to. Rounding stops the
-    returns from shrinking: those below 64 eps scale, or below eps^(1/2) scale and no longer shrinking, count as settled
-    too: an orbit that stretches rounding before it contracts it comes back no better. Of the divisors of n the first is
-    taken whose return lies within ten times that distance, since the lane is not known better. scale: of x and v, the
-    largest, one for all lanes or (lanes,).
+    Parameters
+    ----------
+    distances : ndarray
+        Return distances now. Array of shape (MAX_ORBIT_PERIODS, lanes).
+    previous_distances : ndarray
+        Return distances before.
+    elapsed_periods : int
+        Periods between them.
+    scale : float or ndarray
+        Largest magnitude of x and v, for all lanes or of shape (lanes,).
+    dtype : dtype
+        Floating-point type of the states.
+
+    Returns
+    -------
+    ndarray
+        Periods. Array of shape (lanes,).
+
+    Notes
+    -----
+    A lane has settled on period n if it is nearer than ``eps^(1/2) scale`` to its limit. Rounding ends the decrease of
+    the returns. So returns below ``64 eps scale``, or below ``eps^(1/2) scale`` and no longer decreasing, count as
+    settled too: an orbit that stretches rounding before it contracts it does not return more closely. The result is the
+    first divisor of n whose return is within ten times that distance, since the lane is not known better.
     """
     eps = np.finfo(dtype).eps
     tolerance = eps**0.5 * scale
@@ -55,6 +85,7 @@ def recurrence_periods(distances, previous_distances, elapsed_periods, scale, dt
 
 
 def _smallest_divisor(n, is_recurrent):
+    """Return the smallest divisor of n that recurs, 0 for n = 0."""
     return next(
         (divisor for divisor in range(1, n + 1) if n % divisor == 0 and (is_recurrent[divisor - 1] or divisor == n)), 0
     )

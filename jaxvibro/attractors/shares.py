@@ -1,14 +1,25 @@
-"""Shares of random starts, and how well they are known."""
+"""Compute bounds of basin fractions and format them."""
 
 import scipy
 
-SIGNIFICANCE_LEVEL = 0.05  # how often the bounds may be wrong
+SIGNIFICANCE_LEVEL = 0.05  # probability that the bounds are wrong
 
 
 def share_bounds(n_settled, n_starts):
-    """(lowest, highest) share that `n_settled` of so many starts speak for: exact at 95 % (Clopper and Pearson, 1934).
+    """Return the exact bounds of a fraction at 95 % confidence (Clopper and Pearson, 1934).
 
-    Where no start did, or each, there is one bound alone, which has all of the 5 %: 0 of 200 is below 1.5 %.
+    Parameters
+    ----------
+    n_settled : int
+        Number of initial states on the attractor.
+    n_starts : int
+        Number of initial states.
+
+    Returns
+    -------
+    lower, upper : float
+        Bounds. For none or all of the initial states, the one nontrivial bound takes the whole error of 5 %: 0 of 200
+        is below 1.5 %.
     """
     is_one_sided = n_settled in (0, n_starts)
     tail_probability = SIGNIFICANCE_LEVEL if is_one_sided else 0.5 * SIGNIFICANCE_LEVEL
@@ -22,7 +33,18 @@ def share_bounds(n_settled, n_starts):
 
 
 def share_text(attractor):
-    """An `Attractor`'s share for reading: "46.0 % of starts (38.9 to 53.2 %)", "0 of 200 starts: below 1.5 %"."""
+    """Format the share of an attractor.
+
+    Parameters
+    ----------
+    attractor : Attractor
+        Attractor.
+
+    Returns
+    -------
+    str
+        For example ``"46.0 % of starts (38.9 to 53.2 %)"`` or ``"0 of 200 starts: below 1.5 %"``.
+    """
     lower, upper = (f"{100.0 * bound:.1f} %" for bound in attractor.share_bounds)
     n_settled = round(attractor.share * attractor.starts)
     if n_settled == 0:

@@ -1,4 +1,4 @@
-"""The Lyapunov spectrum against a parameter: both exponents of what a scene settles on, with error bars."""
+"""Compute both Lyapunov exponents of the attractor against a parameter, with error bars."""
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -26,7 +26,7 @@ from .spectrum_study import SpectrumStudy, estimates_from
 from .sweep import STATUS_FLAGS, UNITS_TEXT, check_start_state, equation_text, other_parameters, static_attributes
 from .tangent import RECORDED_PERIODS, start_tangents
 
-FEW_ROUNDS, MANY_ROUNDS = 8, 64  # rounds after which most values have settled, and after which the others are averaged
+FEW_ROUNDS, MANY_ROUNDS = 8, 64  # rounds until most values have settled, and until the others are averaged
 
 
 @check.host_only("use monodromy")
@@ -43,37 +43,80 @@ def spectrum(
     *,
     max_seconds: float | None = None,
 ) -> xr.Dataset:
-    """Both Lyapunov exponents per drive period of what a scene settles on, for many values of a parameter: a Dataset.
+    """Compute both Lyapunov exponents of the motion for many values of a parameter.
 
-    scene: a single one; name: of any of its parameters, dotted for a wall's; values: shape (count,). state: a `State`
-    where every value starts, of numbers or with a number for each value. settle: drive periods left out. What recurs
-    after at most 32 periods has its exponents from its multipliers, ln abs(mu) / n; all else from averages along 64
-    copies of the motion, until the standard errors of both are at most `error`, or about `most` drive periods have been
-    averaged. progress: called with the number of values done. store: a `Store` to keep the numbers in, 64 values at a
-    time, and to go on with; None: in memory.
+    A motion that recurs after at most 32 periods has its exponents from its multipliers, ``ln abs(mu) / n``. All other
+    exponents are averages along 64 copies of the motion.
 
-    The Dataset, along `name`: exponent and error (name, order), the larger first, per drive period, the error a
-    standard error (of an orbit: what rounding leaves unsure); impacts per period, and impacts_on (name, wall), of the
-    first 32 in a period, an entry into a soft one being an impact; within (name, wall), the time spent within a soft
-    wall, t per drive period, 0 of a rigid one; periods of the orbit, 0 where none was recognised; count, drive periods
-    averaged; status, as `Impacts` has it. The exponents' sum is -2 gamma T + 2 ln R times impacts_on - 2 (gamma2 -
-    gamma) times within, without error (of a force of the user's own it is measured). Both are -inf where the mass comes
-    to rest on a wall, as it then forgets all. rests: how often a period it does so; between: the largest growth of
-    tangents from where a wall lets it go to where it next comes to rest, the hops of complete chatter included, a drive
-    period of the time between (`find_sticking_phases`: to within some hundredths); nan where it has no such flight.
-    Where a wall that is hit has R = 0 and the mass does not rest the second exponent is -inf. Both are nan where the
-    motion has no end, with more than 32 impacts a period in flight (status full), and on an impact without speed
-    (nonfinite).
+    Parameters
+    ----------
+    scene : Scene
+        Scene without lanes.
+    name : str
+        Parameter of the scene, for example ``"amplitude"`` or ``"left.position"``.
+    values : array_like
+        Values of the parameter. Array of shape (count,).
+    state : State
+        Initial state at every value. Its fields are numbers, or arrays with one number for each value.
+    settle : int, optional
+        Drive periods discarded.
+    error : float, optional
+        Largest standard error of both exponents at which the average ends, per drive period.
+    most : int, optional
+        Number of drive periods, approximately, at which the average ends.
+    progress : callable, optional
+        Called with the number of values done.
+    store : Store, optional
+        Store that keeps the results, 64 values at a time, and from which the computation resumes. None keeps them in
+        memory.
+    max_seconds : float, optional
+        Wall-clock time, in s, after which no value (with a store: no block of values) is started. None is no limit.
 
-    max_seconds: wall-clock time, s, after which no value is begun, or with a store no block of values; None is no
-    limit. Values that are not done have nan and the status -1, and the attribute `stopped` says why; a later call with
-    the same store goes on.
+    Returns
+    -------
+    xarray.Dataset
+        Variables along `name`: ``exponent`` and ``error`` (name, order), the larger exponent first, per drive period;
+        the error is a standard error, or the rounding error for an orbit. ``impacts``: impacts per period.
+        ``impacts_on`` (name, wall): impacts per period on each wall, among the first 32 in a period; an entry into a
+        soft wall is an impact. ``within`` (name, wall): time inside a soft wall per drive period, 0 for a rigid wall.
+        ``periods``: drive periods of the orbit, 0 if none was recognised. ``count``: drive periods averaged.
+        ``status``: as in `Impacts`. ``rests``: number of times per period at which the mass begins to stick.
+        ``between``: largest growth of tangents between two phases of sticking, per drive period of the time between
+        them, the impacts of complete chatter included (accurate to a few hundredths); nan without such a flight.
 
-    Sources: Benettin et al., Meccanica 15 (1980) 9-20; at impacts Mueller, Chaos, Solitons and Fractals 5 (1995)
-    1671-1681; paper, (38). Errors by batch means (`batch_means.standard_error`).
+    Raises
+    ------
+    ArgumentError
+        If an argument is invalid for `sweep`, the error is not positive, or a count is invalid.
 
-    Raises ArgumentError as `sweep` does, for an error that is not positive, and for counts that cannot be; and what the
-    store raises.
+    See Also
+    --------
+    sweep : Sweep a parameter and record the stroboscopic states.
+
+    Notes
+    -----
+    The sum of the exponents is known without error: ``-2 gamma T + 2 ln R`` times ``impacts_on``, minus
+    ``2 (gamma2 - gamma)`` times ``within``. It is measured for a user-defined force.
+
+    - Both exponents are -inf if the mass sticks to a wall, since later states then do not depend on its past.
+    - The second is -inf if a wall that is hit has ``R = 0`` and the mass does not stick.
+    - Both are nan if a period has more than 32 impacts in flight (status full), or at an impact with zero speed (status
+      nonfinite).
+
+    Standard errors are batch means. After `max_seconds`, the values that are not done have nan and the status -1, and
+    the attribute ``stopped`` gives the reason. A later call with the same store resumes. The errors of the store are
+    passed on.
+
+    References
+    ----------
+    Benettin et al., Meccanica 15 (1980) 9-20. Impacts: Mueller, Chaos, Solitons and Fractals 5 (1995) 1671-1681. Sum of
+    the exponents: paper, (38).
+
+    Examples
+    --------
+    >>> data = jv.spectrum(scene, "amplitude", [2.0, 2.1], state, settle=50)
+    >>> data["exponent"].values.round(4).tolist()
+    [[-0.8629, -0.8629], [-0.8629, -0.8629]]
     """
     limits = limits_of(None, max_seconds, None, check.ArgumentError)
     check.require_single(scene)
@@ -102,11 +145,11 @@ def spectrum(
 
 
 def _check_arguments(scene, name, values, state) -> tuple[Float[np.ndarray, " count"], State]:
-    """(values, state), arrays of the scene's type, once they break no rule."""
+    """Return (values, state) as arrays of the scene's type, checked."""
     check.require_parameter(name, scene.names, name)
     values = check.finite_array(name, values, scene.dtype)
     if values.ndim != 1 or len(values) == 0:
-        raise check.ArgumentError(name, "must be a sequence of values, at least one", values)
+        raise check.ArgumentError(name, "must be a sequence of at least one value", values)
     require_scene_units("values", scene, name, values)
     scenes = scene.replace(**{name: values})
     state = check_start_state(state_arrays(scene, state), scene.dtype, [(name, values)])
@@ -115,16 +158,19 @@ def _check_arguments(scene, name, values, state) -> tuple[Float[np.ndarray, " co
 
 
 def _block_exponents(scenes, state, settle, target_error, max_periods):
-    """`_compute_exponents` in this thread."""
+    """Run `_compute_exponents` in this thread."""
     return _compute_exponents(SerialPool, scenes, state, settle, target_error, max_periods, lambda n_done: None)
 
 
 def _compute_exponents(pool, scenes, state, settle, target_error, max_periods, progress, limits=UNLIMITED):
-    """The `Rates` and the `Rests`, their count a period, of each value, in order; the status is -1 where the time was
-    over."""
+    """Return the `ExponentEstimate` and the `StickingPhases` (count per period) of each value, in order.
+
+    The status of an estimate is -1 if the time limit was reached before it was computed.
+    """
     all_indices = np.arange(len(state.x))
 
     def settle_block(indices):
+        """Run a block of values for the first rounds; None after the time limit."""
         return (
             None
             if limits.expired
@@ -134,6 +180,7 @@ def _compute_exponents(pool, scenes, state, settle, target_error, max_periods, p
         )
 
     def settle_longer(indices):
+        """Run unsettled values for further rounds; None after the time limit."""
         if limits.expired:
             return None
         return run_until_recurrence(
@@ -141,10 +188,12 @@ def _compute_exponents(pool, scenes, state, settle, target_error, max_periods, p
         )
 
     def solve_orbits(indices):
+        """Compute the exponents of the periodic orbits of a block."""
         state, periods = _concatenate_lanes((settled_lanes[k].lanes.state, settled_lanes[k].periods) for k in indices)
         return compute_orbit_exponents(take_lanes(scenes, indices), state, periods)
 
     def average_value(k):
+        """Average the exponents of one value; (None, None) after the time limit."""
         return (
             (None, None)
             if limits.expired
@@ -180,12 +229,12 @@ def _compute_exponents(pool, scenes, state, settle, target_error, max_periods, p
 
 
 def _concatenate_lanes(trees):
-    """Trees of lanes, their last axis, one after the other."""
+    """Concatenate trees of lanes along their last axis."""
     return jax.tree.map(lambda *leaves: np.concatenate(leaves, axis=-1), *trees)
 
 
 def _split_lanes(trees):
-    """Trees of one lane each."""
+    """Split trees of lanes into trees of one lane each."""
     lane_trees = []
     for tree in trees:
         leaves, structure = jax.tree.flatten(tree)
@@ -196,7 +245,7 @@ def _split_lanes(trees):
 
 
 def _map_blocks(pool, function, indices):
-    """The results of a function of an array of lanes, block by block."""
+    """Return the results of a function of an array of lanes, block by block."""
     return list(
         _map_in_order(
             pool, function, [indices[start : start + BLOCK_WIDTH] for start in range(0, len(indices), BLOCK_WIDTH)]
@@ -205,8 +254,7 @@ def _map_blocks(pool, function, indices):
 
 
 def _map_lanes(pool, function, indices):
-    """{value: tree of one lane} of a function of an array of lanes, block by block; it gives None for a block that is
-    left out."""
+    """Return {value: tree of one lane} of a function of an array of lanes, which may return None for a block."""
     blocks = [indices[start : start + BLOCK_WIDTH] for start in range(0, len(indices), BLOCK_WIDTH)]
     trees = zip(blocks, _map_in_order(pool, function, blocks), strict=True)
     block_lanes = [(block.tolist(), _split_lanes([tree])) for block, tree in trees if tree is not None]
@@ -214,20 +262,20 @@ def _map_lanes(pool, function, indices):
 
 
 def _map_in_order(pool, function, items):
-    """The results in order; the first alone, as two threads would each compile what it needs."""
+    """Yield the results in order. The first item runs alone, since two threads would both compile."""
     yield from map(function, items[:1])
     yield from pool.map(function, items[1:])
 
 
 def _orbit_estimates(pool, solve_orbits, indices):
-    """{value: `Rates`} of those that are on a periodic orbit which does not repel."""
+    """Return {value: `ExponentEstimate`} of the values on a periodic orbit that does not repel."""
     blocks = _map_blocks(pool, solve_orbits, np.array(indices, int))
     estimates = [take_lanes(block, k) for block in blocks for k in range(len(block.periods))]
     return {k: estimate for k, estimate in zip(indices, estimates, strict=True) if not estimate.is_repelling}
 
 
 def _make_dataset(scene, name, values, state, estimates, sticking):
-    """The named result of the `Rates` and the `Rests` of each value."""
+    """Return the named result of the `ExponentEstimate` and the `StickingPhases` of each value."""
     exponent, error, impacts, within, periods, status, count = (
         np.stack(arrays) for arrays in zip(*estimates, strict=True)
     )

@@ -1,4 +1,4 @@
-"""The Lyapunov spectrum at very many values as a `Study`: a block of values is a chunk."""
+"""Compute Lyapunov exponents at many values as a `Study`: a block of values is a chunk."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -17,17 +17,30 @@ from ..scene.state import State
 from ..stores.study import Column, Grid, fingerprint_axis
 from .orbit_exponents import ExponentEstimate
 
-# Of each value: the sizes of the fields of `ExponentEstimate`, then those of its `StickingPhases` that are told.
+# Columns of each value: the sizes of the fields of `ExponentEstimate`, then the stored fields of `StickingPhases`.
 COLUMN_SIZES = {"exponent": 2, "error": 2, "impacts": 3, "within": 2, "periods": 0, "status": 0, "count": 0}
 STICKING_COLUMNS = ("rests", "rate")
 
 
 @dataclass(frozen=True)
 class SpectrumStudy:
-    """Exponents at the values of a parameter as a `Study`.
+    """Lyapunov exponents at the values of a parameter as a `Study`.
 
-    scene: that of all values, state: that of each, (values,); estimate_block: from the scenes, the states and the
-    settings to the `ExponentEstimate` and the `StickingPhases` of each value; settings: settle, error, most."""
+    Parameters
+    ----------
+    scene : Scene
+        Scene of all values.
+    name : str
+        Parameter.
+    values : ndarray
+        Values of the parameter. Array of shape (values,).
+    state : State
+        Initial state at each value. Leaves of shape (values,).
+    estimate_block : callable
+        Function from scenes, states and settings to the `ExponentEstimate` and the `StickingPhases` of each value.
+    settings : tuple
+        Drive periods discarded, largest standard error, drive periods averaged at most.
+    """
 
     scene: Scene
     name: str
@@ -38,10 +51,12 @@ class SpectrumStudy:
 
     @cached_property
     def grid(self) -> Grid:
+        """Values, in blocks."""
         return Grid({self.name: len(self.values)}, (BLOCK_WIDTH,))
 
     @property
     def columns(self) -> dict[str, Column]:
+        """Fields of the estimates and of the sticking phases."""
         float_type = np.dtype(np.float64)
         columns = {
             name: Column(float_type, np.nan, {}, {f"{name}_place": size} if size else {})
@@ -51,6 +66,7 @@ class SpectrumStudy:
 
     @cached_property
     def identity(self) -> dict[str, str]:
+        """Texts that identify the study."""
         state_texts = {
             f"start.{name}": fingerprint_axis(getattr(self.state, name)) for name in ("x", "v", "phase", "contact")
         }
@@ -64,9 +80,11 @@ class SpectrumStudy:
 
     @cached_property
     def frame(self) -> xr.Dataset:
+        """Dataset with the values as its coordinate."""
         return xr.Dataset(coords={self.name: self.values})
 
     def compute(self, number: int, frame: xr.Dataset) -> tuple[dict[str, np.ndarray], int]:
+        """Return the columns of a block of values, and the number of values without an exponent."""
         (block,) = self.grid.chunk_slices(number)
         values = self.values[block]
         state = State(*(getattr(self.state, name)[block] for name in ("x", "v", "phase", "contact")))
@@ -78,8 +96,8 @@ class SpectrumStudy:
 
 
 def estimates_from(data: xr.Dataset) -> tuple[list[ExponentEstimate], list[StickingPhases]]:
-    """The `ExponentEstimate` and the `StickingPhases` of each value from a study's Dataset."""
-    defaults = {"periods": 0, "status": -1, "count": 0}  # of a value that is not done
+    """Return the `ExponentEstimate` and the `StickingPhases` of each value from a study's Dataset."""
+    defaults = {"periods": 0, "status": -1, "count": 0}  # at a value that is not done
     integers = {name: data[name].fillna(value).values.astype(int).tolist() for name, value in defaults.items()}
     field_rows = [integers[name] if name in integers else data[name].values for name in COLUMN_SIZES]
     sticking_rows = zip(data["rests"].values, data["rate"].values, strict=True)

@@ -1,4 +1,4 @@
-"""The swept diagram: a parameter goes through its values, and the state at the end of one starts the next."""
+"""Sweep a parameter; the final state at each value is the initial state at the next value."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -26,7 +26,7 @@ from ..scene.unit_mistakes import require_scene_units
 from ..stores.filling import Store, complete_study
 from .sweep_study import SweepStudy
 
-VALUES_PER_CHUNK = 16  # values between two reports of progress
+VALUES_PER_CHUNK = 16  # values between two calls of `progress`
 DRIVE_TEXT = "amplitude cos(frequency t)"
 SPRING_TEXT = f"x'' + 2 damping x' + x = {DRIVE_TEXT}"
 REBOUND_TEXT = "y+ - v_b = -restitution (y- - v_b) at a rigid wall"
@@ -48,29 +48,69 @@ def sweep(
     *,
     max_seconds: float | None = None,
 ) -> xr.Dataset:
-    """What a scene settles on as one of its parameters goes through values, in their order: an xarray.Dataset.
+    """Sweep a parameter and record the stroboscopic states after a transient.
 
-    name: of any parameter of the scene, dotted for a wall's. values: shape (count,), or (count, ...) with lanes: the
-    first axis is the way, the others broadcast with the scene's and the state's numbers, as in `strobe`; a lane is a
-    sweep of its own. state: a `State`, where the first value starts. At each value `settle` drive periods are left out
-    and the next `keep` recorded. chunk: values between two calls of `progress`, which is given the number of values
-    done; it changes no bit of the result. store: a `Store` to keep very many lanes in, 64 at a time from their first
-    value to their last, and to go on with; `progress` is then given lanes. None: in memory.
+    The parameter goes through the values in their order. The state at the end of one value starts the next. The record
+    is a bifurcation diagram by simulation.
 
-    The Dataset holds x and v on Sigma (the state's phase) with dimensions (name, lane, period) and status with (name,
-    lane); without lanes there is no dimension `lane`, with several axes of them they are lane_0, lane_1, ... Where
-    values have lanes of their own, the first dimension is called "step" and the values are its coordinate (step, lane).
-    The other parameters are attributes, or coordinates where they have lanes.
+    Parameters
+    ----------
+    scene : Scene
+        Scene, single or with lanes.
+    name : str
+        Parameter of the scene, for example ``"amplitude"`` or ``"left.position"``.
+    values : array_like
+        Values of the parameter. Array of shape (count,), or (count, ...) with lanes: the first axis is the sequence of
+        values, and the others broadcast with the scene and the state, as in `strobe`. Each lane is a sweep of its own.
+    state : State
+        Initial state at the first value.
+    settle : int, optional
+        Drive periods discarded at each value.
+    keep : int, optional
+        Drive periods recorded at each value.
+    chunk : int, optional
+        Values between two calls of `progress`. It does not change the result.
+    progress : callable, optional
+        Called with the number of values done, or with a store with the number of lanes done.
+    store : Store, optional
+        Store that keeps the results of many lanes, 64 lanes at a time, and from which the sweep resumes. None keeps
+        them in memory.
+    max_seconds : float, optional
+        Wall-clock time, in s, after which no chunk of values (with a store: of lanes) is started. None is no limit.
 
-    A wall that moves over the mass, from one value to the next, carries it along (`wall_positions.fit`). A lane whose
-    status is CAP or worse (`Impacts`) has nan for that value, and starts the next one anew from the given state.
+    Returns
+    -------
+    xarray.Dataset
+        Variables ``x`` and ``v`` on the section at the phase of the state, with dimensions (name, lane, period), and
+        ``status`` with dimensions (name, lane). Without lanes there is no dimension ``lane``; several axes of lanes are
+        called ``lane_0``, ``lane_1``, ... If the values have lanes of their own, the first dimension is called ``step``
+        and the values are a coordinate with dimensions (step, lane). The other parameters are attributes, or
+        coordinates if they have lanes.
 
-    max_seconds: wall-clock time, s, after which no chunk of values is begun, or with a store no chunk of lanes; None is
-    no limit. Values that are not done have nan and the status -1, and the attribute `stopped` says why; a later call
-    with the same store goes on.
+    Raises
+    ------
+    ArgumentError
+        If the name is unknown, the values are not finite or break a rule of the scene, the initial state is beyond a
+        wall, or a count is invalid. All arguments are checked before any computation.
 
-    Raises ArgumentError for an unknown name, values that are not finite or break a rule of the scene, a start beyond a
-    wall, and counts that cannot be, all before any work; and what the store raises.
+    See Also
+    --------
+    map_parameters : Classify the motion at each cell of a parameter grid.
+    follow : Continue a periodic orbit in one parameter.
+
+    Notes
+    -----
+    A wall that moves over the mass from one value to the next carries it along. A lane whose status is CAP or worse
+    (see `Impacts`) has nan at that value and restarts from the initial state at the next.
+
+    After `max_seconds`, the values that are not done have nan and the status -1, and the attribute ``stopped`` gives
+    the reason. A later call with the same store resumes. The errors of the store are passed on.
+
+    Examples
+    --------
+    >>> data = jv.sweep(scene, "amplitude", [1.9, 2.0, 2.1], state, settle=50, keep=10)
+    >>> data["x"].dims, data["x"].shape
+    (('amplitude', 'period'), (3, 10))
     """
     limits = limits_of(None, max_seconds, None, check.ArgumentError)
     settle, keep = check.whole_number("settle", settle, 0), check.whole_number("keep", keep, 1)
@@ -93,11 +133,11 @@ def sweep(
 
 
 def _check_arguments(scene, name, values, state) -> tuple[Float[np.ndarray, " count *lanes"], State]:
-    """(values, state), arrays of the scene's type, once they break no rule."""
+    """Return (values, state) as arrays of the scene's type, checked."""
     check.require_parameter(name, scene.names, name)
     values = check.finite_array(name, values, scene.dtype)
     if values.ndim == 0 or values.shape[0] == 0:
-        raise check.ArgumentError(name, "must be a sequence of values to sweep through, at least one", values)
+        raise check.ArgumentError(name, "must be a sequence of at least one value", values)
     require_scene_units("values", scene, name, values)
     n_new_axes = max(0, len(scene.shape) - (values.ndim - 1))
     aligned_values = values.reshape(values.shape[0], *[1] * n_new_axes, *values.shape[1:])
@@ -108,7 +148,7 @@ def _check_arguments(scene, name, values, state) -> tuple[Float[np.ndarray, " co
 
 
 def check_start_state(state, dtype, named_arrays):
-    """The state, its numbers finite arrays of this type that broadcast with the named arrays beside it."""
+    """Return the state as finite arrays of this type that broadcast with the named arrays."""
     keys = ("x", "v", "phase", "contact")
     arrays = [check.finite_array(f"state.{key}", getattr(state, key), dtype) for key in keys]
     check.require_broadcast([*named_arrays, *zip((f"state.{key}" for key in keys), arrays, strict=True)])
@@ -116,7 +156,7 @@ def check_start_state(state, dtype, named_arrays):
 
 
 def _flatten_lanes(shape, scene, values, state) -> tuple[Scene, Float[np.ndarray, "count lanes"], State]:
-    """Scene, values (count, lanes) and state with their lanes along one axis."""
+    """Return scene, values (count, lanes) and state with their lanes along one axis."""
     n_lanes = math.prod(shape)
 
     def flatten(leaf):
@@ -126,11 +166,12 @@ def _flatten_lanes(shape, scene, values, state) -> tuple[Scene, Float[np.ndarray
 
 
 def _run_lanes(scene, values, start_state, name, settle, keep):
+    """Sweep some lanes without progress reports; the form in which `SweepStudy` calls `_run_sweep`."""
     return _run_sweep(scene, values, start_state, name, settle, keep, VALUES_PER_CHUNK, None)
 
 
 def _run_sweep(scene, values, start_state, name, settle, keep, chunk_size, progress, limits=UNLIMITED):
-    """x, v of shape (count, lanes, keep) and status (count, lanes), which is -1 where the time was over."""
+    """Return x and v (count, lanes, keep) and status (count, lanes), which is -1 after the time limit."""
     state, results = start_state, []
     for start_index in range(0, len(values), chunk_size):
         if results and limits.expired:
@@ -152,7 +193,7 @@ def _run_sweep(scene, values, start_state, name, settle, keep, chunk_size, progr
 
 @persistent_jit(static_argnames=("name", "keep"), compiler_options=COMPILER_OPTIONS)
 def _sweep_chunk(scene, values, n_values, start_state, state, settle, *, name, keep):
-    """The state after the first `n_values` of the values, and x, v (values, keep, lanes), status (values, lanes)."""
+    """Return the state after the first `n_values` values, and x, v (values, keep, lanes), status (values, lanes)."""
     shape = values.shape
     record = jnp.zeros((shape[0], keep, shape[1]), values.dtype)
     status = jnp.zeros(shape, jnp.int32)
@@ -170,7 +211,7 @@ def _sweep_chunk(scene, values, n_values, start_state, state, settle, *, name, k
 
 
 def _settle_at_value(scene, state, settle, keep):
-    """The state after settle + keep periods, x and v (keep, lanes) at the end of the last `keep`, the worst status."""
+    """Return the state after settle + keep periods, x and v (keep, lanes) of the last `keep`, and the worst status."""
 
     def advance_period(period, carry):
         state, x, v, status = carry
@@ -190,7 +231,7 @@ def _settle_at_value(scene, state, settle, keep):
 
 
 def _make_dataset(scene, name, values, state, arrays):
-    """The named result of x, v (count, lanes..., keep) and status (count, lanes...)."""
+    """Return the named result of x, v (count, lanes..., keep) and status (count, lanes...)."""
     x, v, status = arrays
     lane_dims = ["lane"] if status.ndim == 2 else [f"lane_{axis}" for axis in range(status.ndim - 1)]
     step_dim = name if values.ndim == 1 else "step"
@@ -222,7 +263,22 @@ def _make_dataset(scene, name, values, state, arrays):
 
 
 def other_parameters(scene, name):
-    """The parameters that are not swept, without those that a wall takes from the scene, or that follow from others."""
+    """Return the parameters that are not swept.
+
+    Parameters that a wall inherits from the scene, and those that follow from the swept one, are left out.
+
+    Parameters
+    ----------
+    scene : Scene
+        Scene.
+    name : str
+        Swept parameter.
+
+    Returns
+    -------
+    dict of str to array
+        Values of the other parameters by name.
+    """
     dependent = [f"{side}.{name}" for side, wall in scene.walls.items() for name in wall.taken]
     dependent += [
         f"{side}.{suffix}" for side in scene.soft_sides for suffix in ("stiffness", "damping") if name == "hardness"
@@ -232,7 +288,18 @@ def other_parameters(scene, name):
 
 
 def equation_text(scene):
-    """The equation of motion and the law of impact, as files hold them."""
+    """Return the equation of motion and the impact law as text, for files.
+
+    Parameters
+    ----------
+    scene : Scene
+        Scene.
+
+    Returns
+    -------
+    str
+        Equation of motion and impact law.
+    """
     terms = [
         f" + drive.{k}.amplitude cos({term.harmonic} frequency t + drive.{k}.phase)"
         for k, term in enumerate(scene.drive)
@@ -244,7 +311,18 @@ def equation_text(scene):
 
 
 def static_attributes(scene):
-    """What of the scene is no parameter: its walls, and the harmonics of those that move and of the drive."""
+    """Return the attributes of a scene that are not parameters.
+
+    Parameters
+    ----------
+    scene : Scene
+        Scene.
+
+    Returns
+    -------
+    dict of str to object
+        Names of the walls, and harmonics of the moving walls and of the drive terms.
+    """
     harmonics = {side: wall.motion.harmonic for side, wall in scene.walls.items() if wall.motion is not None}
     attributes = {f"{side}.motion.harmonic": harmonic for side, harmonic in harmonics.items()}
     attributes |= {f"drive.{k}.harmonic": term.harmonic for k, term in enumerate(scene.drive)}

@@ -1,4 +1,4 @@
-"""Sweeps of very many lanes as a `Study`: some lanes, from their first value to their last, are a chunk."""
+"""Run the lanes of a sweep as a `Study`: a block of lanes, from the first value to the last, is a chunk."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -20,9 +20,21 @@ from ..stores.study import Column, Grid, fingerprint_axis
 
 @dataclass(frozen=True)
 class SweepStudy:
-    """A sweep's lanes as a `Study`. template: the scene whose numbers the lanes share, else the first lane's;
-    lane_inputs: the scene, the values (count, lanes) and the start of each; run_lanes: from these to x, v (count,
-    lanes, keep) and status (count, lanes); settings: settle, keep."""
+    """Lanes of a sweep as a `Study`.
+
+    Parameters
+    ----------
+    template : Scene
+        Scene with the parameters that all lanes share, and those of the first lane otherwise.
+    name : str
+        Swept parameter.
+    lane_inputs : tuple
+        Scene with lanes, values of shape (count, lanes), and initial states.
+    run_lanes : callable
+        Function from these to x, v of shape (count, lanes, keep) and status of shape (count, lanes).
+    settings : tuple of int
+        Drive periods discarded and recorded at each value.
+    """
 
     template: Scene
     name: str
@@ -32,10 +44,12 @@ class SweepStudy:
 
     @cached_property
     def grid(self) -> Grid:
+        """Lanes, in blocks."""
         return Grid({"lane": self.lane_inputs[1].shape[1]}, (BLOCK_WIDTH,))
 
     @property
     def columns(self) -> dict[str, Column]:
+        """Columns x, v and status of each lane."""
         step_dims, float_type = {"step": len(self.lane_inputs[1])}, np.dtype(self.template.dtype)
         columns = {
             name: Column(float_type, np.nan, {}, {**step_dims, "period": self.settings[1]}) for name in ("x", "v")
@@ -44,6 +58,7 @@ class SweepStudy:
 
     @cached_property
     def identity(self) -> dict[str, str]:
+        """Texts that identify the sweep."""
         scene, values, start_state = self.lane_inputs
         lane_values = {name: np.asarray(scene.parameter(name)) for name in scene.names if name != self.name}
         lane_values |= {
@@ -55,9 +70,11 @@ class SweepStudy:
 
     @property
     def frame(self) -> xr.Dataset:
+        """Dataset without variables."""
         return xr.Dataset(attrs={"swept": self.name})
 
     def compute(self, number: int, frame: xr.Dataset) -> tuple[dict[str, np.ndarray], int]:
+        """Return the columns of a block of lanes, and the number of values with a bad status."""
         (lane_slice,) = self.grid.chunk_slices(number)
         scene, values, start_state = self.lane_inputs
         block_inputs = jax.tree.map(lambda leaf: leaf[lane_slice], (scene, start_state))

@@ -1,8 +1,8 @@
-"""Lanes run on with a tangent vector each, which the strobe's derivative turns and stretches: periods of one kernel.
+"""Simulate lanes with a tangent vector each, recorded period by period.
 
-A lane's vector is brought back to unit length every period and the logarithm of its growth recorded (Benettin et al.,
-Meccanica 15, 1980, 9-20). The derivative is that of `monodromy`, saltation at impacts included (Mueller, Chaos,
-Solitons and Fractals 5, 1995, 1671-1681).
+The vector is normalised every period and the logarithm of its growth recorded (Benettin et al., Meccanica 15, 1980,
+9-20). The derivative is that of `monodromy`, saltation at impacts included (Mueller, Chaos, Solitons and Fractals 5,
+1995, 1671-1681).
 """
 
 from typing import NamedTuple
@@ -25,13 +25,23 @@ from ..scene.codes import Status
 from ..scene.scene import SIDES
 from ..scene.state import State
 
-RECORDED_PERIODS = 64  # periods recorded, of however many are run
-BLOCKS_PER_CALL = 4  # blocks of a call: what the host does about each call would keep other threads waiting
-MATRIX_SLICE = slice(6, 10)  # of the numbers recorded of a period
+RECORDED_PERIODS = 64  # largest number of recorded periods
+BLOCKS_PER_CALL = 4  # blocks of a call: the host's work for each call keeps other threads waiting
+MATRIX_SLICE = slice(6, 10)  # entries of the derivative in the record of a period
 
 
 class TangentLanes(NamedTuple):
-    """Where lanes are: a `State` with leaves (lanes,), unit tangent vectors along x and v (lanes,)."""
+    """States of lanes with unit tangent vectors.
+
+    Parameters
+    ----------
+    state : State
+        States. Leaves of shape (lanes,).
+    tangent_x : array
+        Component along x. Array of shape (lanes,).
+    tangent_v : array
+        Component along v. Array of shape (lanes,).
+    """
 
     state: State
     tangent_x: Float[Array, " lanes"]
@@ -39,12 +49,29 @@ class TangentLanes(NamedTuple):
 
 
 class PeriodRecords(NamedTuple):
-    """The last periods of lanes, at most LAPS, NumPy arrays (periods, lanes).
+    """Records of the last periods of lanes, at most `RECORDED_PERIODS`, as NumPy arrays of shape (periods, lanes).
 
-    x, v: at a period's end; growth: the logarithm of the tangent's growth, -inf where the mass has rested; left, right:
-    impacts on each wall, at most `one_period.SLOTS` together; n_impacts: all impacts; matrix: the derivative of each
-    period by rows, (periods, lanes, 4); time_within: the time spent within each wall, left and right, 0 in rigid ones,
-    (periods, lanes, 2); status: the worst of all periods run, (lanes,)."""
+    Attributes
+    ----------
+    x : ndarray
+        Positions at the end of a period.
+    v : ndarray
+        Velocities at the end of a period.
+    growth : ndarray
+        Logarithm of the growth of the tangent; -inf if the mass stuck to a wall.
+    left_impacts : ndarray
+        Impacts on the left wall; at most `one_period.REPLAY_SLOTS` together with the right wall.
+    right_impacts : ndarray
+        Impacts on the right wall.
+    n_impacts : ndarray
+        All impacts.
+    matrix : ndarray
+        Derivative of each period by rows. Array of shape (periods, lanes, 4).
+    time_within : ndarray
+        Time inside each wall, left and right, 0 for a rigid one. Array of shape (periods, lanes, 2).
+    status : ndarray
+        Worst status of all simulated periods. Array of shape (lanes,).
+    """
 
     x: Float[np.ndarray, "periods lanes"]
     v: Float[np.ndarray, "periods lanes"]
@@ -63,28 +90,77 @@ class PeriodRecords(NamedTuple):
 
 
 def start_tangents(state):
-    """`TangentLanes` at a state, their tangents along no direction that is special."""
+    """Return `TangentLanes` at a state, with tangents in a generic direction.
+
+    Parameters
+    ----------
+    state : State
+        States. Leaves of shape (lanes,).
+
+    Returns
+    -------
+    TangentLanes
+        Lanes.
+    """
     ones = np.ones_like(state.x)
     return TangentLanes(state, 0.6 * ones, 0.8 * ones)
 
 
 def worse_status(earlier, later):
-    """The worse of two statuses, one after the other: a lane that has met its end keeps the reason."""
+    """Return the worse of two successive statuses; a lane that has ended keeps its reason.
+
+    Parameters
+    ----------
+    earlier : array
+        Status before.
+    later : array
+        Status afterwards.
+
+    Returns
+    -------
+    array
+        Worse status.
+    """
     return jnp.where(earlier >= Status.CAP, earlier, jnp.maximum(earlier, later))
 
 
 def worse_status_on_host(earlier, later):
-    """The same of what the host has, whatever its shape: nothing is compiled for it."""
+    """Apply `worse_status` to host arrays of any shape, without compilation.
+
+    Parameters
+    ----------
+    earlier : ndarray
+        Status before.
+    later : ndarray
+        Status afterwards.
+
+    Returns
+    -------
+    ndarray
+        Worse status.
+    """
     return np.where(np.asarray(earlier) >= Status.CAP, earlier, np.maximum(earlier, later))
 
 
 def run_tangents(scene, lanes, periods):
-    """(TangentLanes, Laps) so many periods later.
+    """Simulate lanes with tangents and record the last periods.
 
-    scene: a single one or a lane of a batch each, which is compiled on its own; lanes: any number, run in blocks of
-    WIDTH, STRIP of them a call; periods: whole number >= 1, no compilation of its own. The status of a lane is
-    `Impacts.status`; FULL where a period had more than `one_period.SLOTS` impacts, NONFINITE where the derivative is
-    none, as at an impact without speed.
+    Parameters
+    ----------
+    scene : Scene
+        Scene, without lanes or with one lane for each lane; the two are compiled separately.
+    lanes : TangentLanes
+        Lanes, any number. They run in blocks of `BLOCK_WIDTH`, `BLOCKS_PER_CALL` blocks in a call.
+    periods : int
+        Drive periods, at least 1. A new number needs no compilation.
+
+    Returns
+    -------
+    lanes : TangentLanes
+        Lanes at the end.
+    records : PeriodRecords
+        Records of the last periods. The status of a lane is as in `Impacts`; FULL if a period had more than
+        `one_period.REPLAY_SLOTS` impacts, NONFINITE if the derivative does not exist, as at an impact with zero speed.
     """
     n_lanes, strip_width = len(lanes.state.x), BLOCKS_PER_CALL * BLOCK_WIDTH
     strips = [
@@ -108,13 +184,13 @@ def run_tangents(scene, lanes, periods):
 
 
 def _concatenate_strips(*strips):
-    """Lanes, the last axis, one strip after the other; a copy costs, so a single strip is left as it is."""
+    """Concatenate strips along the last axis; a single strip is not copied."""
     return np.asarray(strips[0]) if len(strips) == 1 else np.concatenate(strips, axis=-1)
 
 
 @persistent_jit(compiler_options=COMPILER_OPTIONS)
 def _run_strip(scene, lanes, n_active, periods):
-    """As `_run_block`, of a strip's first so many lanes, all where it has fewer; 0 of the others."""
+    """Return the result of `_run_block` for the first `n_active` lanes of a strip, and 0 for the others."""
     n_lanes, dtype = BLOCKS_PER_CALL * BLOCK_WIDTH, lanes.state.x.dtype
 
     def update_block(block_index, results):
@@ -132,14 +208,17 @@ def _run_strip(scene, lanes, n_active, periods):
 
 
 def _run_block(scene, lanes, periods):
-    """(lanes, the last periods as a ring (LAPS, numbers, lanes): period i is row i modulo LAPS, the worst status)."""
+    """Return (lanes, last periods as a ring (RECORDED_PERIODS, numbers, lanes), worst status).
+
+    Period i is row i modulo `RECORDED_PERIODS`.
+    """
     shape = lanes.state.x.shape
 
     def advance_period(period, carry):
         lanes, ring, worst_status = carry
         x, v, contact, tangent_x, tangent_v, status, *record = call_as_kernel(_run_period, scene, lanes)
         lanes = TangentLanes(State(x, v, lanes.state.phase, contact), tangent_x, tangent_v)
-        row = jnp.stack([x, v, *record])  # a ring for each number costs as much as all else
+        row = jnp.stack([x, v, *record])  # a ring for each number would cost as much as the rest
         return (
             lanes,
             lax.dynamic_update_index_in_dim(ring, row, period % RECORDED_PERIODS, 0),
@@ -151,8 +230,10 @@ def _run_block(scene, lanes, periods):
 
 
 def _run_period(scene, lanes):
-    """x, v, contact and tangent a period later, the status; growth, impacts on the left, on the right, all; M; the time
-    within each soft wall."""
+    """Return the state, tangent, status and record of one period.
+
+    The record is growth, impacts on the left, on the right, all, M, and the time inside each soft wall.
+    """
     end_state, impacts, is_sticking, path_data = strobe_with_product(scene, lanes.state, 1, REPLAY_SLOTS)
     overflow = (impacts.count > REPLAY_SLOTS) & ~is_sticking
     matrix = [choose(overflow, jnp.nan, choose(is_sticking, 0.0, entry)) for entry in path_data.matrix]

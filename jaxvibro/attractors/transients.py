@@ -1,4 +1,4 @@
-"""Starts are run on until they recur, or until patience ends; those on one periodic orbit are put together."""
+"""Simulate initial states until they recur or reach the time limit, and cluster those on the same periodic orbit."""
 
 from dataclasses import dataclass, field
 
@@ -13,13 +13,23 @@ from ..maps.iterate import MAX_RECORDED_PERIODS, Iterates, iterate
 from ..scene.codes import Status
 from .recurrence import recurrence_distances, recurrence_periods
 
-MAX_SETTLE_FACTOR = 16  # times `settle` periods after which a start that has not recurred is given up
-EXTENSION_FACTOR = 4  # times that, as long as others still settle: what is left may be on the way as well
+MAX_SETTLE_FACTOR = 16  # times `settle` periods: time limit of the transient
+EXTENSION_FACTOR = 4  # times that while other lanes still settle: the rest may be transient as well
 
 
 @dataclass
 class OrbitCluster:
-    """Lanes on one periodic orbit: its points on Sigma, shape (periods, 2), and its itinerary."""
+    """Lanes on one periodic orbit.
+
+    Parameters
+    ----------
+    points : ndarray
+        Points on the section. Array of shape (periods, 2).
+    itinerary_words : tuple of str
+        Itinerary.
+    lanes : list of int, optional
+        Lanes on the orbit.
+    """
 
     points: Float[np.ndarray, "periods 2"]
     itinerary_words: tuple[str, ...]
@@ -28,23 +38,59 @@ class OrbitCluster:
     def contains(
         self, points: Float[np.ndarray, "states 2"], itinerary_words: tuple[str, ...], tolerance: Float[ArrayLike, ""]
     ) -> bool:
-        """Whether these points are the orbit's, begun anywhere along it."""
+        """Return True if these points, up to rotation, are those of the orbit."""
         if len(points) != len(self.points) or not itinerary.is_same_itinerary(itinerary_words, self.itinerary_words):
             return False
         return is_rotation(points, self.points, tolerance)
 
 
 def is_rotation(points, other_points, tolerance):
-    """Whether points of an orbit (periods, 2) are others, begun anywhere along it."""
+    """Return True if two sets of points of an orbit agree up to rotation.
+
+    Parameters
+    ----------
+    points : ndarray
+        Points of an orbit. Array of shape (periods, 2).
+    other_points : ndarray
+        Points of an orbit with as many periods.
+    tolerance : float
+        Largest distance of points that agree.
+
+    Returns
+    -------
+    bool
+        True if a rotation of one agrees with the other.
+    """
     return any(abs(np.roll(other_points, shift, axis=0) - points).max() <= tolerance for shift in range(len(points)))
 
 
 def settle_lanes(scene, state, settle, max_position, limits=UNLIMITED):
-    """(trail, periods, scale): the lanes' ends, the period each has settled on (0: none), the largest of x and v.
+    """Simulate lanes until they settle on a periodic orbit, or reach the time limit of the transient.
 
-    A lane is run for `settle` periods, then on in ever longer rounds until it has settled, at most PATIENCE times as
-    long altogether, and MORE times that while lanes settle in each round: chaos may be a transient. max_position: the
-    largest x there may be. limits: no further round is begun once their time is over."""
+    Parameters
+    ----------
+    scene : Scene
+        Scene without lanes.
+    state : State
+        Initial states. Leaves of shape (lanes,).
+    settle : int
+        Drive periods before recurrence is tested. Further rounds of increasing length follow, up to `MAX_SETTLE_FACTOR`
+        times as many periods, and `EXTENSION_FACTOR` times that while lanes settle in each round: chaos may be
+        transient.
+    max_position : float
+        Largest possible magnitude of x.
+    limits : Limits, optional
+        Time limit, after which no further round is started.
+
+    Returns
+    -------
+    iterates : Iterates
+        Last iterates of the lanes.
+    periods : ndarray
+        Period on which each lane has settled; 0 for none. Array of shape (lanes,).
+    scale : float
+        Largest magnitude of x and v.
+    """
     elapsed_periods, round_periods = max(settle, MAX_RECORDED_PERIODS), MAX_RECORDED_PERIODS
     max_periods, any_settled = MAX_SETTLE_FACTOR * elapsed_periods, False
     iterates = iterate(scene, state, elapsed_periods, max_single_lanes=0)
@@ -75,7 +121,7 @@ def settle_lanes(scene, state, settle, max_position, limits=UNLIMITED):
 
 
 def _replace_lanes(iterates, lanes, next_iterates):
-    """The trail with a later one in place of some lanes'."""
+    """Return the iterates with later ones in place of some lanes."""
     state = jax.tree.map(lambda array, values: _with_lanes(array, lanes, values), iterates.state, next_iterates.state)
     status = _with_lanes(iterates.status, lanes, next_iterates.status)
     records = (
@@ -86,19 +132,39 @@ def _replace_lanes(iterates, lanes, next_iterates):
 
 
 def _with_lanes(array, lanes, values):
+    """Return a copy of the array with new values at some lanes."""
     result = np.array(array)
     result[lanes] = values
     return result
 
 
 def extract_orbit(iterates, lane, periods):
-    """(points, words) of the last periods of a lane."""
+    """Return the last periods of a lane.
+
+    Parameters
+    ----------
+    iterates : Iterates
+        Iterates of the lanes.
+    lane : int
+        Index of the lane.
+    periods : int
+        Number of periods.
+
+    Returns
+    -------
+    points : ndarray
+        Points on the section. Array of shape (periods, 2).
+    words : tuple of str
+        Itinerary.
+    """
     return iterates.points[-periods:, lane], itinerary.words_of_rows(iterates.side[-periods:, lane])
 
 
 def cluster_orbits(iterates, periods, tolerance):
-    """The periodic orbits that lanes have settled on, in order of the first lane; tolerance: the distance that tells
-    two."""
+    """Return the periodic orbits on which lanes have settled, in order of the first lane.
+
+    tolerance: largest distance of points of the same orbit.
+    """
     orbit_clusters = []
     for lane in np.flatnonzero(periods):
         points, itinerary_words = extract_orbit(iterates, lane, periods[lane])

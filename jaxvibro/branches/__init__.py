@@ -1,6 +1,6 @@
 """Branches of periodic orbits along one parameter.
 
-In: an `Orbit` and a parameter's bounds. Out: `Branch`, its special points and why it ends; the branches that leave
-it; all of a range, unattended. Start with `follow`; `segment` is the loop, `through_grazings` what joins segments,
-`explore` what starts many.
+The input is an `Orbit` and the bounds of a parameter. The output is a `Branch` with its special points and the reasons
+for its ends, the branches that emanate from it, and the unattended exploration of a whole range. Start with `follow`.
+`segment` contains the loop, `through_grazings` joins segments, and `explore` starts many branches.
 """

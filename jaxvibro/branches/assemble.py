@@ -1,4 +1,4 @@
-"""From the pieces of a walk to a `Branch`: its data, segments and special points."""
+"""Assemble a `Branch` from continued segments: data, segments and special points."""
 
 from dataclasses import replace
 
@@ -21,8 +21,10 @@ START_REASON = End.START.reason()
 
 
 def assemble_branch(scene, name, bounds, settings, backward, forward, start_reason=START_REASON):
-    """The `Branch` of what was walked from a start backwards and onwards; either may be None. start_reason: the
-    `Reason` of that end."""
+    """Assemble the `Branch` of the segments that were followed backward and forward from a start.
+
+    Either direction may be None; `start_reason` is then the `Reason` of that end.
+    """
     branch_segments = [reverse_segment(segment) for segment in reversed(backward.segments)] if backward else []
     if backward and forward:
         branch_segments[-1] = join_segments([branch_segments[-1], forward.segments[0]])
@@ -38,7 +40,7 @@ def assemble_branch(scene, name, bounds, settings, backward, forward, start_reas
 
 
 def merge_branches(first_branch, second_branch):
-    """Two branches as one, the second, of two points at least, beginning where the first ends."""
+    """Merge two branches; the second has at least two points and begins where the first ends."""
     index_shift = len(first_branch) - 1
     max_impacts = max(first_branch.data.sizes["impact"], second_branch.data.sizes["impact"])
     second_data = second_branch.data.isel(point=slice(1, None))
@@ -64,7 +66,7 @@ def merge_branches(first_branch, second_branch):
 
 
 def _pad_impacts(data, max_impacts):
-    """The data with room for so many impacts."""
+    """Pad the impact dimension of the data."""
     padding = {"impact": (0, max_impacts - data.sizes["impact"])}
     if not padding["impact"][1]:
         return data
@@ -73,7 +75,7 @@ def _pad_impacts(data, max_impacts):
 
 
 def _build_data(scene, name, bounds, branch_segments):
-    """(the data, `Segment`s, `Special`s) of the pieces. Raises ImpossibleError."""
+    """Return data, segments and special points of continued segments. Raises ImpossibleError."""
     max_impacts = max(int(np.sum(entry.args.sequence.sides != 0)) for entry in branch_segments)
     segment_columns = [
         dataset_columns(entry, name, max_impacts, segment_index) for segment_index, entry in enumerate(branch_segments)
@@ -104,7 +106,7 @@ def _build_data(scene, name, bounds, branch_segments):
             row_index = first_row + special_index.row
             is_duplicate = (
                 special_index.kind == "GR" and row_index - 1 in grazing_rows
-            )  # the same grazing, met from the other piece
+            )  # the same grazing, located from the other segment
             if not is_duplicate:
                 special_points.append(_make_special(scene, name, bounds, special_index, row_index, row_at(row_index)))
             if special_index.kind == "GR":
@@ -122,7 +124,7 @@ def _build_data(scene, name, bounds, branch_segments):
 
 
 def dataset_columns(segment, name, max_impacts, segment_index):
-    """What a branch's data have of a piece: {name: array}, a row a point."""
+    """Return the columns of a branch's data for one segment, ``{name: array}`` with one row per point."""
     z, tangent, diagnostics = segment.points.z, segment.points.tangent, segment.diagnostics
     n_impacts, n_rows, n_points = (
         int(np.sum(segment.args.sequence.sides != 0)),
@@ -160,7 +162,7 @@ def dataset_columns(segment, name, max_impacts, segment_index):
 
 
 def column_descriptions(name):
-    """The dimensions, what it is and the units of each column."""
+    """Return dimensions and attributes of each column. The long names are stored in files."""
 
     def describe(long_name, units, *dimensions):
         return ("point", *dimensions), {"long_name": long_name, "units": units}
@@ -202,7 +204,7 @@ def _make_special(scene, name, bounds, special_index, row_index, row):
 
 
 def _orbit_row_of_exit(grazing_exit):
-    """The `OrbitPoint` of an `GrazingExit`."""
+    """Return the `OrbitPoint` close to a grazing on a `GrazingExit`."""
     problem, z = grazing_exit.problem, grazing_exit.nearby_z
     n_impacts, n_rows = int(np.sum(problem.sequence.sides != 0)), len(problem.sequence.sides)
     diagnostics = grazing_exit.diagnostics

@@ -1,4 +1,4 @@
-"""A branch of periodic orbits along a parameter, and the special points on it."""
+"""Branches of periodic orbits along one parameter, and their special points."""
 
 import json
 from dataclasses import dataclass, field
@@ -31,7 +31,7 @@ from .curves import Curves, make_curves
 from .normal_form import NormalForm
 from .orbit_columns import orbit_columns
 
-STEP_SETTINGS = ("first_step", "largest_step", "tolerance")  # of the settings
+STEP_SETTINGS = ("first_step", "largest_step", "tolerance")  # settings that are saved
 
 KIND_NAMES = {
     "SN": "saddle-node",
@@ -43,16 +43,27 @@ KIND_NAMES = {
     "R3": "1:3 resonance",
     "R4": "1:4 resonance",
     "GR": "grazing",
-    "CH": "rest after chatter",
-    "RL": "release within a rest",
+    "CH": "complete chatter",
+    "RL": "release while sticking",
     "EP": "end",
 }
 
 
 @dataclass(frozen=True)
 class Segment:
-    """A stretch of a branch with one itinerary. first, last: the places of its points; label; itinerary: at its first
-    point, a word a period (where an impact crosses phase 0 the words change, not the order of the walls)."""
+    """Part of a branch with one itinerary.
+
+    Where an impact crosses phase 0 the words of the itinerary change within a segment. The order of the walls does not.
+
+    Attributes
+    ----------
+    first, last : int
+        Indices of its first and last point.
+    label : str
+        Label P n p q of its orbits.
+    itinerary : tuple of str
+        Walls hit at its first point, one word for each drive period.
+    """
 
     first: int
     last: int
@@ -62,17 +73,47 @@ class Segment:
 
 @dataclass(frozen=True, eq=False)
 class Special(SpecialOrbit):
-    """A special point of a branch.
+    """Special point of a branch.
 
-    kind: SN, SB (symmetry breaking), BP (other branch point), PD, NS (Neimark-Sacker), NSA (neutral saddle), R3, R4
-    (resonances 1:3, 1:4), GR, CH (a chatter just ends in rest), RL (a wall lets go within a rest), EP (end), or a
-    monitor's name. name, value: of
-    the parameter. bounds: of the branch. scene: at the value. itinerary: the walls hit, a word a period. multipliers:
-    the larger first, infinite at an impact without speed. residual: the largest error left in the point's equations.
-    place: among the branch's points. spot: the orbit in plain numbers; slopes: its unit tangent (times, speeds, the
-    parameter); joins: spots of the orbits that meet at a GR, a little on; aside: which of them the branch does not go
-    on with.
-    saved: the normal form as a file had it.
+    Attributes
+    ----------
+    kind : str
+        ``"SN"`` (saddle-node), ``"SB"`` (symmetry breaking), ``"BP"`` (other branch point), ``"PD"`` (period doubling),
+        ``"NS"`` (Neimark-Sacker), ``"NSA"`` (neutral saddle, not a bifurcation), ``"R3"`` and ``"R4"`` (resonances 1:3
+        and 1:4), ``"GR"`` (grazing), ``"CH"`` (complete chatter), ``"RL"`` (release inside an orbit that sticks),
+        ``"EP"`` (end), or the label of a monitor.
+    name : str
+        Name of the parameter.
+    value : float
+        Value of the parameter.
+    bounds : tuple of float
+        Bounds of the branch.
+    scene : Scene
+        Scene at `value`.
+    itinerary : tuple of str
+        Walls hit, one word for each drive period.
+    multipliers : ndarray
+        Floquet multipliers, complex array of shape (2,), the larger first. Infinite at an impact with zero speed.
+    residual : float
+        Largest residual of the equations of the point.
+    place : int
+        Index among the points of the branch.
+    spot : OrbitPoint
+        The orbit as plain numbers.
+    slopes : ndarray
+        Unit tangent of the branch: times, speeds and parameter, array of shape (2 * impacts + 1,).
+    joins : tuple of OrbitPoint
+        At a GR, one orbit close to the point on each branch that emanates from it.
+    aside : tuple of bool
+        For each entry of `joins`, whether the branch does not continue along it.
+    saved : NormalForm or None
+        Normal form read from a file.
+
+    Examples
+    --------
+    >>> special = branch.points("GR")[0]
+    >>> special.kind, special.name, special.label
+    ('GR', 'amplitude', 'P111')
     """
 
     kind: str
@@ -92,14 +133,17 @@ class Special(SpecialOrbit):
 
     @cached_property
     def normal_form(self) -> NormalForm | None:
-        """The `NormalForm` of an SN, PD, SB or GR: on which side the others are, and the consequence. None of other
-        kinds, of an orbit without impacts but at a GR, and where the equations are too singular to say."""
+        """Normal form of an SN, PD, SB or GR.
+
+        It gives the side on which the other orbits exist, and the consequence for a stable motion. It is None for other
+        kinds, for orbits without impacts except at a GR, and where the equations are too singular.
+        """
         arguments = self.kind, self.name, self.scene, self.spot, self.multipliers, self.joins
         return self.saved or forms.make_normal_form(*arguments)
 
     @cached_property
     def meets(self) -> tuple[Orbit, ...]:
-        """The `Orbit`s that meet at a GR, each a little on from it, one for every branch that leaves the point."""
+        """Orbits close to a GR, one `Orbit` for each branch that emanates from it."""
         return tuple(
             orbit_from_row(self.scene.replace(**{self.name: neighbour.value}), neighbour) for neighbour in self.joins
         )
@@ -107,11 +151,39 @@ class Special(SpecialOrbit):
 
 @dataclass(frozen=True, eq=False)
 class Branch(OrbitRows[Special]):
-    """A branch of periodic orbits.
+    """Branch of periodic orbits.
 
-    name: the parameter; bounds: of it; scene: at the start; data: an xarray.Dataset with a row a point, in order along
-    the branch (see `jaxvibro.follow`); segments: stretches of one itinerary; special: special points in order; reasons:
-    why it ends, at its first and at its last point; settings: steps and tolerance; ends: the `End` of each reason.
+    Attributes
+    ----------
+    name : str
+        Name of the parameter.
+    bounds : tuple of float
+        Lower and upper bound of the parameter.
+    scene : Scene
+        Scene at the start.
+    data : xarray.Dataset
+        One row per point, in order along the branch. `follow` describes the columns.
+    segments : tuple of Segment
+        Parts with one itinerary.
+    special : tuple of Special
+        Special points, in order.
+    reasons : tuple of str
+        Reasons for the ends at the first and at the last point.
+    settings : dict
+        Step lengths, tolerance, monitors and stops.
+    ends : tuple of End
+        Kinds of the two ends.
+
+    See Also
+    --------
+    follow : Continue a periodic orbit in one parameter.
+
+    Examples
+    --------
+    >>> branch.name, branch.bounds
+    ('amplitude', (0.0, 6.0))
+    >>> [special.kind for special in branch.special]
+    ['EP', 'GR', 'SN', 'SB', 'EP']
     """
 
     name: str
@@ -132,22 +204,35 @@ class Branch(OrbitRows[Special]):
 
     @property
     def values(self) -> Float[np.ndarray, " points"]:
-        """The parameter's value at each point, (points,)."""
+        """Value of the parameter at each point, array of shape (points,)."""
         return self.data[self.name].values
 
     @property
     def stable(self) -> Bool[np.ndarray, " points"]:
-        """Whether each point's orbit is stable, (points,)."""
+        """Stability of each point's orbit, boolean array of shape (points,)."""
         return self.data["stable"].values.astype(bool)
 
     def located(self, place: int) -> tuple[Scene, OrbitPoint]:
-        """(the scene at a point, its `OrbitPoint`)."""
+        """Return the scene and the orbit at a point.
+
+        Parameters
+        ----------
+        place : int
+            Index of the point.
+
+        Returns
+        -------
+        scene : Scene
+            Scene at the point.
+        orbit_row : OrbitPoint
+            Orbit as plain numbers.
+        """
         orbit_row = parse_orbit_row(dataset_row(self.data, place), self.name)
         return scene_at_value(self.scene, self.name, orbit_row.value), orbit_row
 
     @property
     def content(self) -> bytes:
-        """The bytes of the file that `save` writes."""
+        """Bytes of the file that `save` writes."""
         special_entries = [
             [
                 entry.kind,
@@ -176,12 +261,31 @@ class Branch(OrbitRows[Special]):
         return netcdf_bytes(self.data.assign_attrs(attrs))
 
     def table(self, units: str = "scene", labels: str = "jaxvibro") -> str:
-        """The special points as a text, a line each, and why the branch ends.
+        """Format the special points and the reasons for the ends.
 
-        units: "scene", or "physical" (Hz, N, mm, ...) of a scene that has scales; labels: what kinds are called,
-        "jaxvibro", "auto" (AUTO-07p) or "matcont". stability: of the orbits before and after the point.
+        The column ``stability`` describes the orbits before and after each point.
 
-        Raises ArgumentError for other units and labels, and where the scene has no scales.
+        Parameters
+        ----------
+        units : {"scene", "physical"}, optional
+            Unit system. ``"physical"`` (Hz, N, mm, ...) needs a scene with scales.
+        labels : {"jaxvibro", "auto", "matcont"}, optional
+            Names of the kinds: those of this project, of AUTO-07p or of MatCont.
+
+        Returns
+        -------
+        str
+            One line per special point, then the reason for each end.
+
+        Raises
+        ------
+        ArgumentError
+            If `units` or `labels` is unknown, or the scene has no scales.
+
+        Examples
+        --------
+        >>> print(branch.table().splitlines()[0].split()[:3])
+        ['kind', 'amplitude', 'orbit']
         """
         unit, factor = unit_in_system(self.scene, unit_of(self.name), units)
         header = column_header(self.name, unit, units)
@@ -215,12 +319,30 @@ class Branch(OrbitRows[Special]):
         return "\n".join([align_columns(rows), *end_lines])
 
     def to_frame(self, units: str = "scene") -> pd.DataFrame:
-        """A row a point, a pandas.DataFrame: kind of the special point there, if it is one, the parameter, the orbit's
-        label, its stability in words, x and v at phase 0, the least and largest speed before an impact, the least
-        clearance, the work rate of impacts at rigid walls (the energy that they take, over time), and the multipliers.
+        """Convert the points to a pandas DataFrame.
 
-        units: "scene", or "physical" (Hz, N, mm, m/s, W) of a scene that has scales, the columns' names then telling
-        them. Raises ArgumentError for other units, and where the scene has no scales.
+        Parameters
+        ----------
+        units : {"scene", "physical"}, optional
+            Unit system. ``"physical"`` (Hz, N, mm, m/s, W) needs a scene with scales. The units are then part of the
+            column names.
+
+        Returns
+        -------
+        pandas.DataFrame
+            One row per point: kind of the special point if the point is one, parameter, label of the orbit, stability
+            in words, x and v at phase 0, least and largest speed before an impact, least clearance, rate at which
+            impacts at rigid walls take energy, and multipliers.
+
+        Raises
+        ------
+        ArgumentError
+            If `units` is unknown, or the scene has no scales.
+
+        Examples
+        --------
+        >>> list(branch.to_frame().columns[:4])
+        ['kind', 'amplitude', 'label', 'stability']
         """
         labels = np.repeat(
             [segment.label for segment in self.segments],
@@ -230,19 +352,49 @@ class Branch(OrbitRows[Special]):
         return make_dataframe(self.scene, {"kind": ("", special_kinds(self.special, len(self))), **columns}, units)
 
     def curves(self, variable: str = "x") -> Curves:
-        """The `Curves` of one variable, ready to plot: stable and unstable pieces, and the special points.
+        """Return one variable along the branch as arrays for plotting.
 
-        variable: "x" or "v" at phase 0 of each drive period, a column each; "speed", the largest before an impact,
-        "least_speed", "clearance", the least, and "peak", the largest abs x, one column. A line breaks where an impact
-        crosses phase 0: the velocity jumps there, though the branch goes on.
+        A line breaks where an impact crosses phase 0: the velocity at phase 0 jumps there, although the branch
+        continues.
 
-        Raises ArgumentError for other variables.
+        Parameters
+        ----------
+        variable : {"x", "v", "clearance", "speed", "least_speed", "peak"}, optional
+            ``"x"`` and ``"v"`` at phase 0 of each drive period, one column per period. The others have one column:
+            the least clearance, the largest and the least speed before an impact, and the largest ``|x|``.
+
+        Returns
+        -------
+        Curves
+            Stable and unstable pieces, and the special points.
+
+        Raises
+        ------
+        ArgumentError
+            If `variable` is unknown.
+
+        Examples
+        --------
+        >>> curves = branch.curves("x")
+        >>> curves.pieces[0].columns.shape[1]
+        1
         """
         return make_curves(self, variable)
 
 
 def end_values(branch):
-    """The parameter's values at the ends of a branch, of a closed one the least and the largest."""
+    """Return the parameter values at the ends of a branch.
+
+    Parameters
+    ----------
+    branch : Branch
+        Branch.
+
+    Returns
+    -------
+    tuple of float
+        First and last value; the least and the largest value of a closed branch.
+    """
     values = branch.values
     return (values.min(), values.max()) if End.CLOSED in branch.ends else (values[0], values[-1])
 
@@ -250,8 +402,21 @@ def end_values(branch):
 def describe_extent(branch, factor=1.0, digits=12):
     """Describe the parameter values of a branch as a text.
 
-    A closed branch has its range. Others have the first and the last value, and the range where they go beyond these.
-    factor: of the scene's unit in that of the text; digits: significant ones.
+    A closed branch has its range. Others have the first and the last value, and the range if it extends beyond these.
+
+    Parameters
+    ----------
+    branch : Branch
+        Branch.
+    factor : float, optional
+        Unit of the scene in the unit of the text.
+    digits : int, optional
+        Number of significant digits.
+
+    Returns
+    -------
+    str
+        Description, such as ``"from 2 to 6"``.
     """
     values = factor * branch.values
     first_value, last_value, lower, upper = (
@@ -265,11 +430,23 @@ def describe_extent(branch, factor=1.0, digits=12):
 
 
 def _plain_values(orbit_row):
+    """Convert an `OrbitPoint` to a list of plain numbers."""
     return [entry.tolist() if isinstance(entry, np.ndarray) else entry for entry in orbit_row]
 
 
 def neighbour_labels(special):
-    """The labels of the orbits that meet at a special point, each with the side of the parameter it is on."""
+    """Label the orbits that meet at a special point.
+
+    Parameters
+    ----------
+    special : Special
+        Special point.
+
+    Returns
+    -------
+    list of str
+        Label of each orbit, followed by ``">"`` or ``"<"`` for the side of the parameter on which it lies.
+    """
     labels = []
     for neighbour in special.joins:
         frequency = frequency_at(special.scene, special.name, neighbour.value)
@@ -279,12 +456,42 @@ def neighbour_labels(special):
 
 
 def frequency_at(scene, name, value):
-    """The drive's frequency where a parameter has a value."""
+    """Return the drive frequency at a value of a parameter.
+
+    Parameters
+    ----------
+    scene : Scene
+        Scene.
+    name : str
+        Name of the parameter.
+    value : float
+        Value of the parameter.
+
+    Returns
+    -------
+    float
+        Drive frequency.
+    """
     return value if name == "frequency" else float(scene.frequency)
 
 
 def scene_at_value(scene, name, value):
-    """The scene where a parameter has a value that a branch came to: checked when it was followed, and not again."""
+    """Return the scene at a parameter value of a branch without checking it again.
+
+    Parameters
+    ----------
+    scene : Scene
+        Scene.
+    name : str
+        Name of the parameter.
+    value : float
+        Value of the parameter.
+
+    Returns
+    -------
+    Scene
+        Scene with this value.
+    """
     changed_scene = replace_unchecked(scene, {name: value})
     return map_numbers(
         lambda leaf: leaf if isinstance(leaf, jax.Array) else jnp.asarray(np.asarray(leaf, scene.dtype)), changed_scene
@@ -292,7 +499,7 @@ def scene_at_value(scene, name, value):
 
 
 def make_special(scene, name, bounds, index, row, kind, residual, neighbours=(), not_followed=(), saved=None):
-    """The `Special` at a `dataset_row` a branch's data."""
+    """Make the `Special` of one row of a branch's data."""
     orbit_row = parse_orbit_row(row, name)
     multipliers = row["multiplier_real"] + 1j * row["multiplier_imag"]
     scene = scene_at_value(scene, name, orbit_row.value)

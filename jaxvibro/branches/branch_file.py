@@ -1,4 +1,4 @@
-"""The file of a branch, read: every field is held against what its `save` writes."""
+"""Read the file of a branch and check every field against the format that `save` writes."""
 
 from os import PathLike
 
@@ -30,7 +30,7 @@ DIMENSIONS |= dict.fromkeys(("x", "v"), ("point", "period"))
 DIMENSIONS |= dict.fromkeys(("multiplier_real", "multiplier_imag"), ("point", "multiplier"))
 FINITE_COLUMNS = ("x", "v", "residual", "value_slope")
 Itinerary = tuple[str, ...]
-NeighbourFields = tuple[float, list[float], list[float], list[float], int, float, float, float]  # a `OrbitPoint`
+NeighbourFields = tuple[float, list[float], list[float], list[float], int, float, float, float]  # an `OrbitPoint`
 NormalFormFields = tuple[
     float, int, float, list[float], list[tuple[int, float, float, float]], str, str
 ]  # a `NormalForm`
@@ -41,30 +41,79 @@ SpecialFields = tuple[
 
 @check.host_only("use what was loaded before")
 def load_branch(path: str | PathLike[str]) -> Branch:
-    """The `Branch` of a file that `Branch.save` wrote. Monitors and stops are not kept.
+    """Read a branch from a file that `Branch.save` wrote.
 
-    A file of before, without a checksum, is read with a warning. Raises ArgumentError where the file is damaged or no
-    branch, OSError where it cannot be read.
+    Monitors and stops are not stored. A file of an older version, without a checksum, is read with a warning.
+
+    Parameters
+    ----------
+    path : str or path-like
+        File name.
+
+    Returns
+    -------
+    Branch
+        The branch.
+
+    Raises
+    ------
+    ArgumentError
+        If the file is damaged or does not hold a branch.
+    OSError
+        If the file cannot be read.
+
+    Examples
+    --------
+    >>> import tempfile, pathlib
+    >>> path = pathlib.Path(tempfile.mkdtemp()) / "branch.nc"
+    >>> branch.save(path)
+    >>> len(jv.load_branch(path)) == len(branch)
+    True
     """
     return read_checked(path, parse_branch)
 
 
 @check.host_only("use what was loaded before")
 def load_held_branch(path: str | PathLike[str]) -> HeldBranch:
-    """The `HeldBranch` of a file that `HeldBranch.save` wrote.
+    """Read a held branch from a file that `HeldBranch.save` wrote.
 
-    Raises ArgumentError where the file is damaged or no such branch, OSError where it cannot be read.
+    Parameters
+    ----------
+    path : str or path-like
+        File name.
+
+    Returns
+    -------
+    HeldBranch
+        The curve.
+
+    Raises
+    ------
+    ArgumentError
+        If the file is damaged or does not hold such a curve.
+    OSError
+        If the file cannot be read.
+
+    Examples
+    --------
+    >>> import tempfile, pathlib
+    >>> bounds = {"amplitude": (1.0, 4.0), "frequency": (2.0, 2.2)}
+    >>> held = jv.follow(orbit, ("amplitude", "frequency"), bounds, hold={"least_speed": 1.0}, max_points=10)
+    >>> path = pathlib.Path(tempfile.mkdtemp()) / "held.nc"
+    >>> held.save(path)
+    >>> len(jv.load_held_branch(path)) == len(held)
+    True
     """
     return read_checked(path, lambda content, path: read_record(content, path, "HeldBranch", _build_held_branch))
 
 
 def parse_branch(content, path):
-    """The `Branch` of a file's bytes. Raises ArgumentError."""
+    """Parse the bytes of a branch's file. Raises ArgumentError."""
     return read_record(content, path, "Branch", _build_branch)
 
 
 def _build_branch(data):
-    """The `Branch` of a file's data. Raises an error of one kind or another where its fields are no branch's."""
+    """Build the `Branch` of a file's data. Raises various errors if fields are invalid."""
     attrs = data.attrs
     name, bounds = str(attrs["parameter"]), tuple(float(value) for value in attrs["bounds"])
     require_bounds(bounds)
@@ -98,14 +147,14 @@ def _build_branch(data):
     settings |= {"monitors": {}, "stop": ()}
     saved_entries = (
         decode_field(attrs, "ends", tuple[str, str]) if "ends" in attrs else None
-    )  # files of before have texts alone
+    )  # older files store only the texts
     ends = tuple(map(parse_end, reasons)) if saved_entries is None else tuple(End[value] for value in saved_entries)
     data.attrs = {"parameter": name, **scales_attributes(scene)}
     return Branch(name, bounds, scene, data, segments, tuple(special_points), reasons, settings, ends)
 
 
 def _build_held_branch(data):
-    """The `HeldBranch` of a file's data, likewise."""
+    """Build the `HeldBranch` of a file's data. Raises various errors if fields are invalid."""
     attrs = data.attrs
     bounds = decode_field(attrs, "bounds", dict[str, tuple[float, float]])
     names, held, value = tuple(bounds), str(attrs["held"]), float(attrs["value"])

@@ -1,4 +1,4 @@
-"""Whether an orbit that was found at a value of the parameter lies on a branch."""
+"""Test whether an orbit at a parameter value lies on a branch."""
 
 import numpy as np
 
@@ -10,13 +10,13 @@ from ..problem.orbit_conversion import correct_to_value
 from ..problem.orbit_point import impact_points, set_up_problem
 from ..problem.orbit_rows import dataset_row, parse_orbit_row
 
-PREFILTER_TOLERANCE = 0.15  # of a branch's largest x and v: a state so near to its points is looked at more closely
-ORBIT_TOLERANCE = 1e-5  # of the largest speed: an orbit with impacts as near is on the branch
-CHATTER_TOLERANCE = 1e-4  # of the largest x and v: the same of one that rests, as a start has settled on it
+PREFILTER_TOLERANCE = 0.15  # relative to the largest x and v of the branch; closer states are tested by Newton's method
+ORBIT_TOLERANCE = 1e-5  # relative to the largest speed; largest difference of impacts of one orbit
+CHATTER_TOLERANCE = 1e-4  # relative to the largest x and v; largest difference of states of one orbit that sticks
 
 
 def is_on_branch(seed_orbit, branch):
-    """Whether what a probe settled on is an orbit of a branch."""
+    """Test whether a seed orbit lies on a branch."""
     if branch.data.sizes["period"] != seed_orbit.orbit_row.periods:
         return False
     value_offsets, branch_states = (
@@ -33,13 +33,13 @@ def is_on_branch(seed_orbit, branch):
 
 
 def _are_states_near(seed_orbit, branch_states, max_distance):
-    """Whether a probe's states are as near to those of one of some points of a branch, counted from any period."""
+    """Test whether the states of a seed orbit are near those of some points of a branch, counted from any period."""
     rotations = [np.roll(states, k, axis=0) for states in branch_states for k in range(len(states))]
     return any(abs(rotated - seed_orbit.section_states).max() < max_distance for rotated in rotations)
 
 
 def _converges_to_orbit(seed_orbit, branch, row_before):
-    """Whether Newton's method leads from one of a branch's two points to the very orbit."""
+    """Test whether Newton's method leads from one of two points of a branch to the seed orbit."""
     orbit_rows = (parse_orbit_row(dataset_row(branch.data, k), branch.name) for k in (row_before, row_before + 1))
     return any(
         correct_to_seed_orbit(seed_orbit, *set_up_problem(branch.scene, branch.name, orbit_row)) is not None
@@ -48,7 +48,10 @@ def _converges_to_orbit(seed_orbit, branch, row_before):
 
 
 def correct_to_seed_orbit(seed_orbit, problem, z):
-    """(along, z) at a probe's value, None where Newton's method does not come to its orbit from z."""
+    """Correct z to the parameter value of a seed orbit by Newton's method.
+
+    Returns the equations and z at this value, or None if the method does not converge to the seed orbit.
+    """
     point = correct_to_value(problem, z, seed_orbit.orbit_row.value)
     return (problem, point.z) if point.converged and _is_seed_orbit(seed_orbit, problem, point.z) else None
 
@@ -56,7 +59,7 @@ def correct_to_seed_orbit(seed_orbit, problem, z):
 def _is_seed_orbit(seed_orbit, problem, z):
     if seed_orbit.has_chatter:
         diagnostics, state_scale = diagnose(problem, z[None]), abs(seed_orbit.section_states).max()
-        rotated = np.roll(seed_orbit.section_states, 1, axis=0)  # the last is at phase 0 too
+        rotated = np.roll(seed_orbit.section_states, 1, axis=0)  # the last state is at phase 0
         return abs(np.stack([diagnostics.x[0], diagnostics.v[0]], 1) - rotated).max() < CHATTER_TOLERANCE * max(
             1.0, state_scale
         )

@@ -1,4 +1,4 @@
-"""A branch and those that leave it, and those that leave these: `BranchTree`, `follow_tree`."""
+"""Follow a branch and, recursively, the branches that emanate from its special points."""
 
 from dataclasses import replace
 
@@ -17,28 +17,53 @@ from .follow import follow
 from .mirror_image import mirror_branch
 from .switch import FIRST_STEP, branch_starts, follow_from_start
 
-MAX_BRANCHES = 64  # branches
+MAX_BRANCHES = 64
 VALUE_TOLERANCE, IMPACT_TOLERANCE = (
     1e-8,
     1e-6,
-)  # two special points as near in the parameter and in their impacts are one
-IDENTIFYING_KINDS = ("SN", "PD", "SB", "BP")  # points that are on one branch alone, or where one ends
-OFFSET = 1e-3  # along its tangent a branch is told from one of repeated orbits
-BRANCHING_KINDS = ("SB", "BP", "PD")  # points that other branches leave; at a GR a branch goes on by itself
+)  # largest differences of the parameter and of the impacts of identical special points
+IDENTIFYING_KINDS = ("SN", "PD", "SB", "BP")  # kinds that lie on one branch only, or at which a branch ends
+OFFSET = 1e-3  # arclength along the tangent at which repeated orbits are recognised
+BRANCHING_KINDS = ("SB", "BP", "PD")  # kinds from which branches emanate; a branch continues through a GR by itself
 
 
 def follow_tree(orbit, name, bounds, max_period=1, progress=None, largest_step=0.1, max_seconds=None):
-    """The branch through an orbit, and those that leave its special points and theirs: a tuple of `Branch`.
+    """Follow a branch and, recursively, the branches that emanate from its special points.
 
-    orbit, name, bounds, largest_step: as in `follow`. max_period: drive periods of the longest orbits that are switched
-    to at a period doubling; 1: none are. progress: called with the number of branches so far.
+    Parameters
+    ----------
+    orbit : Orbit
+        Starting orbit.
+    name : str
+        Continuation parameter.
+    bounds : tuple of float
+        Lower and upper bound.
+    max_period : int, optional
+        Largest number of drive periods of the orbits followed at period doublings. 1 follows none.
+    progress : callable, optional
+        Called with the number of branches.
+    largest_step : float, optional
+        Largest continuation step.
+    max_seconds : float, optional
+        Wall-clock time in s. Then a branch may end early, and later branches are not followed. None is no limit.
 
-    Each SB, BP and PD is left once, in the order in which they are found, the first branch being that of the orbit; a
-    branch that has been walked from its other end is left out. In a symmetric scene a branch is followed by its mirror
-    image, unless it is its own. There are at most 64. max_seconds: wall-clock time, s; None is no limit. Then a branch
-    may end where the time was over, and those that would leave it later are not followed.
+    Returns
+    -------
+    tuple of Branch
+        At most 64 branches, that of the orbit first.
 
-    Raises ArgumentError and OrbitError as `follow` does.
+    Raises
+    ------
+    ArgumentError
+        If an argument is invalid, as in `follow`.
+    OrbitError
+        If the start is not an orbit, as in `follow`.
+
+    Notes
+    -----
+    The branches of each SB, BP and PD are followed once, in the order in which the points are found. A branch that was
+    followed from its other end is omitted. In a symmetric scene each branch is followed by its mirror image, unless it
+    is its own.
     """
     limits = limits_of(None, max_seconds, None, ArgumentError)
     step_settings = {"largest_step": largest_step, "tolerance": 1e-10, "monitors": {}, "stop": (), "limits": limits}
@@ -51,8 +76,27 @@ def follow_tree(orbit, name, bounds, max_period=1, progress=None, largest_step=0
 
 
 class BranchTree:
-    """branches: the branches so far; processed_points: (branch, special point) of those that have been left, by their
-    places; symmetric: whether the mirror image of an orbit is one."""
+    """Set of branches that grows by the branches that emanate from its special points.
+
+    Parameters
+    ----------
+    bounds : tuple of float
+        Bounds of the parameter.
+    max_period : int
+        Largest number of drive periods at period doublings.
+    max_branches : int
+        Largest number of branches.
+    step_settings : dict
+        Settings of the continuation.
+    branches : list of Branch
+        Known branches.
+    processed_points : list of tuple of int
+        Indices (branch, special point) of the points whose branches have been followed.
+    symmetric : bool
+        Whether the mirror image of an orbit is an orbit.
+    progress : callable or None
+        Called with the number of branches.
+    """
 
     def __init__(
         self, bounds, max_period, max_branches, step_settings, branches, processed_points, symmetric, progress
@@ -72,11 +116,11 @@ class BranchTree:
 
     @property
     def is_exhausted(self):
-        """Return True if there is no room for another branch, or no time."""
+        """True if the largest number of branches, or the time limit, is reached."""
         return len(self.branches) >= self.max_branches or self.step_settings.get("limits", UNLIMITED).expired
 
     def contains(self, branch):
-        """Whether a branch is one of those found: it has a special point that is theirs."""
+        """Test whether a branch is known, by a special point that it shares with a known branch."""
         known_points = [special for known_branch in self.branches for special in known_branch.special]
         return any(
             is_same_point(special, known_point)
@@ -86,7 +130,7 @@ class BranchTree:
         )
 
     def follow_special_points(self):
-        """Leaves every special point of the branches that has not been left, in turn."""
+        """Follow the branches of every special point that has not been processed, in turn."""
         followed_points = [
             entry
             for branch_index, point_index in self.processed_points
@@ -112,10 +156,11 @@ class BranchTree:
             branch_index += 1
 
     def _with_mirror_image(self, special):
-        """A special point, and in a symmetric scene its mirror image."""
+        """Return a special point, and in a symmetric scene its mirror image."""
         return [special, _mirrored_point(special)] if self.symmetric else [special]
 
     def _follow_from(self, branch_index, special):
+        """Follow the branches of one special point."""
         if _is_on_other_branch(special, branch_index, self.branches, self.symmetric):
             return
         for start in _new_starts(special):
@@ -123,10 +168,10 @@ class BranchTree:
             if len(branch) > 1 and not self._is_known(branch):
                 self.add(branch)
             if self.symmetric and special.kind == "SB" and not _is_own_mirror(branch):
-                break  # the other half is the mirror image; those of symmetric orbits are two
+                break  # the other half is the mirror image; branches of symmetric orbits need both halves
 
     def _is_known(self, branch):
-        """Return True if a branch, or its mirror image, retraces one found earlier.
+        """Test whether a branch, or its mirror image, retraces an earlier branch.
 
         Mirror images count only for earlier branches that contain their own mirror images.
         """
@@ -140,7 +185,7 @@ class BranchTree:
         )
 
     def add(self, branch):
-        """One branch more, and in a symmetric scene its mirror image."""
+        """Add a branch, and in a symmetric scene its mirror image."""
         self.branches.append(branch)
         if self.symmetric and not _is_own_mirror(branch):
             self.branches.append(mirror_branch(branch))
@@ -149,7 +194,7 @@ class BranchTree:
 
 
 def _needs_following(special, max_period):
-    """Whether branches are to be followed from a special point."""
+    """Test whether the branches of a special point should be followed."""
     if special.kind not in BRANCHING_KINDS or special.place == 0:
         return False
     if special.kind == "PD":
@@ -158,16 +203,16 @@ def _needs_following(special, max_period):
 
 
 def _new_starts(special):
-    """The starts of a point's branches, but for orbits that are shorter ones, repeated."""
+    """Return the starts of a point's branches, except those of shorter orbits that are repeated."""
     try:
         all_starts = branch_starts(special)
-    except ValueError:  # the equations say that no branches cross there
+    except ValueError:  # no branches cross there
         return []
     return [start for start in all_starts if not is_repeated(start[0], start[1].z + OFFSET * start[1].tangent)]
 
 
 def _is_on_other_branch(special, source_index, branches, symmetric):
-    """Return True if another branch passes through a point, so that the crossing branch is already known.
+    """Test whether another branch passes through a point, so that the crossing branch is known.
 
     The mirror image of the point's own branch does not count, because it passes through each SB of that branch.
     """
@@ -186,8 +231,7 @@ def _is_on_other_branch(special, source_index, branches, symmetric):
 
 
 def _is_retraced(branch, earlier_branch):
-    """Whether a branch ends in the very orbit in which an earlier one does, with as many impacts: it is that one, or
-    that one the other way round."""
+    """Test whether a branch ends in the same orbit as an earlier one, so that it is that branch or its reverse."""
     last_point, earlier_last_point = branch.special[-1], earlier_branch.special[-1]
     return branch.segments[-1].label == earlier_branch.segments[-1].label and has_same_orbit(
         last_point, earlier_last_point
@@ -195,7 +239,18 @@ def _is_retraced(branch, earlier_branch):
 
 
 def mirror_images(branches):
-    """{place: the place of an earlier branch whose mirror image it is} of branches along one parameter."""
+    """Find the branches that are mirror images of earlier ones.
+
+    Parameters
+    ----------
+    branches : sequence of Branch
+        Branches along one parameter.
+
+    Returns
+    -------
+    dict of int to int
+        Index of the earlier branch for the index of each mirror image.
+    """
     original_of: dict[int, int] = {}
     for branch_index, branch in enumerate(branches):
         if not stays_symmetric(branch.scene, branch.name):
@@ -208,7 +263,7 @@ def mirror_images(branches):
 
 
 def _is_mirror(first_branch, second_branch):
-    """Return True if the mirror images of a branch's special points are those of another."""
+    """Test whether the mirror images of a branch's special points are those of another branch."""
     first_points, second_points = _identifying_points(first_branch), _identifying_points(second_branch)
     if not first_points or len(first_points) != len(second_points):
         return False
@@ -219,7 +274,7 @@ def _is_mirror(first_branch, second_branch):
 
 
 def _is_own_mirror(branch):
-    """Return True if a branch contains the mirror images of its orbits.
+    """Test whether a branch contains the mirror images of its orbits.
 
     It does if it passes through an SB, or if the mirror images of all its special points lie on it.
     """
@@ -230,27 +285,26 @@ def _is_own_mirror(branch):
 
 
 def _identifying_points(branch):
-    """The special points that tell a branch from others: all but the EPs of a closed one, which lie where it was
-    started."""
+    """Return the special points that identify a branch: all except the EPs of a closed one, which lie at its start."""
     if End.CLOSED not in branch.ends:
         return branch.special
     return tuple(special for special in branch.special if special.kind != "EP")
 
 
 def _mirrored_point(special):
-    """A special point with the impacts on the other walls, half a period later: enough to tell its mirror image."""
+    """Return a special point with the impacts on the other walls half a drive period later, for comparisons."""
     orbit_row = special.spot
     half_period = np.pi / frequency_at(special.scene, special.name, special.value)
     return replace(special, spot=orbit_row._replace(times=orbit_row.times + half_period, sides=-orbit_row.sides))
 
 
 def is_same_point(first_point, second_point):
-    """Whether two special points are one."""
+    """Test whether two special points are identical."""
     return first_point.kind == second_point.kind and has_same_orbit(first_point, second_point)
 
 
 def has_same_orbit(first_point, second_point, n_times=1):
-    """Whether the orbit of a special point, this many times round, is that of another."""
+    """Test whether the orbit of a special point, traversed `n_times` times, is that of another."""
     if n_times * first_point.spot.periods != second_point.spot.periods or not np.isclose(
         first_point.value, second_point.value, VALUE_TOLERANCE, VALUE_TOLERANCE
     ):

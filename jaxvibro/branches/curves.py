@@ -1,4 +1,4 @@
-"""A branch as the lines of a picture: which parts are stable, and where a line breaks though the branch goes on."""
+"""Convert a branch to lines for plotting, with stability and breaks."""
 
 from typing import NamedTuple
 
@@ -14,13 +14,24 @@ from .largest_position import branch_peak_positions
 
 VARIABLES = ("x", "v", "clearance", "speed", "least_speed", "peak")
 
-STABILITY_MARGIN = 1e-6  # of a multiplier beyond 1, at a special point
-JUMP_TOLERANCE = 1e-6  # of the largest value, from one itinerary to the next
+STABILITY_MARGIN = 1e-6  # allowed excess of a multiplier over 1 at a special point
+JUMP_TOLERANCE = 1e-6  # relative to the largest value; jumps between itineraries below this are ignored
 
 
 class Piece(NamedTuple):
-    """A piece of a branch whose orbits are all stable, or none. values: of the parameter, (rows,); columns: of a
-    variable, (rows, columns); in a row of nan the line breaks."""
+    """Part of a branch whose orbits are all stable, or all unstable.
+
+    A row of nan breaks the line.
+
+    Attributes
+    ----------
+    values : ndarray
+        Parameter values, array of shape (rows,).
+    columns : ndarray
+        Values of the variable, array of shape (rows, columns).
+    stable : bool
+        Whether the orbits are stable.
+    """
 
     values: Float[np.ndarray, " rows"]
     columns: Float[np.ndarray, "rows columns"]
@@ -28,22 +39,37 @@ class Piece(NamedTuple):
 
 
 class Marks(NamedTuple):
-    """The special points of one kind. values: of the parameter, (count,); columns: of a variable, (count, columns)."""
+    """Special points of one kind.
+
+    Attributes
+    ----------
+    values : ndarray
+        Parameter values, array of shape (count,).
+    columns : ndarray
+        Values of the variable, array of shape (count, columns).
+    """
 
     values: Float[np.ndarray, " count"]
     columns: Float[np.ndarray, "count columns"]
 
 
 class Curves(NamedTuple):
-    """A branch as arrays ready to plot. pieces: `Piece`s in order, each beginning where the one before ends; points:
-    {kind: `Marks`} of the special points, without the ends."""
+    """Branch as arrays for plotting.
+
+    Attributes
+    ----------
+    pieces : tuple of Piece
+        Pieces in order. Each begins where the previous one ends.
+    points : dict of str to Marks
+        Special points by kind, without the ends.
+    """
 
     pieces: tuple[Piece, ...]
     points: dict[str, Marks]
 
 
 def make_curves(branch, variable):
-    """The `Curves` of one variable of a branch. Raises ArgumentError for other variables."""
+    """Return the `Curves` of one variable of a branch. Raises ArgumentError if the variable is unknown."""
     if not isinstance(variable, str) or variable not in VARIABLES:
         raise check.ArgumentError("variable", f"must be one of {', '.join(VARIABLES)}", variable)
     columns = variable_columns(branch, variable)
@@ -65,10 +91,12 @@ def make_curves(branch, variable):
 
 
 def _broken_lines(branch, variable, columns):
-    """(values, columns, stable) of one variable of a branch: shapes (rows,), (rows, columns) and (rows - 1,).
+    """Return the values, columns and stability of the lines of one variable.
 
-    columns: a drive period each for "x" and "v", one for the others; stable: from a row to the next. A row
-    is a point of the branch; where a line breaks three more stand between two points: its end, nan, its new beginning.
+    Their shapes are (rows,), (rows, columns) and (rows - 1,). The variables "x" and "v" have one column per drive
+    period, the others have one column. `stable` refers to the step from a row to the next. Each row is a point of the
+    branch. Where a line breaks, three rows are inserted between two points: the end of the old line, nan, and the
+    beginning of the new line.
     """
     is_in_circle = abs(branch.multipliers).max(axis=1) < 1.0 + STABILITY_MARGIN
     stable = is_in_circle[:-1] & is_in_circle[1:]
@@ -86,7 +114,20 @@ def _broken_lines(branch, variable, columns):
 
 
 def variable_columns(branch, variable):
-    """One variable at each point, shape (points, columns); nan where there is none."""
+    """Return one variable at each point of a branch.
+
+    Parameters
+    ----------
+    branch : Branch
+        Branch.
+    variable : str
+        Variable, as in `Branch.curves`.
+
+    Returns
+    -------
+    ndarray
+        Array of shape (points, columns), nan where the variable is undefined.
+    """
     data = branch.data
     if variable in ("x", "v"):
         return data[variable].values
@@ -99,7 +140,7 @@ def variable_columns(branch, variable):
 
 
 def _itinerary_breaks(branch, columns):
-    """{place: (values, rows)} where the itinerary changes and a column jumps."""
+    """Return ``{index: (values, rows)}`` where the itinerary changes and a column jumps."""
     segment_numbers, largest_value = branch.data["segment"].values, np.nanmax(abs(columns), initial=0.0)
     is_jump = (abs(np.diff(columns, axis=0)) > JUMP_TOLERANCE * largest_value) & (np.diff(segment_numbers) != 0)[
         :, None
@@ -111,7 +152,7 @@ def _itinerary_breaks(branch, columns):
 
 
 def _break_rows(values, columns, row_before, is_broken):
-    """The three rows of a break in some of the columns, between a point and the next."""
+    """Return the three rows of a break of the columns marked in `is_broken`, between a point and the next."""
     middle_row = np.where(is_broken, np.nan, columns[row_before])
     return values[[row_before, row_before, row_before + 1]], np.stack(
         [columns[row_before], middle_row, columns[row_before + 1]]
@@ -119,7 +160,7 @@ def _break_rows(values, columns, row_before, is_broken):
 
 
 def _phase_crossings(branch, variable, columns):
-    """{place: (values, rows)} where an impact crosses phase 0."""
+    """Return ``{index: (values, rows)}`` where an impact crosses phase 0."""
     values, segment_numbers = branch.values, branch.data["segment"].values
     frequency = values if branch.name == "frequency" else float(branch.scene.frequency)
     impact_phases = (branch.data["time"].values.T * frequency).T / (2.0 * np.pi)
@@ -153,10 +194,10 @@ def _phase_crossings(branch, variable, columns):
 
 
 def _crossing_rows(branch, variable, columns, row_before, impact_index, fraction, is_later):
-    """The three rows where one impact crosses phase 0, a share of the way to the next point.
+    """Return the three rows where one impact crosses phase 0, at a fraction of the step to the next point.
 
-    There the mass is on the wall, and the velocity after the impact becomes that before it where the impact grows later
-    than phase 0; a state at phase 0 is the one after an impact at phase 0.
+    The mass is then on the wall. If the impact moves to later phases, the velocity at phase 0 changes from that after
+    the impact to that before it. The state at phase 0 is the one after an impact at phase 0.
     """
 
     def interpolate(point_values):

@@ -1,4 +1,4 @@
-"""A whole diagram: the branches of a scene along a parameter, with what tells how far it was explored."""
+"""Diagram of the branches of a scene along a parameter."""
 
 import json
 import os
@@ -24,16 +24,41 @@ from .branch_file import parse_branch
 from .branch_tree import is_same_point, mirror_images
 
 INDEX_FILE = "diagram.json"
-BRANCH_FILE_NAME = re.compile(r"branch_\d+(_[0-9a-f]{16})?\.nc")  # of a branch's file
+BRANCH_FILE_NAME = re.compile(r"branch_\d+(_[0-9a-f]{16})?\.nc")
 
 
 @dataclass(frozen=True, eq=False)
 class Diagram:
-    """The branches of periodic orbits of a scene along a parameter.
+    """Branches of periodic orbits of a scene along a parameter.
 
-    name: the parameter; bounds: of it; scene; branches: a tuple of `Branch`, in the order in which they were found;
-    left: (branch, special point) of each point that has been left by all its branches, places in the tuples; complete:
-    whether nothing was left to follow; reason: why it stopped; settings: max_period, seed and steps.
+    Attributes
+    ----------
+    name : str
+        Name of the parameter.
+    bounds : tuple of float
+        Bounds of the parameter.
+    scene : Scene
+        The scene.
+    branches : tuple of Branch
+        Branches in the order in which they were found.
+    left : tuple of tuple of int
+        Indices (branch, special point) of the points whose emanating branches have been followed.
+    complete : bool
+        Whether nothing remains to be followed.
+    reason : str
+        Reason for stopping.
+    settings : dict
+        Largest period, seed and largest step.
+
+    See Also
+    --------
+    explore : Explore the periodic orbits of a scene along a parameter.
+
+    Examples
+    --------
+    >>> diagram = jv.explore(scene, "amplitude", (1.8, 2.2), max_period=1, budget=1)
+    >>> diagram.complete, diagram.reason
+    (False, 'the budget of 1 branches is spent')
     """
 
     name: str
@@ -50,19 +75,45 @@ class Diagram:
 
     @property
     def special(self) -> tuple[Special, ...]:
-        """The special points of all branches, but for ends, each orbit once, by value."""
+        """Special points of all branches except ends, without duplicates, sorted by parameter value."""
         return _distinct_points(self.branches)
 
     def points(self, kind: str) -> tuple[Special, ...]:
-        """The special points of a kind."""
+        """Return the special points of a kind.
+
+        Parameters
+        ----------
+        kind : str
+            Kind, such as ``"PD"``.
+
+        Returns
+        -------
+        tuple of Special
+            Points sorted by parameter value.
+        """
         return tuple(special for special in self.special if special.kind == kind)
 
     def table(self, units: str = "scene", labels: str = "jaxvibro") -> str:
-        """The branches, then the special points, as a text, a line each. units, labels: as in `Branch.table`.
+        """Format the branches and the special points.
 
-        A branch and its mirror image are one line, which names both. Of a closed branch the line has the range.
+        A branch and its mirror image share one line, which names both. The line of a closed branch has its range.
 
-        Raises ArgumentError for other units and labels, and where the scene has no scales.
+        Parameters
+        ----------
+        units : {"scene", "physical"}, optional
+            Unit system. ``"physical"`` needs a scene with scales.
+        labels : {"jaxvibro", "auto", "matcont"}, optional
+            Names of the kinds, as in `Branch.table`.
+
+        Returns
+        -------
+        str
+            One line per branch, then one line per special point, then the reason for stopping.
+
+        Raises
+        ------
+        ArgumentError
+            If `units` or `labels` is unknown, or the scene has no scales.
         """
         unit, factor = unit_in_system(self.scene, unit_of(self.name), units)
         rows: list[tuple[object, ...]] = [
@@ -100,21 +151,47 @@ class Diagram:
         return f"{align_columns(rows)}\n\n{align_columns(point_rows)}\n\n{self.reason}"
 
     def to_frame(self, units: str = "scene") -> pd.DataFrame:
-        """All branches' points, a pandas.DataFrame as `Branch.to_frame` gives it, before it the branch's number in the
-        table. Raises ArgumentError for other units, and where the scene has no scales."""
+        """Convert the points of all branches to a pandas DataFrame.
+
+        Parameters
+        ----------
+        units : {"scene", "physical"}, optional
+            Unit system. ``"physical"`` needs a scene with scales.
+
+        Returns
+        -------
+        pandas.DataFrame
+            Rows as in `Branch.to_frame`, preceded by the number of the branch in the table.
+
+        Raises
+        ------
+        ArgumentError
+            If `units` is unknown, or the scene has no scales.
+        """
         return branches_dataframe(self.branches, units)
 
     def save(self, folder: str | PathLike[str], force: bool = False) -> None:
-        """Write the diagram into a folder, a NetCDF file a branch and an index; `load_diagram` reads the same numbers.
+        """Write the diagram to a folder: one NetCDF file per branch, and an index.
 
-        The branches' files bear their checksums in their names, so that those of a diagram that is there already stay
-        as they are until the index, written last, names the new ones. Raises FileExistsError where the index is there
-        already, unless force is given.
+        The names of the branch files contain their checksums. So the files of an existing diagram remain valid until
+        the index, written last, names the new ones.
+
+        Parameters
+        ----------
+        folder : str or path-like
+            Folder. `load_diagram` reads the same numbers from it.
+        force : bool, optional
+            Whether to replace an existing diagram.
+
+        Raises
+        ------
+        FileExistsError
+            If the index already exists and `force` is False.
         """
         folder = Path(folder)
         index_path = folder / INDEX_FILE
         if not force and os.path.lexists(index_path):
-            raise FileExistsError(f"{index_path} is there already")
+            raise FileExistsError(f"{index_path} already exists; force overwrites it")
         folder.mkdir(parents=True, exist_ok=True)
         old_files, files = _listed_files(index_path), {}
         for number, branch in enumerate(self.branches):
@@ -133,7 +210,7 @@ class Diagram:
 
 
 def _distinct_points(branches):
-    """The special points of branches, but for ends, each orbit once, by value."""
+    """Return the special points of branches except ends, without duplicates, sorted by value."""
     distinct_points: list[Special] = []
     for special in (special for branch in branches for special in branch.special if special.kind != "EP"):
         if not any(is_same_point(special, known_point) for known_point in distinct_points):
@@ -142,7 +219,7 @@ def _distinct_points(branches):
 
 
 def branches_dataframe(branches, units):
-    """The points of branches behind one another, a pandas.DataFrame, with their numbers from 1."""
+    """Concatenate the points of branches in a pandas DataFrame, with branch numbers from 1."""
     frames = [branch.to_frame(units) for branch in branches]
     for number, branch_frame in enumerate(frames, 1):
         branch_frame.insert(0, "branch", number)
@@ -150,8 +227,10 @@ def branches_dataframe(branches, units):
 
 
 class DiagramIndex(msgspec.Struct):
-    """What the index of a diagram's folder says; branches: {file: its SHA-256}, a list of files in format 1, which had
-    no scene."""
+    """Index of a diagram's folder.
+
+    `branches` maps file names to SHA-256 sums; in format 1, which had no scene, it is a list of files.
+    """
 
     name: str
     bounds: tuple[float, float]
@@ -166,10 +245,35 @@ class DiagramIndex(msgspec.Struct):
 
 @host_only("use what was loaded before")
 def load_diagram(folder: str | PathLike[str]) -> Diagram:
-    """The `Diagram` of a folder that `Diagram.save` wrote.
+    """Read a diagram from a folder that `Diagram.save` wrote.
 
-    A folder of before, without checksums, is read with a warning. Raises ArgumentError where the folder holds none or a
-    file is damaged, OSError where one cannot be read.
+    A folder of an older version, without checksums, is read with a warning.
+
+    Parameters
+    ----------
+    folder : str or path-like
+        Folder.
+
+    Returns
+    -------
+    Diagram
+        The diagram.
+
+    Raises
+    ------
+    ArgumentError
+        If the folder holds no diagram, or a file is damaged.
+    OSError
+        If a file cannot be read.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> diagram = jv.explore(scene, "amplitude", (1.8, 2.2), max_period=1, budget=1)
+    >>> folder = tempfile.mkdtemp()
+    >>> diagram.save(folder)
+    >>> len(jv.load_diagram(folder))
+    1
     """
     path = Path(folder) / INDEX_FILE
     index = read_checked(path, _parse_index)
@@ -186,7 +290,7 @@ def load_diagram(folder: str | PathLike[str]) -> Diagram:
     except (LookupError, ValueError) as error:
         raise _folder_error(error, path) from None
     if not has_same_name or min((entry for pair in finished_points for entry in pair), default=0) < 0:
-        raise _folder_error("its branches are another's", path)
+        raise _folder_error("its branches have another parameter", path)
     return Diagram(
         index.name, index.bounds, scene, branches, finished_points, index.complete, index.reason, index.settings
     )
@@ -199,16 +303,16 @@ def _parse_index(content, path):
         raise _folder_error(error, path) from None
     require_format(index.format, path)
     if not all(map(BRANCH_FILE_NAME.fullmatch, index.branches)):
-        raise _folder_error("it names files that are no branches'", path)
+        raise _folder_error("it names files that are not branch files", path)
     return index
 
 
 def _folder_error(error, path):
-    return ArgumentError("folder", f"must be a folder of Diagram.save ({shorten(error)})", str(path.parent))
+    return ArgumentError("folder", f"must be a folder that Diagram.save wrote ({shorten(error)})", str(path.parent))
 
 
 def _listed_files(index):
-    """The files of branches that an index names, none where there is none that can be read."""
+    """Return the branch files that an index names, empty if the index cannot be read."""
     try:
         return set(_parse_index(index.read_bytes(), index).branches)
     except (OSError, ArgumentError):

@@ -1,4 +1,4 @@
-"""`diagrams`: what `explore` gives, for each value of another parameter."""
+"""Explore the periodic orbits for each value of a second parameter."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -33,32 +33,76 @@ def diagrams(
     max_points: int | None = None,
     max_seconds: float | None = None,
 ) -> Results[Diagram]:
-    """The periodic orbits along a parameter for each value of another: a tuple of `Diagram`, one a value.
+    """Explore the periodic orbits for each value of a second parameter.
 
-    third: a parameter of the scene other than name; values: of it, a row of one at least, in any order; its value in
-    the scene does not matter. The other arguments, and each diagram, are as of `explore`; the budget is of each, and
-    progress is called with the number of branches of the one at hand. The random starts of all values are settled
-    together, then one is explored after the other. store: a `Store` to keep the diagrams in, a value at a time, and to
-    go on with; progress is then given values. Numbers in it are those of other runs to rounding.
+    Parameters
+    ----------
+    scene : Scene
+        A single scene.
+    name : str
+        Continuation parameter.
+    bounds : tuple of float
+        Lower and upper bound of the continuation parameter.
+    third : str
+        Another parameter of the scene. Its value in the scene does not matter.
+    values : array_like
+        Values of `third`, at least one, in any order.
+    max_period : int, optional
+        Largest number of drive periods, as in `explore`.
+    seed : int, optional
+        Seed of the random starts.
+    budget : int, optional
+        Largest number of branches of each diagram.
+    largest_step : float, optional
+        Largest continuation step.
+    progress : callable, optional
+        Called with the number of branches of the current diagram, or with the number of completed values if `store` is
+        given.
+    store : Store, optional
+        Store that keeps the diagrams, one value at a time, and resumes them. Its numbers equal those of other runs up
+        to rounding.
+    max_points : int, optional
+        Largest number of points of each branch. None is no limit.
+    max_seconds : float, optional
+        Wall-clock time in s for all diagrams. Then the current diagram ends as in `explore`, or is completed if there
+        is a store, and further values have no branches. A later call with the same store resumes. None is no limit.
 
-    max_points: largest number of points of each branch; max_seconds: wall-clock time, s, of all diagrams; None is no
-    limit. Once it is over the diagram at hand ends as in `explore`, or with a store is completed, and those of further
-    values have no branches; their `reason` says so, and so does the attribute `stopped` of the tuple, else "". A later
-    call with the same store goes on.
+    Returns
+    -------
+    tuple of Diagram
+        One diagram for each value. Its attribute ``stopped`` is empty, or states that the time was over, as does
+        ``reason`` of the incomplete diagrams.
 
-    Raises ArgumentError for arguments that cannot be, and what the store raises.
+    Raises
+    ------
+    ArgumentError
+        If an argument is invalid. Errors of the store are passed on.
+
+    See Also
+    --------
+    explore : Explore the periodic orbits of a scene along a parameter.
+
+    Notes
+    -----
+    The random starts of all values settle together; then the values are explored one after the other.
+
+    Examples
+    --------
+    >>> family = jv.diagrams(scene, "amplitude", (1.8, 2.2), "restitution", [0.6, 0.7], max_period=1, budget=1)
+    >>> [len(diagram) for diagram in family]
+    [1, 1]
     """
     limits = limits_of(max_points, max_seconds, None, check.ArgumentError)
     check.require_single(scene)
     check.require_parameter(name, scene.names, name)
     third_values = check_values(scene, third, values)
     if third == name:
-        raise check.ArgumentError("third", "must be another parameter than name", third)
+        raise check.ArgumentError("third", "must differ from name", third)
     scenes = [scene.replace(**{third: value}) for value in third_values]
     tasks = [make_exploration_task(entry, name, bounds, max_period, seed, budget, largest_step) for entry in scenes]
     task_limits = (
         limits if store is None else replace(UNLIMITED, points=limits.points)
-    )  # no diagram's bits depend on timing
+    )  # the bits of a stored diagram do not depend on timing
     tasks = [entry._replace(step_settings=entry.step_settings | {"limits": task_limits}) for entry in tasks]
     if store is None:
         results = [run_exploration(*entry, progress) for entry in zip(tasks, seed_orbits_of_tasks(tasks), strict=True)]
@@ -75,5 +119,5 @@ def diagrams(
 
 
 def _empty_diagram(task):
-    """The `Diagram` of a task that has not been begun."""
+    """Make the `Diagram` of a task that has not started."""
     return Diagram(task.name, task.bounds, task.scene, (), (), False, EXPIRED_REASON, task.settings)

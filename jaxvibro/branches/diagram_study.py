@@ -1,4 +1,7 @@
-"""Diagrams at many values of another parameter as a `Study`: a value is a chunk, its diagram a packed folder."""
+"""Run diagrams at many values of a second parameter as a `Study`.
+
+Each value is a chunk; its diagram is stored as a packed folder.
+"""
 
 import io
 import tempfile
@@ -17,13 +20,23 @@ from ..stores.study import Column, Grid, fingerprint_axis
 from .diagram import Diagram, load_diagram
 from .explore import ExplorationTask, run_exploration, seed_orbits_of_tasks
 
-MAX_BYTES = 1 << 23  # bytes of a diagram's files, packed
-ARCHIVE_TIME = (1980, 1, 1, 0, 0, 0)  # of all files in an archive, whose bytes then do not tell when it was made
+MAX_BYTES = 1 << 23  # largest size of a diagram's packed files
+ARCHIVE_TIME = (1980, 1, 1, 0, 0, 0)  # constant time stamp, so that equal diagrams give equal bytes
 
 
 @dataclass(frozen=True)
 class DiagramStudy:
-    """What `explore` gives at each value of another parameter as a `Study`. tasks: of each value."""
+    """Study of `explore` at each value of a second parameter.
+
+    Attributes
+    ----------
+    third : str
+        Second parameter.
+    values : ndarray
+        Its values, array of shape (values,).
+    tasks : tuple of ExplorationTask
+        Task of each value.
+    """
 
     third: str
     values: Float[np.ndarray, " values"]
@@ -65,7 +78,7 @@ class DiagramStudy:
         content = pack_diagram(run_exploration(task, seed_orbits_of_tasks([task])[0]))
         if len(content) > MAX_BYTES:
             raise ArgumentError(
-                "store", f"must be given for diagrams of at most {MAX_BYTES >> 20} MiB each", len(content)
+                "store", f"must be used for diagrams of at most {MAX_BYTES >> 20} MiB each", len(content)
             )
         padded_bytes = np.zeros((1, MAX_BYTES), np.uint8)
         padded_bytes[0, : len(content)] = np.frombuffer(content, np.uint8)
@@ -73,7 +86,7 @@ class DiagramStudy:
 
 
 def pack_diagram(diagram: Diagram) -> bytes:
-    """The files of a diagram's folder, packed."""
+    """Pack the files of a diagram's folder."""
     buffer = io.BytesIO()
     with tempfile.TemporaryDirectory() as folder, zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
         diagram.save(folder)
@@ -83,7 +96,7 @@ def pack_diagram(diagram: Diagram) -> bytes:
 
 
 def unpack_diagram(content: bytes) -> Diagram:
-    """The diagram whose folder's files were packed."""
+    """Read a diagram from its packed files."""
     with tempfile.TemporaryDirectory() as folder, zipfile.ZipFile(io.BytesIO(content)) as archive:
         archive.extractall(folder)
         return load_diagram(folder)

@@ -1,8 +1,8 @@
-"""`explore`: the periodic orbits of a scene along a parameter, unattended: followed both ways and from point to point.
+"""Explore the periodic orbits of a scene along a parameter.
 
-What many starts at values all over the parameter's range settle on is looked at in turn. What lies on no branch so far
-is followed, through folds and grazings, and so is all that leaves the branch points and period doublings met; then the
-next is looked at.
+Random starts at values over the whole range of the parameter settle on attractors. Each attractor that lies on no known
+branch is followed through folds and grazings, together with all branches that emanate from its branch points and period
+doublings. Then the next attractor is examined.
 """
 
 from collections.abc import Callable
@@ -32,8 +32,8 @@ from .follow import branch_through, check_settings
 from .seed_orbits import find_seed_orbits, free_seed_orbits
 from .switch import FIRST_STEP
 
-MAX_BRANCHES = 400  # branches, where no budget is given
-ROUNDING_TOLERANCE = 1e-12  # of a soft wall's numbers: as near is rounding
+MAX_BRANCHES = 400  # if no budget is given
+ROUNDING_TOLERANCE = 1e-12  # relative, for the parameters of soft walls
 COMPLETE_REASON = "all that was found has been followed"
 BUDGET_REASON = "the budget of {} branches is spent"
 
@@ -53,23 +53,63 @@ def explore(
     max_points: int | None = None,
     max_seconds: float | None = None,
 ) -> Diagram:
-    """The periodic orbits of a scene along a parameter: a `Diagram`.
+    """Explore the periodic orbits of a scene along a parameter.
 
-    scene: a single one; name, bounds: as in `follow`; the scene's own value of the parameter does not matter.
-    max_period: drive periods of the longest orbits that are looked for and that a period doubling is followed to;
-    seed: of the random starts. budget: it stops when there are as many branches, those of one point being found
-    together; None is 400. resume: a `Diagram` that stopped at its budget, of the same scene, parameter and settings, to
-    go on from. progress: called with the number of branches so far. max_points: largest number of points of each
-    branch; max_seconds: wall-clock time, s, after which the diagram is returned as far as it is known; it can be
-    resumed. None is no limit. The last branch may then end where the time was over; a resumed run follows it anew.
+    Parameters
+    ----------
+    scene : Scene
+        A single scene. Its own value of the parameter does not matter.
+    name : str
+        Continuation parameter.
+    bounds : tuple of float
+        Lower and upper bound of the parameter.
+    max_period : int, optional
+        Largest number of drive periods, at most 32, of the orbits that are searched for and followed at period
+        doublings.
+    seed : int, optional
+        Seed of the random starts.
+    budget : int, optional
+        Number of branches at which the exploration stops. Branches from one point are found together. None is 400.
+    resume : Diagram, optional
+        Diagram that stopped at its budget, of the same scene, parameter and settings, to continue.
+    largest_step : float, optional
+        Largest continuation step, as in `follow`.
+    progress : callable, optional
+        Called with the number of branches.
+    max_points : int, optional
+        Largest number of points of each branch. None is no limit.
+    max_seconds : float, optional
+        Wall-clock time in s after which the incomplete diagram is returned; it can be resumed. The last branch may then
+        end early; a resumed run follows it again. None is no limit.
 
-    Every attractor that one of 256 starts settles on is on a branch, and the motion that meets no wall, where there is
-    one. What lies on no branch that leaves these is not found: an isolated unstable orbit (`find_isolas` looks for
-    closed branches of these), or one that only meets them at a grazing, where a branch goes on with one other;
-    `Special.meets` has all, and `switch` follows them. In a symmetric scene a branch comes with its mirror image. The
-    same arguments give the same diagram.
+    Returns
+    -------
+    Diagram
+        Branches and special points.
 
-    Raises ArgumentError for arguments that cannot be.
+    Raises
+    ------
+    ArgumentError
+        If an argument is invalid.
+
+    See Also
+    --------
+    find_isolas : Find closed branches that `explore` misses.
+    follow : Continue a periodic orbit in one parameter.
+
+    Notes
+    -----
+    The branches contain every attractor on which one of 256 starts settles, and the motion without impacts if it
+    exists. Branches that no branch point or period doubling connects to these are not found: isolated unstable orbits
+    (see `find_isolas`), and branches that meet them only at a grazing, where a branch continues along one other branch.
+    ``Special.meets`` lists all of them and `switch` follows them. In a symmetric scene each branch comes with its
+    mirror image. Equal arguments give equal diagrams.
+
+    Examples
+    --------
+    >>> diagram = jv.explore(scene, "amplitude", (1.8, 2.2), max_period=1, budget=1)
+    >>> len(diagram), diagram.branches[0].segments[0].label
+    (1, 'P111')
     """
     limits = limits_of(max_points, max_seconds, None, check.ArgumentError)
     task = make_exploration_task(scene, name, bounds, max_period, seed, budget, largest_step)
@@ -80,8 +120,23 @@ def explore(
 
 
 class ExplorationTask(NamedTuple):
-    """What is to be explored. scene: at a value within the bounds; max_branches: branches; step_settings, settings: by
-    name."""
+    """Request for an exploration.
+
+    Attributes
+    ----------
+    scene : Scene
+        Scene at a parameter value within the bounds.
+    name : str
+        Continuation parameter.
+    bounds : tuple of float
+        Bounds of the parameter.
+    max_branches : int
+        Largest number of branches.
+    step_settings : dict
+        Settings of the continuation.
+    settings : dict
+        Settings of the diagram.
+    """
 
     scene: Scene
     name: str
@@ -92,7 +147,7 @@ class ExplorationTask(NamedTuple):
 
 
 def make_exploration_task(scene, name, bounds, max_period, seed, budget, largest_step):
-    """The `ExplorationTask` of these arguments. Raises ArgumentError."""
+    """Check the arguments of `explore` and make an `ExplorationTask`. Raises ArgumentError."""
     check.require_single(scene)
     max_period, seed = check.whole_number("max_period", max_period, 1), check.whole_number("seed", seed, 0)
     if max_period > check.MAX_ORBIT_PERIODS:
@@ -109,7 +164,7 @@ def make_exploration_task(scene, name, bounds, max_period, seed, budget, largest
 
 
 def seed_orbits_of_tasks(tasks):
-    """What the starts of `ExplorationTask`s that differ in their scenes settle on, the `Probe`s of each."""
+    """Return the `SeedOrbit` list of each task; the tasks differ only in their scenes."""
     first_task = tasks[0]
     return find_seed_orbits(
         [task.scene for task in tasks],
@@ -121,8 +176,10 @@ def seed_orbits_of_tasks(tasks):
 
 
 def run_exploration(task, seed_orbits, progress=None, known_branches=(), processed_points=()):
-    """The `Diagram` of a task and what its starts settle on; known_branches, processed_points: its branches so far, and
-    points left."""
+    """Run an exploration task and return its `Diagram`.
+
+    `known_branches` and `processed_points` are those of a diagram to continue.
+    """
     scene, name, bounds, max_branches, step_settings, settings = task
     symmetric = stays_symmetric(scene, name)
     tree = BranchTree(
@@ -154,24 +211,24 @@ def run_exploration(task, seed_orbits, progress=None, known_branches=(), process
 
 
 def _follow_seed_orbit(tree, seed_orbit, scene, name, bounds, step_settings):
-    """Follows the orbit that a probe settled on, and all that leaves it."""
+    """Follow a seed orbit and all branches that emanate from its branch."""
     if seed_orbit.has_chatter:
         seed_orbit = _with_impacts(seed_orbit, scene, name)
     start = seed_orbit and correct_to_seed_orbit(seed_orbit, *set_up_problem(scene, name, seed_orbit.orbit_row))
-    if start is None:  # it had not settled
+    if start is None:  # the start had not settled
         return
     branch = branch_through(
         scene.replace(**{name: seed_orbit.orbit_row.value}), name, bounds, start, "both", step_settings
     )
     if tree.branches and End.MAX_SECONDS in branch.ends:
-        return  # the next run follows it anew
+        return  # the next run follows it again
     if not tree.contains(branch):
         tree.add(branch)
         tree.follow_special_points()
 
 
 def _with_impacts(seed_orbit, scene, name):
-    """An endless probe with the impacts and releases of its orbit, None where it is none, or never leaves its wall."""
+    """Add impacts and releases to a seed orbit with chatter; None if it is no orbit or never leaves its wall."""
     orbit_row = seed_orbit.orbit_row
     scene_at_value = scene.replace(**{name: orbit_row.value})
     try:
@@ -191,23 +248,23 @@ def _with_impacts(seed_orbit, scene, name):
 
 
 def _value_within(scene, name, bounds):
-    """A value within the bounds and the parameter's domain."""
+    """Return a value within the bounds and the domain of the parameter."""
     value = float(scene.parameter(name))
     if np.shape(bounds) != (2,) or not np.isfinite(bounds).all() or not bounds[0] < bounds[1]:
-        return value  # `check_bounds` tells
+        return value  # `check_bounds` raises the error
     lower, upper = np.clip(parameter_domain(scene, name), *bounds)
     return value if lower <= value <= upper else 0.5 * (lower + upper)
 
 
 def _resumed_state(resume, task):
-    """(branches, points left) of a `Diagram` to go on from, empty where there is none."""
+    """Return the branches and the processed points of a `Diagram` to continue."""
     if resume is None:
         return (), ()
     if not isinstance(resume, Diagram):
         raise check.ArgumentError("resume", "must be a Diagram", resume)
     has_same_settings = (resume.name, resume.bounds, resume.settings) == (task.name, task.bounds, task.settings)
     if not has_same_settings or not _is_same_scene(task.scene, resume.scene, task.name):
-        raise check.ArgumentError("resume", "must be of the same scene, parameter, bounds and settings", resume)
+        raise check.ArgumentError("resume", "must have the same scene, parameter, bounds and settings", resume)
     complete_branches = resume.branches
     while complete_branches and End.MAX_SECONDS in complete_branches[-1].ends:
         complete_branches = complete_branches[:-1]
@@ -219,11 +276,11 @@ def _resumed_state(resume, task):
 
 
 def _is_same_scene(scene, other, name):
-    """Whether two scenes differ in nothing but a parameter."""
+    """Compare two scenes except for one parameter."""
     if scene.names != other.names:
         return False
     tolerance = 0.0
-    if name == "hardness":  # the walls' numbers follow from it, but for rounding
+    if name == "hardness":  # it determines the parameters of the walls up to rounding
         scene, tolerance = scene.replace(hardness=other.parameter(name)), ROUNDING_TOLERANCE
     value_pairs = [(float(scene.parameter(key)), float(other.parameter(key))) for key in scene.names if key != name]
     return all(abs(value - other_value) <= tolerance * abs(other_value) for value, other_value in value_pairs)

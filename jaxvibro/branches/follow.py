@@ -1,4 +1,4 @@
-"""`follow`, `follow_all`: branches of periodic orbits along a parameter, through folds and grazings."""
+"""Continue periodic orbits along one parameter, through folds and grazings."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, overload
@@ -29,9 +29,9 @@ from .through_grazings import continue_through_grazings
 from .user_monitors import MonitoredPoint
 
 DIRECTIONS = ("both", "forward", "backward")
-MIN_STEP = 1e-8  # step
-MAX_START_RESIDUAL = 1e-6  # of the scene's length: a start with as large a residual is no orbit
-Monitors = Mapping[str, Callable[[MonitoredPoint], Any]] | tuple[()]  # by their labels
+MIN_STEP = 1e-8  # arclength
+MAX_START_RESIDUAL = 1e-6  # relative to the scene's length; a start with a larger residual is rejected
+Monitors = Mapping[str, Callable[[MonitoredPoint], Any]] | tuple[()]  # keys are labels
 
 
 @overload
@@ -82,43 +82,102 @@ def follow(
     max_seconds: float | None = None,
     progress: Callable[[int], object] | None = None,
 ) -> Branch | HeldBranch:
-    """The branch of periodic orbits through an orbit, along one parameter of its scene: a `Branch`.
+    """Continue a periodic orbit in one parameter.
 
-    orbit: an `Orbit`, stable or not; name: of the parameter ("amplitude", "right.restitution", ...); bounds: (low,
-    high) of it. direction: "forward" begins towards greater values, "backward" towards smaller, "both" does both.
-    first_step, largest_step: along the branch, as the length of (times, speeds, parameter), the root mean square over
-    the impacts, in the scene's units (1/w0; the distance of the farther wall). tolerance: of Newton's method, such a
-    length; special points are always located to rounding. monitors: {label: function}, a special point of that label
-    where the function changes its sign; it takes a record with value, times, speeds, sides (an entry an impact, none
-    at all on P100, 2 or -2 for a release), x, v (an entry a period), multipliers and clearance. stop: a label or labels
-    that end the branch.
+    The branch of periodic orbits through `orbit` is followed by pseudo-arclength continuation. Its special points are
+    located to rounding, and it is continued through grazings.
 
-    hold: {"peak": value} or {"least_speed": value}, the largest abs x or the slowest impact's speed: the orbits that
-    share it, along two parameters, in place of a branch: name is then a pair of names, bounds {name: (low, high)},
-    direction of the second. It begins with the orbit of that number nearest to the given one along the first parameter,
-    the second being the scene's; it gives a `HeldBranch`, whose data have the same columns, and no special points. It
-    ends at a grazing, and takes no monitors and stops.
+    Parameters
+    ----------
+    orbit : Orbit
+        Starting orbit, stable or unstable.
+    name : str or sequence of str
+        Continuation parameter, for example ``"amplitude"`` or ``"right.restitution"``. A pair of names with `hold`.
+    bounds : tuple of float or dict
+        Lower and upper bound of the parameter. With `hold`, bounds of both parameters, ``{name: (low, high)}``.
+    direction : {"both", "forward", "backward"}, optional
+        ``"forward"`` starts towards greater values, ``"backward"`` towards smaller values. With `hold` the direction
+        is that of the second parameter.
+    first_step : float, optional
+        First step along the branch. Step lengths combine times, speeds and parameter as a root mean square over the
+        impacts, in the units of the scene (``1/w0``; the distance of the farther wall).
+    largest_step : float, optional
+        Largest step, in the same units.
+    tolerance : float, optional
+        Tolerance of Newton's method, in the same units. Special points are always located to rounding.
+    monitors : dict of str to callable, optional
+        User-defined test functions. A special point with the label of the function is located where its value
+        changes sign. The function takes a record with ``value``, ``times``, ``speeds`` and ``sides`` (one entry per
+        impact, none on P100, sides 2 or -2 for a release), ``x`` and ``v`` (one entry per drive period),
+        ``multipliers`` and ``clearance``.
+    stop : str or sequence of str, optional
+        Kinds of special point, or labels of monitors, at which the branch ends.
+    hold : dict of str to float, optional
+        ``{"peak": value}`` (largest ``|x|``) or ``{"least_speed": value}`` (speed of the slowest impact). Follows the
+        orbits that share this value along two parameters. The start is the orbit with this value that is nearest to
+        `orbit` along the first parameter, the second parameter being that of the scene.
+    max_points : int, optional
+        Largest number of points. The two directions share it: the first takes at most half. None is no limit.
+    max_seconds : float, optional
+        Largest wall-clock time in s, checked between chunks of steps; a compilation under way is completed. None is
+        no limit.
+    progress : callable, optional
+        Called with the number of points computed.
 
-    max_points, max_seconds: largest number of points of the branch, and wall-clock time, s; None is no limit. The
-    points are shared by the two directions: the first takes half of them at most. The time is checked between chunks of
-    steps, so that a compilation under way is completed. A limit that is reached ends the branch there: its `reason`
-    says so, and `extend` continues it. progress: called with the number of points computed so far. Many points at
-    nearly one value of the parameter give a `SlowProgress` warning.
+    Returns
+    -------
+    Branch or HeldBranch
+        The branch with its special points, or a `HeldBranch` if `hold` is given.
 
-    Unknowns are the impacts' times and speeds, and the parameter, by pseudo-arclength. Located are saddle-nodes (SN),
-    symmetry breakings and other branch points (SB, BP), period doublings (PD) from the Jacobian of those equations, and
-    grazings (GR): at one the impact is put in or left out and the branch goes on, if orbits do. Under a force that is
-    not proved to be dissipative so are Neimark-Sacker points (NS) and neutral saddles (NSA); where areas are kept, as
-    without damping at R = 1, the resonances 1:3 and 1:4 (R3, R4). Orbits that rest are followed from release to
-    release, past the points where a chatter just ends in rest (CH) or a wall lets go within one (RL). Every point is
-    checked to keep to its walls.
+    Raises
+    ------
+    ArgumentError
+        If an argument is invalid.
+    OrbitError
+        If the start is not an orbit, never leaves its wall, or is singular.
+    ArithmeticError
+        If a special point is found that the scene cannot have.
 
-    The branch's `data` has a row a point: the parameter, time, speed and side of each impact, x and v at phase 0 of
-    each period, multiplier_real and multiplier_imag, stable, least_speed, least_clearance, residual, segment.
+    Warns
+    -----
+    SlowProgress
+        If many grazings lie at nearly one value of the parameter.
 
-    Raises ArgumentError for arguments that cannot be, OrbitError where the start is no orbit, never leaves its wall
-    or is singular, ArithmeticError where a special point was found that the scene cannot have (`impossible`). What ends
-    a branch is told by its `reason`.
+    See Also
+    --------
+    follow_all : Continue several periodic orbits.
+    extend : Continue a branch beyond its ends.
+    switch : Follow the branches that emanate from a special point.
+
+    Notes
+    -----
+    The unknowns are the times and speeds of the impacts, and the parameter. The Jacobian of their equations locates
+    saddle-nodes (SN), symmetry breakings and other branch points (SB, BP), and period doublings (PD). At a grazing (GR)
+    an impact is added or removed and the branch continues if orbits exist. Under a force that is not proved to be
+    dissipative, Neimark-Sacker points (NS) and neutral saddles (NSA) are located too. If areas are preserved, as
+    without damping at R = 1, the resonances 1:3 and 1:4 (R3, R4) are located. Orbits that stick are followed from
+    release to release, past complete chatter (CH) and releases inside a sticking phase (RL). Every point is checked
+    against the walls.
+
+    The columns of ``Branch.data`` are the parameter; ``time``, ``speed`` and ``side`` of each impact; ``x`` and ``v``
+    at phase 0 of each period; ``multiplier_real`` and ``multiplier_imag``; ``stable``; ``least_speed``;
+    ``least_clearance``; ``residual``; ``segment``.
+
+    ``Branch.reason`` gives the reasons for the ends. A limit that is reached ends the branch, and `extend` resumes it.
+
+    A `HeldBranch` has the same columns and no special points. It ends at a grazing, and takes no monitors and stops.
+
+    Examples
+    --------
+    >>> branch = jv.follow(orbit, "amplitude", bounds=(0.0, 6.0))
+    >>> branch.name, branch.special[1].kind
+    ('amplitude', 'GR')
+    >>> held = jv.follow(
+    ...     orbit, ("amplitude", "frequency"), {"amplitude": (1.0, 4.0), "frequency": (2.0, 2.2)},
+    ...     hold={"least_speed": 1.0}, max_points=10,
+    ... )
+    >>> held.held, held.value
+    ('least_speed', 1.0)
     """
     settings = _check_branch_settings(direction, first_step, largest_step, tolerance, monitors, stop)
     settings["limits"] = limits_of(max_points, max_seconds, progress, check.ArgumentError)
@@ -129,11 +188,11 @@ def follow(
 
 
 def _follow_held(orbit, names, bounds, direction, settings, hold):
-    """The `HeldBranch` of an orbit. Raises ArgumentError, OrbitError."""
+    """Follow the `HeldBranch` of an orbit. Raises ArgumentError, OrbitError."""
     if not isinstance(orbit, Orbit):
-        raise check.ArgumentError("orbit", "must be an Orbit, as find_orbit gives it", orbit)
+        raise check.ArgumentError("orbit", "must be an Orbit, as find_orbit returns", orbit)
     if settings["monitors"] or settings["stop"]:
-        raise check.ArgumentError("monitors", "must be none, and no stops, where a number is held", "both")
+        raise check.ArgumentError("monitors", "must be empty if `hold` is given, and so must `stop`", "both")
     names, bounds, quantity_name, value = holding.check_hold(orbit.scene, names, bounds, hold)
     problem_and_z, scene = polish_orbit(orbit, names[0]), orbit.scene
     start = holding.locate_start(scene, names, quantity_name, value, *problem_and_z)
@@ -165,24 +224,71 @@ def follow_all(
     max_seconds: float | None = None,
     progress: Callable[[int], object] | None = None,
 ) -> tuple[Branch, ...]:
-    """The branch through each of some orbits, of one scene or of many, along one parameter: a tuple of `Branch`.
+    """Continue several periodic orbits in one parameter.
 
-    orbits: a list or tuple of `Orbit`, one at least; the other arguments, and each branch, are as of `follow`. An
-    orbit on the branch of another gives that branch once more. max_points holds for each branch, max_seconds for all of
-    them: branches not begun by then are left out, and the tuple is shorter.
+    Parameters
+    ----------
+    orbits : sequence of Orbit
+        Starting orbits, at least one, of one scene or of several. An orbit on the branch of another gives that branch
+        again.
+    name : str
+        Continuation parameter.
+    bounds : tuple of float
+        Lower and upper bound of the parameter.
+    direction : {"both", "forward", "backward"}, optional
+        Direction of the start, as in `follow`.
+    first_step : float, optional
+        First step along each branch.
+    largest_step : float, optional
+        Largest step.
+    tolerance : float, optional
+        Tolerance of Newton's method.
+    monitors : dict of str to callable, optional
+        User-defined test functions, as in `follow`.
+    stop : str or sequence of str, optional
+        Kinds of special point at which a branch ends.
+    max_points : int, optional
+        Largest number of points of each branch.
+    max_seconds : float, optional
+        Largest wall-clock time of all branches, in s. Branches not started by then are omitted, and the tuple is
+        shorter.
+    progress : callable, optional
+        Called with the number of points computed.
 
-    Raises what `follow` raises; for an orbit that is none before anything is followed, with its place.
+    Returns
+    -------
+    tuple of Branch
+        One branch per orbit.
+
+    Raises
+    ------
+    ArgumentError
+        If an argument is invalid.
+    OrbitError
+        If a start is not an orbit. All orbits are checked before any is followed; a note gives the index.
+    ArithmeticError
+        If a special point is found that the scene cannot have.
+
+    See Also
+    --------
+    follow : Continue one periodic orbit.
+
+    Examples
+    --------
+    >>> branches = jv.follow_all([orbit], "amplitude", bounds=(0.0, 6.0))
+    >>> len(branches), branches[0].special[1].kind
+    (1, 'GR')
     """
     settings = _check_branch_settings(direction, first_step, largest_step, tolerance, monitors, stop)
     settings["limits"] = limits_of(max_points, max_seconds, progress, check.ArgumentError)
     if not isinstance(orbits, Sequence) or not orbits:
-        raise check.ArgumentError("orbits", "must be a list or tuple of Orbits, one at least", orbits)
+        raise check.ArgumentError("orbits", "must be a list or tuple of at least one Orbit", orbits)
     starts = []
     for k, orbit in enumerate(orbits):
         try:
             starts.append(_check_start(f"orbits[{k}]", orbit, name, bounds))
         except OrbitError as error:
-            error.add_note(f"it is orbits[{k}]")
+            error.add_note(f"raised for orbits[{k}]")
             raise
     orbits_and_starts, branches = zip(orbits, starts, strict=True), []
     for start_orbit, (bounds, start) in orbits_and_starts:
@@ -193,24 +299,43 @@ def follow_all(
 
 
 def _check_branch_settings(direction, *settings):
-    """The settings of a branch by name, checked with its direction. Raises ArgumentError."""
+    """Return the settings of a branch by name, checked together with its direction. Raises ArgumentError."""
     if direction not in DIRECTIONS:
         raise check.ArgumentError("direction", f"must be one of {', '.join(DIRECTIONS)}", direction)
     return check_settings(*settings)
 
 
 def _check_start(label, orbit, name, bounds):
-    """(the bounds, the start) for `branch_through`, of an orbit that is called label. Raises ArgumentError,
-    OrbitError."""
+    """Return the bounds and the start for `branch_through`. Raises ArgumentError, OrbitError."""
     if not isinstance(orbit, Orbit):
-        raise check.ArgumentError(label, "must be an Orbit, as find_orbit gives it", orbit)
+        raise check.ArgumentError(label, "must be an Orbit, as find_orbit returns", orbit)
     bounds = check_bounds(orbit.scene, name, bounds)
     return bounds, polish_orbit(orbit, name)
 
 
 def branch_through(scene, name, bounds, start, direction, settings):
-    """The `Branch` through (`OrbitEquations`, z) at the scene's value of the parameter; settings: those that are
-    `check_settings`."""
+    """Follow the branch through a start at the scene's value of the parameter.
+
+    Parameters
+    ----------
+    scene : Scene
+        Scene at the start.
+    name : str
+        Continuation parameter.
+    bounds : tuple of float
+        Lower and upper bound.
+    start : tuple
+        `OrbitEquations` and unknowns z of the start.
+    direction : {"both", "forward", "backward"}
+        Direction of the start.
+    settings : dict
+        Settings from `check_settings`, optionally with ``limits``.
+
+    Returns
+    -------
+    Branch
+        The branch.
+    """
     (problem, z), length_scale = start, scene_length(scene)
     branch_settings = make_branch_settings(scene, name, bounds, length_scale, start, **settings)
     forward_tangent, start, limits = (
@@ -228,7 +353,7 @@ def branch_through(scene, name, bounds, start, direction, settings):
     )
     is_closed = forward is not None and forward.reason.end is End.CLOSED
     if forward is not None and direction == "both" and not is_closed:
-        limits = limits.after(sum(len(segment.points.z) for segment in forward.segments) - 1)  # both have the start
+        limits = limits.after(sum(len(segment.points.z) for segment in forward.segments) - 1)  # the start counts once
         if limits.reached(1):
             is_closed, end = True, End.MAX_SECONDS if limits.expired else End.MAX_POINTS
             start = end.reason(z[-1])
@@ -244,7 +369,11 @@ def branch_through(scene, name, bounds, start, direction, settings):
 def make_branch_settings(
     scene, name, bounds, length_scale, start, first_step, largest_step, tolerance, monitors, stop, limits=UNLIMITED
 ):
-    """The `BranchSettings` of these arguments; start: (along, z) that ends the branch where it comes back."""
+    """Make the `BranchSettings` of one branch.
+
+    The last argument `start`, a pair of `OrbitEquations` and z, is the orbit that closes the branch if it is reached
+    again.
+    """
     domain_bounds = parameter_domain(scene, name)
     lower, upper = max(bounds[0], domain_bounds[0]), min(bounds[1], domain_bounds[1])
     control_values = (
@@ -271,18 +400,58 @@ def make_branch_settings(
 
 
 def polish_orbit(orbit, name):
-    """(`OrbitEquations`, z) of an orbit, polished at its value of the parameter. Raises OrbitError."""
+    """Return the equations and the corrected unknowns of an orbit at its own parameter value.
+
+    Parameters
+    ----------
+    orbit : Orbit
+        Orbit.
+    name : str
+        Continuation parameter.
+
+    Returns
+    -------
+    problem : OrbitEquations
+        Equations of the orbit.
+    z : ndarray
+        Unknowns, corrected by Newton's method if it converges.
+
+    Raises
+    ------
+    OrbitError
+        If the residual is too large.
+    """
     value = float(orbit.scene.parameter(name))
     problem, z = set_up_problem(orbit.scene, name, orbit_row_of(orbit, value))
     residual = float(abs(np.asarray(augmented_systems.evaluate(continuation_problem(problem), z, problem)[0])).max())
     if not residual < MAX_START_RESIDUAL * scene_length(orbit.scene):
-        raise OrbitError("the start is no orbit", residual, "give an Orbit of find_orbit, with its own scene")
+        raise OrbitError("the start is not an orbit", residual, "use an Orbit from find_orbit with its own scene")
     point = correct_to_value(problem, z, value)
     return problem, point.z if point.converged else z
 
 
 def check_settings(first_step, largest_step, tolerance, monitors, stop):
-    """The settings of a branch by name, checked. Raises ArgumentError."""
+    """Check the settings of a branch.
+
+    Parameters
+    ----------
+    first_step, largest_step, tolerance : float
+        Steps and tolerance. Must be positive.
+    monitors : dict of str to callable
+        User-defined test functions.
+    stop : str or sequence of str
+        Kinds of special point at which the branch ends.
+
+    Returns
+    -------
+    dict
+        Settings by name.
+
+    Raises
+    ------
+    ArgumentError
+        If a setting is invalid.
+    """
     settings = {"first_step": first_step, "largest_step": largest_step, "tolerance": tolerance}
     for key, value in settings.items():
         if not (np.ndim(value) == 0 and np.isfinite(value) and value > 0):
@@ -290,9 +459,7 @@ def check_settings(first_step, largest_step, tolerance, monitors, stop):
     try:
         monitors = dict(monitors)
     except (TypeError, ValueError):
-        raise check.ArgumentError(
-            "monitors", "must be functions by their labels, {label: function}", monitors
-        ) from None
+        raise check.ArgumentError("monitors", "must map labels to functions, {label: function}", monitors) from None
     for label, function in monitors.items():
         if not callable(function):
             raise check.ArgumentError(f"monitors.{label}", "must be a function of a point", function)
@@ -300,6 +467,8 @@ def check_settings(first_step, largest_step, tolerance, monitors, stop):
     for label in stop:
         if label not in (known_kinds := (*KIND_NAMES, *monitors)):
             raise check.ArgumentError(
-                "stop", f"must be special points or monitors{check.describe_choices(label, known_kinds)}", label
+                "stop",
+                f"must be kinds of special point or labels of monitors{check.describe_choices(label, known_kinds)}",
+                label,
             )
     return settings | {"monitors": monitors, "stop": stop}

@@ -1,4 +1,4 @@
-"""`HeldBranch`: orbits along two parameters that share a number."""
+"""Orbits along two parameters with one quantity held fixed."""
 
 import json
 from dataclasses import dataclass, field
@@ -24,16 +24,42 @@ from ..scene.scene_table import make_scene_table
 from .branch import Special
 from .orbit_columns import orbit_columns
 
-HELD_UNITS = {"peak": LENGTH, "least_speed": SPEED}  # of what may be held
+HELD_UNITS = {"peak": LENGTH, "least_speed": SPEED}  # units of the quantities that may be held
 
 
 @dataclass(frozen=True, eq=False)
 class HeldBranch(OrbitRows[Special]):
-    """Orbits along two parameters that share a number.
+    """Orbits along two parameters with one quantity held fixed.
 
-    names: of the parameters; held, value: the number and what it is; bounds: of each; scene: at the start; data: an
-    xarray.Dataset with a row a point, in order, the columns as of a `Branch`, both parameters among them; reasons: why
-    it ends, at its first and at its last point; special: none is looked for.
+    Attributes
+    ----------
+    names : tuple of str
+        Names of the two parameters.
+    held : str
+        Name of the held quantity, ``"peak"`` or ``"least_speed"``.
+    value : float
+        Value of the held quantity.
+    bounds : dict of str to tuple of float
+        Bounds of each parameter.
+    scene : Scene
+        Scene at the start.
+    data : xarray.Dataset
+        One row per point, in order. The columns are those of `Branch`, with both parameters.
+    reasons : tuple of str
+        Reasons for the ends at the first and at the last point.
+    special : tuple of Special
+        Empty; no special points are located.
+
+    See Also
+    --------
+    follow : Continue a periodic orbit; its argument `hold` gives a `HeldBranch`.
+
+    Examples
+    --------
+    >>> bounds = {"amplitude": (1.0, 4.0), "frequency": (2.0, 2.2)}
+    >>> held = jv.follow(orbit, ("amplitude", "frequency"), bounds, hold={"least_speed": 1.0}, max_points=10)
+    >>> held.names, held.label, len(held) <= 10
+    (('amplitude', 'frequency'), 'P111', True)
     """
 
     names: tuple[str, str]
@@ -53,29 +79,42 @@ class HeldBranch(OrbitRows[Special]):
 
     @property
     def values(self) -> Float[np.ndarray, "points 2"]:
-        """The two parameters at each point, (points, 2)."""
+        """Values of the two parameters at each point, array of shape (points, 2)."""
         return np.stack([self.data[name].values for name in self.names], axis=1)
 
     @property
     def stable(self) -> Bool[np.ndarray, " points"]:
-        """Whether each point's orbit is stable, (points,)."""
+        """Stability of each point's orbit, boolean array of shape (points,)."""
         return self.data["stable"].values.astype(bool)
 
     @cached_property
     def label(self) -> str:
-        """P n p q of the orbits."""
+        """Label P n p q of the orbits."""
         scene, orbit_row = self.located(0)
         return label_of(scene, orbit_row, itinerary(orbit_row, float(scene.frequency)))
 
     def located(self, place: int) -> tuple[Scene, OrbitPoint]:
-        """(the scene at a point, its `OrbitPoint`)."""
+        """Return the scene and the orbit at a point.
+
+        Parameters
+        ----------
+        place : int
+            Index of the point.
+
+        Returns
+        -------
+        scene : Scene
+            Scene at the point.
+        orbit_row : OrbitPoint
+            Orbit as plain numbers.
+        """
         row = dataset_row(self.data, place)
         values = {name: float(row[name]) for name in self.names}
         return self.scene.replace(**values), parse_orbit_row(row, self.names[0])
 
     @property
     def content(self) -> bytes:
-        """The bytes of the file that `save` writes."""
+        """Bytes of the file that `save` writes."""
         attrs = {
             "title": "jaxvibro held branch",
             "source": f"jaxvibro {__version__}",
@@ -88,10 +127,29 @@ class HeldBranch(OrbitRows[Special]):
         return netcdf_bytes(self.data.assign_attrs(attrs))
 
     def table(self, units: str = "scene") -> str:
-        """What is held, a line for each stretch of one stability with the parameters at its ends, and why the curve
-        ends. units: as in `Branch.table`.
+        """Format the held quantity, the stability along the curve, and the reasons for the ends.
 
-        Raises ArgumentError for other units, and where the scene has no scales.
+        Parameters
+        ----------
+        units : {"scene", "physical"}, optional
+            Unit system. ``"physical"`` needs a scene with scales.
+
+        Returns
+        -------
+        str
+            One line per part of constant stability, with the parameters at its ends, then the reason for each end.
+
+        Raises
+        ------
+        ArgumentError
+            If `units` is unknown, or the scene has no scales.
+
+        Examples
+        --------
+        >>> bounds = {"amplitude": (1.0, 4.0), "frequency": (2.0, 2.2)}
+        >>> held = jv.follow(orbit, ("amplitude", "frequency"), bounds, hold={"least_speed": 1.0}, max_points=10)
+        >>> held.table().splitlines()[0]
+        'least_speed held at 1'
         """
         column_units = {name: unit_in_system(self.scene, unit_of(name), units) for name in self.names}
         unit, factor = unit_in_system(self.scene, HELD_UNITS[self.held], units)
@@ -118,10 +176,23 @@ class HeldBranch(OrbitRows[Special]):
         )
 
     def to_frame(self, units: str = "scene") -> pd.DataFrame:
-        """A row a point, a pandas.DataFrame: the two parameters, what is held, and the columns of `Branch.to_frame`
-        but for the kind. units: likewise.
+        """Convert the points to a pandas DataFrame.
 
-        Raises ArgumentError for other units, and where the scene has no scales.
+        Parameters
+        ----------
+        units : {"scene", "physical"}, optional
+            Unit system. ``"physical"`` needs a scene with scales.
+
+        Returns
+        -------
+        pandas.DataFrame
+            One row per point: the two parameters, the held quantity, and the columns of `Branch.to_frame` except the
+            kind.
+
+        Raises
+        ------
+        ArgumentError
+            If `units` is unknown, or the scene has no scales.
         """
         values = {name: self.data[name].values for name in self.names}
         labels, held_column = np.repeat(self.label, len(self)), (HELD_UNITS[self.held], np.full(len(self), self.value))

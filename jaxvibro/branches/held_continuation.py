@@ -1,4 +1,4 @@
-"""Orbits along two parameters, a number of theirs held: the start, brought to that number, and both ways from it."""
+"""Follow orbits along two parameters with one quantity held fixed."""
 
 import numpy as np
 import xarray as xr
@@ -27,22 +27,27 @@ from .held_branch import HeldBranch
 from .held_equations import HELD_QUANTITIES, HeldOrbitEquations
 from .largest_position import branch_peak_positions
 
-MIN_STEP = 1e-8  # step
+MIN_STEP = 1e-8  # arclength
 
 
 class HeldEventDetector(OrbitEventDetector):
-    """Orbits along two parameters, up to a touch."""
+    """Event detector for orbits along two parameters, up to a grazing."""
 
     def find_boundary_end(self, task, points, diagnostics, first_bad):
+        """End the curve at the grazing before the first inadmissible point."""
         points, residual = truncate_at_grazing(task, points, diagnostics, first_bad, self.length_scale)
         return None if residual is None else Termination(points, SpecialIndex(0, "GR", residual), End.GRAZE)
 
     def find_events(self, task, points, diagnostics, known_branch_points, termination):
+        """Locate no special points."""
         return []
 
 
 def check_hold(scene, names, bounds, hold):
-    """(the two names, {name: (low, high)}, the name of the number, its value). Raises ArgumentError."""
+    """Check the arguments of a held branch. Raises ArgumentError.
+
+    Returns the two names, ``{name: (low, high)}``, and the name and value of the held quantity.
+    """
     hold_items = list(hold.items()) if isinstance(hold, dict) else []
     if (
         len(hold_items) != 1
@@ -50,12 +55,12 @@ def check_hold(scene, names, bounds, hold):
         or not np.isscalar(hold_items[0][1])
         or not np.isfinite(hold_items[0][1])
     ):
-        raise check.ArgumentError("hold", f"must be one number by its name, {' or '.join(HELD_QUANTITIES)}", hold)
+        raise check.ArgumentError("hold", f"must map {' or '.join(HELD_QUANTITIES)} to one finite number", hold)
     name_pair = tuple(names) if isinstance(names, tuple | list) else ()
     for name in name_pair:
         check.require_parameter(name, scene.names, name)
     if len(name_pair) != 2 or name_pair[0] == name_pair[1]:
-        raise check.ArgumentError("name", "must be two different parameters where one number is held", names)
+        raise check.ArgumentError("name", "must be two different parameters if `hold` is given", names)
     check.require_independent(*name_pair)
     if not isinstance(bounds, dict) or set(bounds) != set(name_pair):
         raise check.ArgumentError(
@@ -70,9 +75,11 @@ def check_hold(scene, names, bounds, hold):
 
 
 def locate_start(scene, names, quantity_name, value, orbit_problem, z):
-    """(`HeldOrbitEquations`, z, the tangent towards greater values of the second parameter) of a near orbit with that
-    number, the second parameter as it is; None where Newton's method comes to none. orbit_problem, z: `OrbitEquations`
-    of an orbit along the first parameter."""
+    """Locate an orbit close to z with the held value, the second parameter being fixed.
+
+    Returns `HeldOrbitEquations`, z and the tangent towards greater values of the second parameter; None if Newton's
+    method fails. `orbit_problem` and `z` belong to an orbit along the first parameter.
+    """
     marked_scene, parameter_marks = mark_parameters(scene, *names)
     quantity_mask = np.array([float(name == quantity_name) for name in HELD_QUANTITIES])
     problem = HeldOrbitEquations(
@@ -89,8 +96,7 @@ def locate_start(scene, names, quantity_name, value, orbit_problem, z):
 
 
 def nearby_orbits(branch, quantity_name, value):
-    """(`OrbitEquations`, z) of the points of a `Branch` along the first parameter between which the number comes to a
-    value, the nearest to its start first."""
+    """Yield the equations and z of points next to which the quantity takes a value, nearest to the start first."""
     quantities = _held_quantities(branch, quantity_name)
     start_row = int(np.argmin(abs(branch.values - float(branch.scene.parameter(branch.name)))))
     crossing_rows = np.flatnonzero((quantities[:-1] - value) * (quantities[1:] - value) <= 0)
@@ -104,17 +110,17 @@ def _held_quantities(branch, quantity_name):
 
 
 def unreachable_value_error(branch: Branch, quantity_name: str, value: float) -> OrbitError:
-    """The error where a number comes to a value nowhere."""
+    """Make the error for a value that the quantity does not take on a branch."""
     quantities = _held_quantities(branch, quantity_name)
     rule = (
-        f"{quantity_name} is nowhere {value:.12g} along {branch.name}, but from {min(quantities):.4g} to"
-        f" {max(quantities):.4g}"
+        f"{quantity_name} does not take the value {value:.12g} along {branch.name}; it ranges from"
+        f" {min(quantities):.4g} to {max(quantities):.4g}"
     )
-    return OrbitError(rule, float(np.max(branch.data["residual"].values)), "give another orbit, or wider bounds")
+    return OrbitError(rule, float(np.max(branch.data["residual"].values)), "use another orbit or wider bounds")
 
 
 def follow_held_branch(scene, names, bounds, quantity_name, value, start, direction, settings):
-    """The `HeldBranch` from `locate_start`s both ways, or one."""
+    """Follow a held branch from the result of `locate_start`, in one or both directions."""
     problem, z, start_tangent = start
     domains, bound_intervals = [parameter_domain(scene, name) for name in names], [bounds[name] for name in names]
     parameter_bounds = tuple(

@@ -1,8 +1,7 @@
-"""The equations of orbits along two parameters with one more number that is to stay what it is, as `continuation` takes
-them: z = (times, speeds or x and v, first parameter, second).
+"""Equations of orbits along two parameters with one quantity held fixed, as `continuation` takes them.
 
-How the number changes with z is told by central differences: they point the way alone, while whether it is what it is
-to be is exact.
+The unknowns are z = (times, speeds or x and v, first parameter, second parameter). The gradient of the quantity is a
+central difference. It only affects the direction of the steps: the quantity itself is exact.
 """
 
 from functools import partial
@@ -33,12 +32,21 @@ from ..problem.equations import (
 from ..scene.scene import Scene
 from .largest_position import peak_of_flight, peak_of_sequence
 
-DIFFERENCE_STEP = 1e-5  # of 1 + abs z: the points of a difference
+DIFFERENCE_STEP = 1e-5  # relative to 1 + abs(z)
 
 
 class HeldOrbitEquations(NamedTuple):
-    """Orbits of which a number is held. scene, parameter_marks, sequence: as of `OrbitEquations`; quantity_mask: (2,),
-    1 at that of `HELD_QUANTITIES` which is held; value: what it is to be."""
+    """Equations of orbits with one quantity held fixed.
+
+    Attributes
+    ----------
+    scene, parameter_marks, sequence
+        As in `OrbitEquations`.
+    quantity_mask : Array
+        Array of shape (2,), 1 at the held quantity among `HELD_QUANTITIES`.
+    value : Array
+        Value of the held quantity.
+    """
 
     scene: Scene
     parameter_marks: Scene
@@ -46,8 +54,8 @@ class HeldOrbitEquations(NamedTuple):
     quantity_mask: Float[Array, "2"]
     value: Float[Array, ""]
 
-    impact_rows = OrbitEquations.impact_rows  # type: ignore[misc]  # properties that both have
-    slack = OrbitEquations.slack  # type: ignore[misc]  # so too
+    impact_rows = OrbitEquations.impact_rows  # type: ignore[misc]  # shared property
+    slack = OrbitEquations.slack  # type: ignore[misc]  # shared property
 
 
 def _peak(z, problem):
@@ -65,7 +73,7 @@ HELD_QUANTITIES = {"peak": _peak, "least_speed": _least_speed}
 
 
 def held_quantity(z, problem):
-    """The number that is held, at z."""
+    """Return the held quantity at z."""
     return sum(
         problem.quantity_mask[k] * jnp.where(problem.quantity_mask[k] > 0, quantity(z, problem), 0.0)
         for k, quantity in enumerate(HELD_QUANTITIES.values())
@@ -73,7 +81,7 @@ def held_quantity(z, problem):
 
 
 def _held_system(dense_function, z, problem):
-    """(F, dF/dz) with the number less its value at the end."""
+    """Return F and dF/dz; the last residual is the quantity minus its value."""
     residual, jacobian = dense_function(z, problem)
     spacing = DIFFERENCE_STEP * (1.0 + abs(z))
     directions = np.concatenate([np.zeros((1, len(z))), np.eye(len(z)), -np.eye(len(z))])

@@ -1,9 +1,10 @@
-"""Special points that cannot be.
+"""Reject special points that are impossible.
 
-Under spring and damper, between passive walls, the multipliers' product is that of e^(-gamma T), of each wall's R^2 and
-of what soft walls take: positive, and 1 at the most. Under any force: where it is below 1 no two multipliers are of
-size 1: there is no Neimark-Sacker point, and no two of SN, SB and PD are one; nor has an orbit that is its own mirror
-image a PD, as its multipliers are the squares of those of half of it (Swift and Wiesenfeld, Phys. Rev. Lett. 52, 1984).
+Under spring and damper, between passive walls, the product of the multipliers is that of e^(-gamma T), of R^2 at each
+impact, and of the factors of soft walls: positive and at most 1. Under any force a product below 1 excludes two
+multipliers of modulus 1. So there is no Neimark-Sacker point, and no two of SN, SB and PD coincide. An orbit that is
+its own mirror image has no PD, because its multipliers are the squares of those of half of it (Swift and Wiesenfeld,
+Phys. Rev. Lett. 52, 1984).
 """
 
 from itertools import combinations
@@ -14,13 +15,13 @@ from ..problem.orbit_point import is_own_mirror_image
 from ..scene.symmetry import is_symmetric
 
 EXCLUSIVE_PAIRS = {("SB", "SN"), ("PD", "SN"), ("PD", "SB"), ("BP", "PD")}
-COINCIDENCE_TOLERANCE = 1e-9  # of 1 + abs value and of the largest impact's speed: special points as near are one
-MULTIPLIER_TOLERANCE = 1e-2  # between multipliers: those of one point, as near a grazing as can be
-ROUNDING_FACTOR = 1e-9  # of 1 + the larger multiplier, squared: so far may the product be off
+COINCIDENCE_TOLERANCE = 1e-9  # relative to 1 + abs(value) and to the largest speed; closer special points coincide
+MULTIPLIER_TOLERANCE = 1e-2  # largest difference of multipliers of one point, also close to a grazing
+ROUNDING_FACTOR = 1e-9  # rounding of the product, relative to (1 + larger multiplier)^2
 
 
 class ImpossibleError(ArithmeticError):
-    """A special point was found that the scene cannot have: what was computed there is wrong."""
+    """Error for a special point that the scene cannot have, so that its computation is wrong."""
 
     def __init__(self, description, name, value, product):
         super().__init__(description, name, value, product)
@@ -28,20 +29,20 @@ class ImpossibleError(ArithmeticError):
 
     def __str__(self):
         return (
-            f"{self.description} at {self.name} = {self.value:.12g} cannot be, the multipliers' product being"
-            f" {self.product:.6g}: what was computed there is wrong; please report the scene"
+            f"{self.description} at {self.name} = {self.value:.12g} is impossible, because the product of the"
+            f" multipliers is {self.product:.6g}; the computation is wrong there; please report the scene"
         )
 
 
 def require_damped(name, values, multipliers):
-    """Refuse points, (points,) and (points, 2), whose multipliers' product is more than 1. Raises ImpossibleError."""
+    """Check that the products of multipliers, array of shape (points, 2), are at most 1. Raises ImpossibleError."""
     products, rounding = _products(multipliers)
     for index in np.flatnonzero(np.isfinite(products) & (products > 1.0 + rounding)):
         raise ImpossibleError("a growing area", name, float(values[index]), float(products[index]))
 
 
 def require_possible(special_points):
-    """Refuse special points of a branch that cannot be. Raises ImpossibleError."""
+    """Check that the special points of a branch are possible. Raises ImpossibleError."""
     damped_points = []
     for special in special_points:
         product, rounding = _products(special.multipliers)
@@ -55,20 +56,21 @@ def require_possible(special_points):
             special, other_special
         ):
             raise ImpossibleError(
-                f"{special.kind} and {other_special.kind} in one", special.name, special.value, product
+                f"coincidence of {special.kind} and {other_special.kind}", special.name, special.value, product
             )
 
 
 def _products(multipliers):
-    """(the size of the product of the multipliers, (..., 2); how far rounding may put it off), nan where they are not
-    finite, at an impact without speed."""
+    """Return the moduli of the products of multipliers and their rounding, nan at an impact with zero speed."""
     with np.errstate(invalid="ignore"):
         return abs(multipliers.prod(axis=-1)), ROUNDING_FACTOR * (1.0 + abs(multipliers[..., 0])) ** 2
 
 
 def _is_same_point(first_point, second_point):
-    """Whether two special points have the same value, impacts and multipliers. At a grazing of a soft wall the last go
-    from -1 to 1 while the others change by a rounding."""
+    """Test whether two special points have the same value, impacts and multipliers.
+
+    At a grazing of a soft wall the multipliers change from -1 to 1 while value and impacts change by rounding.
+    """
     first_row, second_row = first_point.spot, second_point.spot
     if len(first_row.times) != len(second_row.times) or abs(
         first_row.value - second_row.value

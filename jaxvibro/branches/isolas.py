@@ -1,8 +1,8 @@
-"""`find_isolas`: closed branches that no other leads to and no start need settle on.
+"""Find isolas: closed branches that no other branch reaches and no start need settle on.
 
-At values all over the parameter's range the equations of the impacts are solved for each order of walls, by Newton's
-method from guesses at random, each led away from what it has met (`orbits/deflation.py`). What lies on no branch known
-so far is followed; those branches that come back to where they began are isolas.
+At values over the whole range of the parameter the equations of the impacts are solved for each order of walls, by
+Newton's method from random guesses, with deflation of known solutions (`orbits/deflation.py`). Each solution on no
+known branch is followed. The branches that return to their start are isolas.
 """
 
 from collections.abc import Callable
@@ -31,9 +31,9 @@ from .follow import branch_through, check_settings
 from .seed_orbits import SeedOrbit
 from .switch import FIRST_STEP
 
-N_VALUES, N_GUESSES = 256, 2  # of the parameter; at each
-IMPACT_TOLERANCE = 1e-6  # of the largest speed: two impacts as near are one
-MAX_IMPACTS = 32  # impacts of an orbit
+N_VALUES, N_GUESSES = 256, 2  # values of the parameter; guesses at each value
+IMPACT_TOLERANCE = 1e-6  # relative to the largest speed; closer impacts are identical
+MAX_IMPACTS = 32
 
 
 @check.host_only("use strobe or monodromy")
@@ -46,22 +46,54 @@ def find_isolas(
     *,
     max_seconds: float | None = None,
 ) -> Results[Branch]:
-    """The isolas of a scene along a parameter, closed branches that are on none of a diagram's: a tuple of `Branch`.
+    """Find closed branches of a scene that are not in a diagram.
 
-    diagram: of `explore`, whose scene, parameter and bounds are taken. max_period, max_impacts: of the orbits that are
-    looked for, in drive periods, at most 64, and in impacts, at most 32; seed: of the guesses. progress: called with
-    the number of orders of walls looked at so far. max_seconds: wall-clock time, s, after which the isolas so far are
-    returned, and the attribute `stopped` of the tuple, else "", says so; None is no limit.
+    Parameters
+    ----------
+    diagram : Diagram
+        Diagram from `explore`. Its scene, parameter and bounds are used.
+    max_period : int, optional
+        Largest number of drive periods of the orbits, at most 32.
+    max_impacts : int, optional
+        Largest number of impacts of the orbits, at most 32.
+    seed : int, optional
+        Seed of the guesses.
+    progress : callable, optional
+        Called with the number of orders of walls that are done.
+    max_seconds : float, optional
+        Wall-clock time in s after which the isolas found are returned. None is no limit.
 
-    Each order of walls is solved for at 256 values of the parameter: an isola as wide as a few hundredths of the bounds
-    is met, a narrower one by chance. It is told to be closed where its branch comes back to its first orbit, through
-    grazings too; in a symmetric scene its mirror image is there as well. What leaves it, `switch` follows.
+    Returns
+    -------
+    tuple of Branch
+        The isolas. Its attribute ``stopped`` is empty, or states that the time was over.
 
-    Raises ArgumentError for arguments that cannot be.
+    Raises
+    ------
+    ArgumentError
+        If an argument is invalid.
+
+    See Also
+    --------
+    explore : Explore the periodic orbits of a scene along a parameter.
+    switch : Follow the branches that emanate from a special point.
+
+    Notes
+    -----
+    Each order of walls is solved for at 256 values of the parameter. An isola as wide as a few hundredths of the bounds
+    is found; a narrower one may be missed. A branch is closed if it returns to its first orbit, also through grazings.
+    In a symmetric scene the mirror image is included. `switch` follows the branches that emanate from an isola.
+
+    Examples
+    --------
+    >>> diagram = jv.explore(scene, "amplitude", (1.8, 2.2), max_period=1, budget=1)
+    >>> isolas = jv.find_isolas(diagram, max_period=1, max_impacts=1)
+    >>> isolas, isolas.stopped
+    ((), '')
     """
     limits = limits_of(None, max_seconds, None, check.ArgumentError)
     if not isinstance(diagram, Diagram):
-        raise check.ArgumentError("diagram", "must be a Diagram, as explore gives it", diagram)
+        raise check.ArgumentError("diagram", "must be a Diagram, as explore returns", diagram)
     period_limit, impact_limit = (
         check.whole_number("max_period", max_period, 1),
         check.whole_number("max_impacts", max_impacts, 1),
@@ -99,7 +131,7 @@ def find_isolas(
 
 
 def _follow_seed_orbit(tree, seed_orbit, scene, name, bounds, step_settings):
-    """What a probe's branch and its mirror image are, if they close; they are known from now on."""
+    """Follow a seed orbit; return its branch and the mirror image if they close. They are known from then on."""
     start = correct_to_seed_orbit(seed_orbit, *set_up_problem(scene, name, seed_orbit.orbit_row))
     if start is None:
         return []
@@ -114,7 +146,7 @@ def _follow_seed_orbit(tree, seed_orbit, scene, name, bounds, step_settings):
 
 
 def _wall_orders(scene, period_limit, impact_limit):
-    """(periods, sides) of each order of walls, from whichever impact it is counted: short ones first."""
+    """Yield periods and sides of each order of walls, up to cyclic shifts, short ones first."""
     wall_sides = [side for side, wall in ((-1.0, scene.left), (1.0, scene.right)) if wall is not None]
     for periods in range(1, period_limit + 1):
         for n_impacts in range(1, impact_limit + 1):
@@ -124,7 +156,7 @@ def _wall_orders(scene, period_limit, impact_limit):
 
 
 def _solve_for_orbits(scene, name, bounds, periods, sides, rng):
-    """The `SeedOrbit`s of orbits with an order of walls at values of the parameter."""
+    """Yield the `SeedOrbit` of each orbit with an order of walls, over the range of the parameter."""
     lower, upper = np.clip(parameter_domain(scene, name), *bounds)
     n_lanes, n_impacts, n_rows = N_VALUES * N_GUESSES, len(sides), max(2, 1 << (len(sides) - 1).bit_length())
     values = np.repeat(lower + (upper - lower) * (np.arange(N_VALUES) + rng.random(N_VALUES)) / N_VALUES, N_GUESSES)

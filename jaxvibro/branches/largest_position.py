@@ -1,7 +1,7 @@
-"""The largest abs x of orbits: where a flight, or a stay within a soft wall, turns back, or at a wall that is hit.
+"""Compute the largest ``|x|`` of orbits: at turning points of flights and contact phases, or at a wall that is hit.
 
-Each flight and stay is looked at in cells; where v changes its sign in one, the turning point is found by false
-position. Whatever is compared is a value of x on the orbit, so that a cell without a turning point does no harm.
+Each flight and each contact phase is divided into cells. Where v changes sign in a cell, the turning point is located
+by false position. All compared values are values of x on the orbit, so a cell without a turning point does no harm.
 """
 
 import jax
@@ -17,12 +17,12 @@ from ..problem.equations import scene_at, sequence_at
 from ..problem.orbit_point import set_up_problem
 from ..problem.orbit_rows import dataset_row, parse_orbit_row
 
-MAX_CELLS = 50_000  # cells
-N_ITERATIONS = 6  # of false position: x at a turning point is right to the square of its time's error
+MAX_CELLS = 50_000
+N_ITERATIONS = 6  # of false position; the error of x at a turning point is the square of that of its time
 
 
 def branch_peak_positions(branch):
-    """The largest abs x on the orbit of each point of a branch, (points,)."""
+    """Return the largest ``|x|`` on the orbit of each point of a branch, array of shape (points,)."""
     positions = np.zeros(len(branch))
     for segment in branch.segments:
         segment_data = branch.data.isel(point=slice(segment.first, segment.last + 1))
@@ -35,7 +35,7 @@ def branch_peak_positions(branch):
 
 
 def _unknowns_of_rows(segment_data, name, problem, z):
-    """The unknowns z at the rows of a branch's data that have one itinerary."""
+    """Return the unknowns z of rows with one itinerary."""
     n_rows, n_impacts = len(problem.sequence.sides), int(np.sum(problem.sequence.sides != 0))
     zs = np.zeros((segment_data.sizes["point"], len(z)))
     zs[:, -1] = segment_data[name].values
@@ -51,19 +51,32 @@ def _unknowns_of_rows(segment_data, name, problem, z):
 
 
 def peak_positions(problem, zs):
-    """The same at points z of orbits of one itinerary."""
+    """Return the largest ``|x|`` at points z of orbits with one itinerary, array of shape (points,)."""
     return evaluate_points(
         _peak_with_impacts if len(problem.sequence.sides) else _peak_without_impacts, problem, zs, 1
     )[0]
 
 
 def _peak_with_impacts(problem, z, _):
-    """(the largest abs x,) at one point of orbits with impacts."""
+    """Return the largest ``|x|`` at one point of orbits with impacts, as a tuple."""
     return (peak_of_sequence(flow_coefficients(scene_at(problem, z)), sequence_at(problem, z)),)
 
 
 def peak_of_sequence(coeffs, sequence):
-    """The largest abs x of a cycle with impacts."""
+    """Return the largest ``|x|`` of an orbit with impacts.
+
+    Parameters
+    ----------
+    coeffs : FlowCoefficients
+        Coefficients of the flow.
+    sequence : ImpactSequence
+        Impacts of the orbit.
+
+    Returns
+    -------
+    Array
+        Largest ``|x|``.
+    """
     flights, is_impact = impact_equations.compute_flights(coeffs, sequence), sequence.sides != 0
 
     def position_at(time):
@@ -83,7 +96,7 @@ def peak_of_sequence(coeffs, sequence):
         )
         start_times = start_times + contact_durations
 
-    def free_position_at(time):  # no stay is compiled for it again
+    def free_position_at(time):  # avoids compiling the contact phase again
         return flow_of(coeffs).fly(coeffs, flights.x, flights.v, flights.cosine, flights.sine, time - start_times)[:2]
 
     largest = _peak_over_spans(free_position_at, start_times, durations, coeffs.max_step, largest)
@@ -95,7 +108,20 @@ def _peak_without_impacts(problem, z, _):
 
 
 def peak_of_flight(coeffs, flight):
-    """The largest abs x of the flight of a motion without impacts."""
+    """Return the largest ``|x|`` of an orbit without impacts.
+
+    Parameters
+    ----------
+    coeffs : FlowCoefficients
+        Coefficients of the flow.
+    flight : Flight
+        Flight of the orbit.
+
+    Returns
+    -------
+    Array
+        Largest ``|x|``.
+    """
 
     def position_at(time):
         return flow_of(coeffs).fly(coeffs, flight.x, flight.v, flight.cosine, flight.sine, time)[:2]
@@ -105,9 +131,11 @@ def peak_of_flight(coeffs, flight):
 
 
 def _peak_over_spans(position_at, start_times, durations, max_step, largest):
-    """The largest abs x of rows from a time on, over a span, if it is larger than the best so far; position_at: time ->
-    (x, v); max_step: of a step of the flow, of which a cell is a small part. It is nan where there would be too many
-    cells, as where Newton's method goes astray."""
+    """Return the largest ``|x|`` of each row over a time span, or `largest` if that is larger.
+
+    `position_at` maps a time to (x, v). A cell is a small fraction of `max_step`, a step of the flow. The result is nan
+    if there would be too many cells, as where Newton's method diverges.
+    """
     n_needed = jnp.max(durations) / (flight_clearance.SAMPLE_ANGLE * max_step)
     is_feasible = n_needed <= MAX_CELLS
     n_cells = jnp.ceil(jnp.where(is_feasible, n_needed, 0.0)).astype(int) + 8
@@ -129,17 +157,16 @@ def _peak_over_spans(position_at, start_times, durations, max_step, largest):
 
 
 def _turning_time(position_at, lower, upper, v_lower, v_upper):
-    """Where v is zero between two times with these v: false position, an end that stays once more counted half
-    (Illinois)."""
+    """Locate the zero of v between two times by the Illinois variant of false position."""
 
     def narrow(_, carry):
         (lower, upper), (v_lower, v_upper), unchanged_end = (
-            carry  # stayed: 1 where the high end did last time, -1 where the low one
+            carry  # the last: 1 if the previous step kept the upper end, -1 if it kept the lower one
         )
         v_difference = jnp.where(v_lower == v_upper, 1.0, v_lower - v_upper)
         middle_time = lower + (upper - lower) * jnp.clip(v_lower / v_difference, 0.0, 1.0)
         _, v = position_at(middle_time)
-        is_in_upper_part = v * v_upper < 0  # the zero lies between the middle and the high end
+        is_in_upper_part = v * v_upper < 0  # the zero lies between the middle and the upper end
         lower, upper = jnp.where(is_in_upper_part, middle_time, lower), jnp.where(is_in_upper_part, upper, middle_time)
         v_lower, v_upper = (
             v_lower * jnp.where(unchanged_end < 0, 0.5, 1.0),

@@ -1,7 +1,7 @@
-"""The mirror image of a branch of a symmetric scene: `mirror_branch`.
+"""Compute the mirror image of a branch of a symmetric scene.
 
-(x, v, phase) -> (-x, -v, phase + pi): the other walls half a drive period later, with the same speeds (paper, section
-1).
+(x, v, phase) -> (-x, -v, phase + pi): impacts on the other walls half a drive period later, with the same speeds
+(paper, section 1).
 """
 
 from dataclasses import replace
@@ -15,7 +15,7 @@ from .branch import frequency_at, make_special
 
 
 def mirror_branch(branch):
-    """The `Branch` of the mirror images of a branch's orbits; its scene is one that `stays_symmetric`."""
+    """Return the branch of the mirror images of a branch's orbits; its scene must satisfy `stays_symmetric`."""
     data = _mirrored_data(branch)
     special_points = (_mirrored_special(branch, data, entry) for entry in branch.special)
     segments = (_mirrored_segment(branch, data, entry) for entry in branch.segments)
@@ -23,7 +23,7 @@ def mirror_branch(branch):
 
 
 def _mirrored_data(branch):
-    """The data with the impacts half a period later on the other walls, x and v at phase 0 anew."""
+    """Move the impacts to the other walls half a drive period later, and recompute x and v at phase 0."""
     data, name = branch.data, branch.name
     half_period = np.broadcast_to(np.pi / frequency_at(branch.scene, name, branch.values), branch.values.shape)
     mirrored_times = half_period[:, None] + data["time"]
@@ -42,7 +42,7 @@ def _mirrored_data(branch):
 
 
 def _diagnose_rows(branch, orbit_row, segment_data):
-    """The `Diagnostics` at rows of one itinerary, that of a `OrbitPoint`."""
+    """Compute the `Diagnostics` at rows with the itinerary of an `OrbitPoint`."""
     problem, z = set_up_problem(branch.scene, branch.name, orbit_row)
     n_impacts, n_rows = len(orbit_row.times), len(problem.sequence.sides)
     is_impact = segment_data["side"].values[0] != 0
@@ -74,7 +74,7 @@ def _mirrored_special(branch, data, special):
 
 
 def _mirrored_orbit_row(scene, name, orbit_row):
-    """The mirror image of a `OrbitPoint`; without impacts it is its own."""
+    """Return the mirror image of an `OrbitPoint`; without impacts it is its own."""
     if not len(orbit_row.times):
         return orbit_row
     mirrored_times = orbit_row.times + np.pi / frequency_at(scene, name, orbit_row.value)

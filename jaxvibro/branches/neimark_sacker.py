@@ -1,5 +1,7 @@
-"""Where the product of the multipliers passes 1: Neimark-Sacker points and neutral saddles, which only a scene may have
-whose areas grow somewhere."""
+"""Locate Neimark-Sacker points and neutral saddles, where the product of the multipliers passes 1.
+
+Only scenes whose phase-space areas grow somewhere can have them.
+"""
 
 import jax
 import numpy as np
@@ -13,9 +15,11 @@ from .user_monitors import locate_crossings
 
 
 def locate_neimark_sacker(task, points, diagnostics):
-    """The `Event`s of a row of points at which the determinant of the monodromy matrix passes 1: NS where the
-    multipliers are complex there, NSA where they are real, a neutral saddle. None where areas are proved never to grow,
-    and where the determinant is 1 all along."""
+    """Locate the `Event` of each point at which the determinant of the monodromy matrix passes 1.
+
+    The kind is NS if the multipliers are complex there, and NSA (neutral saddle) if they are real. There are none if
+    areas are proved never to grow, or if the determinant is 1 everywhere.
+    """
     excess = diagnostics.determinant - 1.0
     if task.args.scene.force is None or not (np.diff(np.sign(excess)) != 0).any():
         return []
@@ -30,7 +34,7 @@ def locate_neimark_sacker(task, points, diagnostics):
 
 
 def _scenes_at_extremes(problem, points):
-    """The scene at the least and at the largest value of the parameter."""
+    """Return the scenes at the least and at the largest value of the parameter."""
     values = points.z[:, -1]
 
     def scene_at_value(value):
@@ -48,6 +52,6 @@ def _event_kind(problem, event):
 
 
 def _determinant_excess(point):
-    """By how much the determinant at a `MonitoredPoint` is larger than 1."""
-    with np.errstate(invalid="ignore"):  # infinite at an impact without speed
+    """Return the determinant at a `MonitoredPoint` minus 1."""
+    with np.errstate(invalid="ignore"):  # multipliers are infinite at an impact with zero speed
         return float(np.prod(point.multipliers).real) - 1.0

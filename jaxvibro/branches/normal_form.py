@@ -1,4 +1,4 @@
-"""What a special point does: the coefficient of its normal form, and the consequence for a motion that comes to it."""
+"""Compute normal forms of special points and their consequences for stable motions."""
 
 from dataclasses import dataclass
 
@@ -24,18 +24,31 @@ CRITICALITIES = ("", "supercritical", "subcritical")
 
 @dataclass(frozen=True, eq=False)
 class NormalForm:
-    """What happens at a special point, SN, PD, SB or GR, and how fast.
+    """Normal form of a special point SN, PD, SB or GR.
 
-    coefficient: b of SN, PD and SB, where the others are at value + b s^2: the two orbits of the SN, the doubled orbit,
-    the two lopsided ones; s: how far the impacts are from the point's orbit, the root mean square over them of the
-    changes of time and of speed over the scene's length (`scene.scale.scene_length`), to either side along `null`. At a
-    GR, of the touch of a rigid wall where it is the largest: the jump of the velocity over the root of the depth that
-    the contact would have. side: of the parameter, 1 or -1, on which the others are, or the contact is. rate: how fast
-    the multiplier changes with the parameter at PD and SB, nan at an SN; at a GR how fast the depth grows. null: v,
-    (times, speeds), empty at a GR. depths: of each touch at a GR. criticality: "supercritical", "subcritical", or ""
-    at SN and GR. consequence: "jump": a stable motion that comes there along the parameter has no other beside it to go
-    on as; "soft": it goes on as the doubled or a lopsided one, which leaves it gradually; "harmless": a stable one goes
-    on, or none comes there.
+    Attributes
+    ----------
+    coefficient : float
+        At SN, PD and SB the coefficient b: the other orbits exist at value + b s^2. They are the two orbits of the SN,
+        the doubled orbit, or the two asymmetric orbits. s is the distance of the impacts from those of the point's
+        orbit to either side along `null`: the root mean square of the changes of time and of speed over the length of
+        the scene (`scene.typical_scales.scene_length`). At a GR the jump of the velocity divided by the square root of
+        the depth that the contact would have, the largest over the grazing contacts.
+    side : int
+        Side of the parameter on which the other orbits, or the contact, exist: 1 or -1.
+    rate : float
+        Derivative of the multiplier with respect to the parameter at PD and SB, nan at an SN. At a GR the derivative of
+        the depth.
+    null : ndarray
+        Null vector of times and speeds, array of shape (2 * impacts,), empty at a GR.
+    depths : tuple of Depth
+        One entry for each grazing contact at a GR, else empty.
+    criticality : str
+        ``"supercritical"`` or ``"subcritical"``; empty at SN and GR.
+    consequence : str
+        Effect on a stable motion that comes to the point along the parameter. ``"jump"``: no stable motion exists close
+        to it beyond the point. ``"soft"``: it continues as the doubled or an asymmetric orbit, which departs gradually.
+        ``"harmless"``: a stable motion continues, or none comes to the point.
     """
 
     coefficient: float
@@ -53,9 +66,11 @@ class NormalForm:
 
 
 def make_normal_form(kind, name, scene, orbit_row, floquet_multipliers, neighbours):
-    """The `NormalForm` of a special point, None of other kinds, of one of an orbit without impacts but a GR, and where
-    its equations are too singular to say. scene: at the point; orbit_row: its orbit; floquet_multipliers: the
-    multipliers; joins: `OrbitPoint`s of the orbits that meet at a GR."""
+    """Compute the normal form of a special point.
+
+    Returns None for other kinds, for orbits without impacts except at a GR, and where the equations are too singular.
+    `scene` is the scene at the point; `neighbours` are the orbits that meet at a GR.
+    """
     if kind not in NORMAL_FORM_KINDS or (kind != "GR" and not len(orbit_row.times)):
         return None
     try:
@@ -76,12 +91,27 @@ def make_normal_form(kind, name, scene, orbit_row, floquet_multipliers, neighbou
 
 
 def normal_form_of_unfolding(kind, expansion, stable):
-    """The `NormalForm` of an `Unfolding`, if there is one; stable: whether the multiplier that is not at 1 or -1 is."""
+    """Make the `NormalForm` of an `Unfolding`.
+
+    Parameters
+    ----------
+    kind : str
+        SN, PD or SB.
+    expansion : Unfolding
+        Expansion at the point.
+    stable : bool
+        Whether the other multiplier, which is not 1 or -1, is inside the unit circle.
+
+    Returns
+    -------
+    NormalForm or None
+        Normal form; None if the coefficient is not finite.
+    """
     if not np.isfinite(expansion.coefficient):
         return None
     side = int(np.sign(expansion.coefficient))
     criticality, consequence = "", JUMP
-    if kind != "SN":  # the others are where the multiplier is beyond 1, or -1
+    if kind != "SN":  # supercritical: the other orbits exist where the multiplier is beyond 1 or -1
         is_beyond = side * expansion.multiplier_rate * (1.0 if kind == "SB" else -1.0) > 0
         criticality, consequence = ("supercritical", SOFT) if is_beyond else ("subcritical", JUMP)
     return NormalForm(
@@ -96,7 +126,7 @@ def normal_form_of_unfolding(kind, expansion, stable):
 
 
 def _grazing_normal_form(contact_depths, continues):
-    """The `NormalForm` of `Depth`s, if there are any."""
+    """Make the `NormalForm` of the depths at a grazing, None if there are none."""
     if not contact_depths or np.isnan([(depth.root, depth.slope) for depth in contact_depths]).any():
         return None
     largest_depth = max(contact_depths, key=lambda depth: depth.root)
@@ -113,7 +143,7 @@ def _grazing_normal_form(contact_depths, continues):
 
 
 def _stable_on_both_sides(name, scene, orbit_row, neighbours):
-    """Whether stable orbits, if any meet at a GR, are on both sides of its value."""
+    """Test whether stable orbits that meet at a GR, if any, exist on both sides of its value."""
     sides = set()
     for neighbour in neighbours:
         problem, z = set_up_problem(scene, name, neighbour)
@@ -127,7 +157,7 @@ def _stable_on_both_sides(name, scene, orbit_row, neighbours):
 
 
 def normal_form_fields(form):
-    """A `NormalForm` as a list of plain numbers and texts, for a file; of None None."""
+    """Convert a `NormalForm`, or None, to plain numbers and texts for a file."""
     if form is None:
         return None
     fields = form.coefficient, form.side, form.rate, form.null.tolist(), list(map(list, form.depths))
@@ -135,11 +165,11 @@ def normal_form_fields(form):
 
 
 def parse_normal_form(form):
-    """The `NormalForm` of a list that `normal_form_fields` made, or None. Raises ValueError for one that cannot be."""
+    """Convert the fields of a file to a `NormalForm`, or None. Raises ValueError if they are invalid."""
     if form is None:
         return None
     coefficient, side, rate, null, contact_depths, criticality, consequence = form
     if side not in (-1, 0, 1) or criticality not in CRITICALITIES or consequence not in (JUMP, SOFT, HARMLESS):
-        raise ValueError("its normal_forms cannot be")
+        raise ValueError("its normal_forms are invalid")
     contact_depths = tuple(Depth(*depth_fields) for depth_fields in contact_depths)
     return NormalForm(coefficient, side, rate, np.array(null, float), contact_depths, criticality, consequence)

@@ -1,4 +1,4 @@
-"""The columns of a table of orbits, a row each, with their units."""
+"""Make the columns of a table of orbits, with units."""
 
 import numpy as np
 
@@ -9,8 +9,11 @@ from ..scene.scene import replace_unchecked
 
 
 def orbit_columns(scene, values, data, labels, multipliers):
-    """{column: (unit, values)} of orbits. values: {parameter: (points,)}, which the scenes of the orbits have; data: as
-    of a `Branch`; labels: (points,); multipliers: (points, 2)."""
+    """Return ``{column: (unit, values)}`` of orbits.
+
+    `values` maps parameters to arrays of shape (points,); `data` is that of a branch; `labels` has shape (points,) and
+    `multipliers` (points, 2).
+    """
     sides, speeds, minima = data["side"].values, data["speed"].values, minimum_columns(data)
     return {
         **{name: (unit_of(name), parameter_values) for name, parameter_values in values.items()},
@@ -27,7 +30,7 @@ def orbit_columns(scene, values, data, labels, multipliers):
 
 
 def _restitution_and_time(scene, values, data):
-    """({side: R at each point, nan of a soft wall}, how long each orbit lasts)."""
+    """Return the restitution of each wall at each point, nan if soft, and the duration of each orbit."""
     scenes, n_points = replace_unchecked(scene, values), data.sizes["point"]
     restitutions = {
         side: np.broadcast_to(np.nan if wall.soft else scenes.parameter(f"{side}.restitution"), n_points)

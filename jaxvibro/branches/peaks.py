@@ -1,4 +1,4 @@
-"""The largest abs x of the orbits of a branch, and of one orbit."""
+"""Compute the largest ``|x|`` of the orbits of a branch, and of one orbit."""
 
 import numpy as np
 from jaxtyping import Float
@@ -12,23 +12,67 @@ from .largest_position import branch_peak_positions, peak_positions
 
 @check.host_only("use strobe")
 def peaks(branch: Branch) -> Float[np.ndarray, " points"]:
-    """The largest abs x on the orbit of each point of a `Branch`, (points,), in the scene's lengths.
+    """Compute the largest ``|x|`` of each orbit of a branch.
 
-    Raises ArgumentError for what is no `Branch`.
+    Parameters
+    ----------
+    branch : Branch
+        Branch.
+
+    Returns
+    -------
+    ndarray
+        Largest ``|x|`` at each point, array of shape (points,), in lengths of the scene.
+
+    Raises
+    ------
+    ArgumentError
+        If `branch` is not a `Branch`.
+
+    See Also
+    --------
+    peak : Compute the largest ``|x|`` of one orbit.
+
+    Examples
+    --------
+    >>> jv.peaks(branch).shape == (len(branch),)
+    True
     """
     if not isinstance(branch, Branch):
-        raise check.ArgumentError("branch", "must be a Branch, as follow gives it", branch)
+        raise check.ArgumentError("branch", "must be a Branch, as follow returns", branch)
     return branch_peak_positions(branch)
 
 
 @check.host_only("use strobe")
 def peak(orbit: Orbit) -> float:
-    """The largest abs x on an `Orbit` of separate impacts, a number in the scene's lengths.
+    """Compute the largest ``|x|`` of an orbit.
 
-    Raises ArgumentError for an orbit that rests on a wall.
+    Parameters
+    ----------
+    orbit : Orbit
+        Orbit that does not stick.
+
+    Returns
+    -------
+    float
+        Largest ``|x|``, in lengths of the scene.
+
+    Raises
+    ------
+    ArgumentError
+        If the orbit sticks to a wall.
+
+    See Also
+    --------
+    peaks : Compute the largest ``|x|`` of each orbit of a branch.
+
+    Examples
+    --------
+    >>> round(jv.peak(orbit), 6)
+    1.0
     """
     if not isinstance(orbit, Orbit) or (orbit.unknowns == "state" and orbit.impacts.count):
-        raise check.ArgumentError("orbit", "must be an Orbit of separate impacts, as find_orbit gives it", orbit)
+        raise check.ArgumentError("orbit", "must be an Orbit that does not stick, as find_orbit returns", orbit)
     scene, state, impacts = orbit.scene, orbit.state, orbit.impacts
     x, v, phase = (float(np.asarray(value)) for value in (state.x, state.v, state.phase))
     start_time = phase / float(scene.frequency)

@@ -1,4 +1,4 @@
-"""Period adding beyond a grazing, found: `period_adding`."""
+"""Locate the orbits of period adding beyond a grazing."""
 
 from dataclasses import dataclass, field
 
@@ -24,17 +24,36 @@ from .scenario import (
     make_scenario,
 )
 
-MIN_RETURNS = 2  # returns: with one impact in each there is no other to be met
+MIN_RETURNS = 2  # with an impact in every return the orbit has no other grazing contact
 
 
 @dataclass(frozen=True)
 class PeriodicWindow:
-    """The orbits with one impact besides in n returns, as `period_adding` found them.
+    """Orbits with one additional impact in n returns, located numerically.
 
-    returns: n; predicted: the parameter's value where they touch the wall once more, by the square-root map; found:
-    where they touch a wall first, nan where that was not found; wall: which, "left" or "right", "" where none; ratio:
-    how far the place found for n - 1 is from the grazing, over how far this one is; orbit: one of them, halfway from
-    where they become stable to the touch; None where none was found.
+    Attributes
+    ----------
+    returns : int
+        Number n of returns.
+    predicted : float
+        Parameter value of the next grazing of the orbits, predicted by the square-root map.
+    found : float
+        Parameter value of their first grazing, nan if it is not located.
+    wall : str
+        Wall that is touched, ``"left"`` or ``"right"``; empty if none.
+    ratio : float
+        Distance of `found` for n - 1 from the grazing, divided by that of this window.
+    orbit : Orbit or None
+        Orbit halfway between the onset of stability and the grazing; None if none is located.
+
+    Examples
+    --------
+    >>> model = jv.make_scene(amplitude=6.0, frequency=2.1, damping=1.2, restitution=0.7, walls=(None, 1.0))
+    >>> start = jv.find_orbit(model, jv.State(x=0.0, v=0.0))
+    >>> grazing = jv.follow(start, "amplitude", bounds=(6.0, 6.2)).points("GR")[0]
+    >>> window = jv.period_adding(grazing, 3).windows[-1]
+    >>> window.returns, round(window.found, 6), window.wall
+    (3, 6.192965, 'right')
     """
 
     returns: int
@@ -47,15 +66,43 @@ class PeriodicWindow:
 
 @dataclass(frozen=True, eq=False)
 class PeriodAdding:
-    """What was found beyond a grazing. scenario: what its signs say; windows: a `PeriodicWindow` for each n from 2
-    on; stopped: why there are fewer than were asked for, else ""."""
+    """Period adding beyond a grazing.
+
+    Attributes
+    ----------
+    scenario : Scenario
+        Classification of the grazing.
+    windows : tuple of PeriodicWindow
+        One window for each n from 2 on.
+    stopped : str
+        Reason for fewer windows than requested, else empty.
+
+    See Also
+    --------
+    period_adding : Locate the orbits of period adding beyond a grazing.
+
+    Examples
+    --------
+    >>> model = jv.make_scene(amplitude=6.0, frequency=2.1, damping=1.2, restitution=0.7, walls=(None, 1.0))
+    >>> start = jv.find_orbit(model, jv.State(x=0.0, v=0.0))
+    >>> grazing = jv.follow(start, "amplitude", bounds=(6.0, 6.2)).points("GR")[0]
+    >>> adding = jv.period_adding(grazing, 3)
+    >>> len(adding.windows), adding.stopped
+    (2, '')
+    """
 
     scenario: Scenario
     windows: tuple[PeriodicWindow, ...]
     stopped: str = ""
 
     def table(self) -> str:
-        """The places predicted and found, and how far from the grazing, as a text, a line for each n."""
+        """Format the predicted and the located parameter values.
+
+        Returns
+        -------
+        str
+            One line for each n, with the distances from the grazing.
+        """
         value = self.scenario.special.value
         rows: list[tuple[object, ...]] = [
             ("returns", "orbit", "predicted", "found", "predicted away", "found away", "ratio")
@@ -82,15 +129,43 @@ def _dash_if_nan(text):
 def period_adding(
     special: Special, longest: int = DEFAULT_MAX_RETURNS, *, max_seconds: float | None = None
 ) -> PeriodAdding:
-    """The places where the orbits of period adding beyond a grazing touch a wall once more: a `PeriodAdding`.
+    """Locate the orbits of period adding beyond a grazing.
 
-    special, longest: as of `scenario`. For each n the orbits with one impact besides in n returns are followed from the
-    grazing on along the speed of that impact, until a flight touches a wall; the place is located to rounding. From a
-    period doubling to there they are stable, for large n if not CHAOS follows. `follow` goes on from the `orbit` of
-    each. max_seconds: wall-clock time, s, after which no further n is begun, which `stopped` then tells; None is no
-    limit.
+    For each n the orbits with one additional impact in n returns are followed from the grazing along the speed of that
+    impact, until a flight touches a wall. The parameter value there is located to rounding. From a period doubling to
+    there the orbits are stable, for large n unless CHAOS follows. `follow` continues from the ``orbit`` of each window.
 
-    Raises what `scenario` raises, and ArgumentError for a grazing that no period adding follows.
+    Parameters
+    ----------
+    special : Special
+        GR of a branch, as for `scenario`.
+    longest : int, optional
+        Last n, from 1 to 64.
+    max_seconds : float, optional
+        Wall-clock time in s after which no further n is begun; ``stopped`` then gives the reason. None is no limit.
+
+    Returns
+    -------
+    PeriodAdding
+        Classification and one window for each n from 2 on.
+
+    Raises
+    ------
+    ArgumentError
+        If `scenario` does not accept the point, or no period adding follows the grazing.
+
+    See Also
+    --------
+    scenario : Classify the dynamics that follow a grazing.
+
+    Examples
+    --------
+    >>> model = jv.make_scene(amplitude=6.0, frequency=2.1, damping=1.2, restitution=0.7, walls=(None, 1.0))
+    >>> start = jv.find_orbit(model, jv.State(x=0.0, v=0.0))
+    >>> grazing = jv.follow(start, "amplitude", bounds=(6.0, 6.2)).points("GR")[0]
+    >>> adding = jv.period_adding(grazing, 3)
+    >>> [window.orbit.label for window in adding.windows]
+    ['P201', 'P301']
     """
     limits = limits_of(None, max_seconds, None, check.ArgumentError)
     longest = check_max_returns(longest)
@@ -112,7 +187,7 @@ def period_adding(
 
 
 def _make_window(scenario, grazing_return, n, length_scale, last_value):
-    """The `PeriodicWindow` of n returns; last_value: the place found for n - 1."""
+    """Make the `PeriodicWindow` of n returns; `last_value` is the value located for n - 1."""
     special, doubled_acceleration = scenario.special, 2.0 * scenario.acceleration
     window, predicted = SquareRootMap(scenario.root, scenario.matrix).window(n), scenario.orbits[n - 1].touch
     orbits = one_impact_orbits(grazing_return, n, length_scale)

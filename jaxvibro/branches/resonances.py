@@ -1,9 +1,9 @@
-"""Where areas are kept: orbits whose multipliers are third or fourth roots of 1.
+"""Locate resonances of area-preserving maps: orbits whose multipliers are third or fourth roots of 1.
 
-Without damping, and walls that give all speed back, the product of the multipliers is 1: a pair lies on the circle,
-where the trace is between -2 and 2 (elliptic), or is real (hyperbolic). The ends of that are SN or BP and PD. Within it
-orbits of three and four times the period meet the orbit at the resonances 1:3 and 1:4, where it may lose those that
-stay near it (Arnold, Mathematical Methods of Classical Mechanics, appendix 7).
+Without damping, and with walls of restitution 1, the product of the multipliers is 1. A pair lies on the unit circle,
+where the trace is between -2 and 2 (elliptic), or is real (hyperbolic). The elliptic range ends at SN or BP and at PD.
+Within it orbits of three and four times the period meet the orbit at the resonances 1:3 and 1:4, where it may lose its
+stability (Arnold, Mathematical Methods of Classical Mechanics, appendix 7).
 """
 
 import numpy as np
@@ -15,7 +15,7 @@ RESONANT_TRACES = {"R3": -1.0, "R4": 0.0}
 
 
 def locate_resonances(task, points, diagnostics):
-    """The `Event`s R3 and R4 of a row of points, none unless areas are kept."""
+    """Locate the `Event` of each R3 and R4; there are none unless areas are preserved."""
     if not is_area_preserving(diagnostics.trace, diagnostics.determinant):
         return []
 

@@ -1,4 +1,4 @@
-"""What follows a grazing: `scenario`."""
+"""Classify the dynamics that follow a grazing."""
 
 from dataclasses import dataclass, field
 from enum import Enum
@@ -20,20 +20,38 @@ from ..scene.scene import SIDES
 from ..scene.typical_scales import scene_length
 from .branch import Special
 
-DEFAULT_MAX_RETURNS = 6  # returns
+DEFAULT_MAX_RETURNS = 6
 ROOT_EXPONENT = 0.5  # the exponent at a rigid wall
 OVERLAP_MULTIPLIER, CHAOS_MULTIPLIER = (
     0.25,
     2.0 / 3.0,
-)  # multipliers between which there is chaos between the windows of period adding
+)  # between these larger multipliers there is chaos between the windows of period adding
 
 
 class Follows(Enum):
-    """What a stable motion that comes to a grazing is followed by.
+    """Outcome of a grazing for a stable motion that comes to it.
 
-    OVERLAPPING: period adding, each window of parameters overlapping the next; ADDING: period adding, with chaos
-    between; CHAOS: chaos alone. In these three what follows leaves gradually. JUMP: nothing stays near. C1: the motion
-    goes on, at a soft wall, and its derivative with it. UNSTABLE: none comes. OPEN: the signs do not decide.
+    Attributes
+    ----------
+    OVERLAPPING
+        Period adding; each window of parameters overlaps the next. Attractors leave the grazing gradually.
+    ADDING
+        Period adding with chaos between the windows. Attractors leave the grazing gradually.
+    CHAOS
+        Chaos alone. Attractors leave the grazing gradually.
+    JUMP
+        No motion remains near.
+    C1
+        The motion continues at a soft wall, with a continuous derivative.
+    UNSTABLE
+        No stable motion comes to the grazing.
+    OPEN
+        The signs do not decide.
+
+    Examples
+    --------
+    >>> jv.Follows.JUMP.value
+    'jump'
     """
 
     OVERLAPPING = "period adding, overlapping"
@@ -50,11 +68,31 @@ GRADUAL_OUTCOMES = (Follows.OVERLAPPING, Follows.ADDING, Follows.CHAOS)
 
 @dataclass(frozen=True)
 class OneImpact:
-    """The orbits with one impact besides in n returns, as the square-root map has them.
+    """Orbits with one additional impact in n returns, predicted by the square-root map.
 
-    returns: n; label; response: C M^n E, above 0 where an impact is followed by a deeper contact n returns later; fold,
-    doubling, touch: the parameter's value where they fold, double their period and touch the wall once more, nan where
-    they do not; stable: whether some are.
+    Attributes
+    ----------
+    returns : int
+        Number n of returns.
+    label : str
+        Label P n p q of the orbits.
+    response : float
+        C M^n E, where C is the derivative of the virtual depth with respect to (x, v), M is `Scenario.matrix` and E is
+        the direction of the velocity jump. Positive if an impact is followed by a deeper contact n returns later.
+    fold : float
+        Parameter value of the fold of the orbits, nan if there is none.
+    doubling : float
+        Parameter value of the period doubling of the orbits, nan if there is none.
+    touch : float
+        Parameter value at which a flight of the orbits grazes the wall, nan if there is none.
+    stable : bool
+        True if some of the orbits are stable.
+
+    Examples
+    --------
+    >>> one_impact = jv.scenario(branch.points("GR")[0]).orbits[0]
+    >>> one_impact.returns, one_impact.label, round(one_impact.response, 6)
+    (1, 'P111', 4.676962)
     """
 
     returns: int
@@ -68,17 +106,51 @@ class OneImpact:
 
 @dataclass(frozen=True, eq=False)
 class Scenario:
-    """What follows a grazing, made by `scenario`.
+    """Dynamics that follow a grazing.
 
-    special: the grazing; follows: a `Follows`. wall: "left" or "right", that is touched, of two with the larger root.
-    root: by how much the velocity jumps, over the root of the depth that a contact would have; exponent: of the depth
-    in how it changes the motion, 0.5 at a rigid wall; acceleration: away from the wall, relative to it; rate: how fast
-    the depth grows with the parameter; side: of the parameter, 1 or -1, on which it is above 0. half: whether a return
-    is half of the orbit, the other half its mirror image; matrix: M, what a return makes of a change of (x, v) at the
-    touch, its impact left out; multipliers: M's, the larger first. deeper: the first n with C M^n E > 0, 0 where there
-    is none. ratio: by which the touches of `orbits` come nearer to the grazing from n to n + 1 in the end, one over the
-    square of the larger multiplier, where what follows leaves gradually, else nan. orbits: a `OneImpact` for each n
-    from 1 on, none where follows is C1, UNSTABLE, or several touches are to be told apart.
+    Attributes
+    ----------
+    special : Special
+        The grazing.
+    follows : Follows
+        Outcome for a stable motion that comes to it.
+    wall : str
+        Grazed wall, ``"left"`` or ``"right"``; of two walls the one with the larger root.
+    root : float
+        Jump of the velocity divided by the square root of the depth that a contact would have.
+    exponent : float
+        Power of the depth by which a contact changes the motion, 0.5 at a rigid wall.
+    acceleration : float
+        Acceleration away from the wall, relative to it.
+    rate : float
+        Derivative of the depth with respect to the parameter.
+    side : int
+        Side of the parameter on which the depth is positive, 1 or -1.
+    half : bool
+        True if a return is half of the orbit and the other half is its mirror image.
+    matrix : ndarray
+        Derivative M of a return without the impact: maps a perturbation of (x, v) at the grazing contact to that at the
+        next one. Array of shape (2, 2).
+    multipliers : ndarray
+        Eigenvalues of `matrix`, complex array of shape (2,), the larger first.
+    deeper : int
+        First n with C M^n E > 0, 0 if none.
+    ratio : float
+        Limit of the ratio by which the `touch` values of `orbits` approach the grazing from n to n + 1: the inverse
+        square of the larger multiplier if attractors leave the grazing gradually, else nan.
+    orbits : tuple of OneImpact
+        One entry for each n from 1 on. Empty if the outcome is C1 or UNSTABLE, or if there are several grazing
+        contacts.
+
+    See Also
+    --------
+    scenario : Classify the dynamics that follow a grazing.
+
+    Examples
+    --------
+    >>> scenario = jv.scenario(branch.points("GR")[0])
+    >>> scenario.follows, scenario.deeper, round(scenario.root, 6)
+    (<Follows.JUMP: 'jump'>, 1, 5.048742)
     """
 
     special: Special = field(repr=False)
@@ -97,7 +169,13 @@ class Scenario:
     orbits: tuple[OneImpact, ...]
 
     def table(self) -> str:
-        """What follows as a text, and a line for each n."""
+        """Format the outcome and the orbits with one additional impact.
+
+        Returns
+        -------
+        str
+            Outcome, then one line for each n.
+        """
         lines = [
             f"{self.follows.value}: {self.special.label} touches the {self.wall} wall at {self.special.value:.12g}",
             f"{self._change_text}, depth {self.rate:+.6g} a unit",
@@ -131,24 +209,50 @@ class Scenario:
 
 @check.host_only("use located for derivatives of a grazing's value")
 def scenario(special: Special, longest: int = DEFAULT_MAX_RETURNS) -> Scenario:
-    """What follows a grazing, as signs at the point decide it: a `Scenario`.
+    """Classify the dynamics that follow a grazing.
 
-    special: a GR of a branch, of an orbit that does not rest; with impacts or none, at any wall, also one that moves,
-    along any parameter. longest: the last n whose orbits with one impact in n returns are told.
+    The signs of the square-root map at the point decide; no orbit is followed.
 
-    At a rigid wall Nordmark's map is taken from the orbit that leaves the touch out (`square_root_map`): a contact that
-    would be d deep changes the velocity by root sqrt(d). Places of orbits are to first order in the root of the depth,
-    so good near the point: `period_adding` finds them. An orbit that touches both walls at once as its own mirror image
-    is seen by halves; other orbits with several touches are OPEN. A soft wall whose force has no jump has C1.
+    Parameters
+    ----------
+    special : Special
+        GR of a branch, of an orbit that does not stick, with or without impacts, along any parameter. The wall may
+        move.
+    longest : int, optional
+        Last n whose orbits with one impact in n returns are listed, from 1 to 64.
 
-    Raises ArgumentError where special is no such point, and for a longest that is no whole number from 1 to 64.
+    Returns
+    -------
+    Scenario
+        Outcome and orbits.
+
+    Raises
+    ------
+    ArgumentError
+        If `special` is not such a point, or `longest` is invalid.
+
+    See Also
+    --------
+    period_adding : Locate the orbits of period adding beyond a grazing.
+
+    Notes
+    -----
+    At a rigid wall Nordmark's map is derived from the orbit without the grazing contact: a contact of depth d changes
+    the velocity by ``root * sqrt(d)``. The parameter values are of first order in the square root of the depth, and
+    therefore accurate close to the point. Half of an orbit is analysed if the orbit grazes both walls and is its own
+    mirror image. Other orbits with several grazing contacts are OPEN. A soft wall whose force has no jump gives C1.
+
+    Examples
+    --------
+    >>> print(jv.scenario(branch.points("GR")[0]).table().splitlines()[0])
+    jump: P111 touches the right wall at 3.41646015636
     """
     longest = check_max_returns(longest)
     return make_scenario(special, grazing_return_of(special), longest)
 
 
 def check_max_returns(max_returns):
-    """The number of returns as an int. Raises ArgumentError."""
+    """Return the number of returns as an int. Raises ArgumentError."""
     max_returns = check.whole_number("longest", max_returns, 1)
     if max_returns > MAX_RETURNS:
         raise check.ArgumentError("longest", f"must be at most {MAX_RETURNS}", max_returns)
@@ -156,21 +260,21 @@ def check_max_returns(max_returns):
 
 
 def grazing_return_of(special):
-    """The `TouchReturn` of a grazing. Raises ArgumentError where a point is none that `scenario` takes."""
+    """Return the `GrazingReturn` of a grazing. Raises ArgumentError if `scenario` does not accept the point."""
     if not isinstance(special, Special) or special.kind != "GR":
         actual = special.kind if isinstance(special, Special) else special
         raise check.ArgumentError("special", "must be a grazing, GR, of a branch", actual)
     if special.orbit.rests:
-        raise check.ArgumentError("special", "must be of an orbit that does not rest", special.label)
+        raise check.ArgumentError("special", "must be of an orbit that does not stick", special.label)
     problem, z = set_up_problem(special.scene, special.name, special.spot)
     grazing_return = compute_grazing_return(special.scene, special.name, problem, z, scene_length(special.scene))
     if grazing_return is None:
-        raise check.ArgumentError("special", "must touch a wall from outside it", special.label)
+        raise check.ArgumentError("special", "must touch a wall from outside", special.label)
     return grazing_return
 
 
 def make_scenario(special, grazing_return, max_returns):
-    """The `Scenario` of a grazing, grazing_return: its `TouchReturn`."""
+    """Make the `Scenario` of a grazing from its `GrazingReturn`."""
     depth = max(
         (contact.depth for contact in grazing_return.omitted_grazings), key=lambda contact_depth: contact_depth.root
     )
@@ -205,8 +309,7 @@ def make_scenario(special, grazing_return, max_returns):
 
 
 def _classify(square_root_map, is_single_contact):
-    """(`Follows` of a square-root map, the first n with C M^n E > 0 or 0); is_single_contact: whether it is all there
-    is."""
+    """Return the outcome of a square-root map, and the first n with C M^n E > 0 or 0."""
     larger_multiplier, smaller_multiplier = square_root_map.multipliers
     if not abs(larger_multiplier) < 1.0 - STABILITY_MARGIN:
         return Follows.UNSTABLE, 0
@@ -221,7 +324,7 @@ def _classify(square_root_map, is_single_contact):
 
 
 def _one_impact_orbits(grazing_value, grazing_return, square_root_map, depth, max_returns):
-    """The `OneImpact`s of a `TouchReturn`, as its square-root map has them."""
+    """Return the `OneImpact` records that the square-root map predicts."""
     responses, one_impact_orbits = square_root_map.responses(max_returns), []
     for n in range(1, max_returns + 1):
         window = square_root_map.window(n)
@@ -243,7 +346,7 @@ def _one_impact_orbits(grazing_value, grazing_return, square_root_map, depth, ma
 
 
 def _label(grazing_return, n):
-    """P n p q of the orbits with one impact besides in n returns."""
+    """Return the label P n p q of the orbits with one additional impact in n returns."""
     n_traversals = traversal_count(grazing_return, n)
     sides = [*np.asarray(grazing_return.reduced_problem.sequence.sides)] * n_traversals + [
         grazing_return.omitted_grazings[k].depth.side for _, k in impact_indices(grazing_return, n)

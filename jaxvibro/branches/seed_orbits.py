@@ -1,4 +1,4 @@
-"""Probes: what random starts at values all over a parameter's range settle on."""
+"""Find seed orbits: periodic orbits on which random starts settle, at values over the whole range of a parameter."""
 
 from typing import NamedTuple
 
@@ -14,15 +14,24 @@ from ..problem.orbit_point import OrbitPoint
 from ..scene.codes import Contact, Status
 from ..scene.parameters import parameter_domain
 
-N_STARTS = 256  # at as many values
-N_FREE_VALUES = 15  # values at which the motion that meets no wall is looked for
+N_STARTS = 256  # each at its own value of the parameter
+N_FREE_VALUES = 15  # values at which the motion without impacts is computed
 SETTLING_PERIODS = 600  # drive periods
-RETURN_TOLERANCE = 1e-7  # of the largest x and v: a return as near as this
+RETURN_TOLERANCE = 1e-7  # relative to the largest x and v; largest distance of a return
 
 
 class SeedOrbit(NamedTuple):
-    """What a start settled on. orbit_row: the orbit, about; section_states: x and v at the end of each period,
-    (periods, 2); has_chatter: whether it rests, or hops too often to be recorded: its spot has no impacts."""
+    """Periodic orbit on which a start settled.
+
+    Attributes
+    ----------
+    orbit_row : OrbitPoint
+        Approximate orbit, without impacts if `has_chatter`.
+    section_states : ndarray
+        x and v at the end of each period, array of shape (periods, 2).
+    has_chatter : bool
+        Whether the orbit sticks, or has too many bounces to be recorded.
+    """
 
     orbit_row: OrbitPoint
     section_states: Float[np.ndarray, "periods 2"]
@@ -30,9 +39,9 @@ class SeedOrbit(NamedTuple):
 
 
 def find_seed_orbits(scenes, name, bounds, max_period, seed):
-    """For each of some scenes the `SeedOrbit`s that come back within so many periods, those of the shortest first.
+    """Return the `SeedOrbit` list of each scene, with at most `max_period` periods, sorted by period.
 
-    scenes: alike but for their numbers, a list; the starts of all are settled together.
+    The scenes differ only in their numbers; the starts of all of them settle together.
     """
     values_and_states = [_values_and_states(scene, name, bounds, seed) for scene in scenes]
     values, state = jax.tree.map(lambda *leaves: np.concatenate(leaves), *values_and_states)
@@ -45,8 +54,10 @@ def find_seed_orbits(scenes, name, bounds, max_period, seed):
 
 
 def free_seed_orbits(scene, name, bounds):
-    """Yields the `SeedOrbit` of the motion that meets no wall at those of some values of a parameter where there is
-    one: around a resonance it is there on both sides."""
+    """Yield the `SeedOrbit` of the motion without impacts at several values of a parameter, where it exists.
+
+    Around a resonance it exists on both sides.
+    """
     lower, upper = np.clip(parameter_domain(scene, name), *bounds)
     for value in np.linspace(lower, upper, N_FREE_VALUES + 2)[1:-1].tolist():
         orbit = free_orbit(scene.replace(**{name: value}))
@@ -56,7 +67,7 @@ def free_seed_orbits(scene, name, bounds):
 
 
 def _values_and_states(scene, name, bounds, seed):
-    """(values of the parameter, the `State` of a random start at each)."""
+    """Return values of the parameter and the random initial `State` at each."""
     lower, upper = np.clip(parameter_domain(scene, name), *bounds)
     rng = np.random.default_rng(seed)
     values = lower + (upper - lower) * (np.arange(N_STARTS) + rng.random(N_STARTS)) / N_STARTS
@@ -64,7 +75,7 @@ def _values_and_states(scene, name, bounds, seed):
 
 
 def _scenes_by_lane(scenes):
-    """One scene for the starts of all: what differs has a number a start."""
+    """Merge scenes into one with one lane per start; parameters that differ become arrays."""
 
     def merge_leaves(*leaves):
         values = np.stack(leaves)
@@ -74,6 +85,7 @@ def _scenes_by_lane(scenes):
 
 
 def _seed_orbits_of_scene(scene, name, values, iterates, max_period):
+    """Return the seed orbits of one scene, sorted by period and value."""
     drive_periods = 2.0 * np.pi / np.broadcast_to(scene.replace(**{name: values}).frequency, len(values))
     seed_orbits = []
     for lane, periods, impacts in settled_orbits(iterates, drive_periods, max_period, True):
@@ -86,9 +98,28 @@ def _seed_orbits_of_scene(scene, name, values, iterates, max_period):
 
 
 def settled_orbits(iterates, drive_periods, max_period, include_chatter=False):
-    """(lane, periods, (times, speeds, sides) of the impacts) of each lane of a `Trail` that comes back within so many
-    periods. drive_periods: of a period of each lane; include_chatter: None in place of the impacts of those that rest,
-    or hop too often to be recorded, which else are left out."""
+    """Yield the lanes that have settled on periodic orbits.
+
+    Parameters
+    ----------
+    iterates : Iterates
+        States and impacts of many lanes over many drive periods.
+    drive_periods : ndarray
+        Duration of a drive period of each lane.
+    max_period : int
+        Largest number of drive periods of an orbit.
+    include_chatter : bool, optional
+        Whether to include lanes that stick, or that have too many bounces to be recorded.
+
+    Yields
+    ------
+    lane : int
+        Lane.
+    periods : int
+        Number of drive periods.
+    impacts : tuple of ndarray or None
+        Times, speeds and sides of the impacts; None for lanes with chatter.
+    """
     section_states = iterates.points
     return_distances, max_distances = (
         recurrence_distances(section_states)[:max_period],

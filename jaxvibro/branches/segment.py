@@ -1,4 +1,4 @@
-"""A segment of a branch: orbits of one itinerary, from a start to the first grazing, bound or other end."""
+"""Follow a segment of a branch: orbits with one itinerary, from a start to the first grazing, bound or other end."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -27,10 +27,27 @@ from .user_monitors import MonitoredPoint, locate_crossings
 
 
 class BranchSettings(NamedTuple):
-    """What a branch is asked for. control: of steps; initial_step: the first; domain_ends: (low, high), the parameter's
-    by its meaning; monitors: {label: function of a `MonitoredPoint`}; stop: labels; length_scale: the scene's;
-    closure_targets: (`ImpactSequence`, parameter) of orbits that end the branch when it meets them; limits: of its
-    points and of the time."""
+    """Settings of the continuation of a branch.
+
+    Attributes
+    ----------
+    control : StepControl
+        Step control.
+    initial_step : float
+        First step.
+    domain_ends : tuple of float
+        Bounds that follow from the meaning of the parameter.
+    monitors : dict of str to callable
+        Functions of a `MonitoredPoint` by label.
+    stop : tuple of str
+        Kinds at which the branch ends.
+    length_scale : float
+        Length of the scene.
+    closure_targets : tuple
+        (`ImpactSequence`, parameter value) of orbits that close the branch.
+    limits : Limits
+        Limits of points and time.
+    """
 
     control: StepControl
     initial_step: float
@@ -43,8 +60,19 @@ class BranchSettings(NamedTuple):
 
 
 class GrazingPoint(NamedTuple):
-    """What is known of a GR or CH. grazing_contacts: of walls; exits: the branches that leave it; complete: whether
-    these are all; not_followed: which of them the branch does not go on with."""
+    """Details of a GR or CH.
+
+    Attributes
+    ----------
+    grazing_contacts : tuple of GrazingContact
+        Grazing contacts.
+    exits : tuple of GrazingExit
+        Branches that emanate from it.
+    complete : bool
+        Whether all exits are known.
+    not_followed : tuple of bool
+        For each exit, whether the branch does not continue along it.
+    """
 
     grazing_contacts: tuple[GrazingContact, ...]
     exits: tuple[GrazingExit, ...]
@@ -53,7 +81,7 @@ class GrazingPoint(NamedTuple):
 
 
 def follow_itinerary(problem, start, settings):
-    """The `Stretch` of orbits of one itinerary that begins at a `Point`; its end is an `End` of `problem.end`."""
+    """Follow orbits with one itinerary from a `Point`; return the `BranchSegment`, whose end is an `End`."""
     control = settings.control
     parameter_bounds, detector = (
         ((float(control.lower), float(control.upper)),),
@@ -74,19 +102,22 @@ def follow_itinerary(problem, start, settings):
 
 
 class BranchEventDetector(OrbitEventDetector):
-    """Orbits along one parameter: they graze, double their period, are met again from another impact, or turn out to be
-    shorter ones; and what a user monitors."""
+    """Event detector for orbits along one parameter.
+
+    It detects grazings, period doublings, returns to a known orbit from another impact, repeated shorter orbits, and
+    sign changes of user-defined monitors.
+    """
 
     def __init__(self, problem, length_scale, monitors):
         super().__init__(problem, length_scale)
         self.monitors = monitors
 
     def is_past_singularity(self, points):
-        """Where contacts with soft walls have lost their speed: there the determinant changes its sign with theirs."""
+        """Mark points past a zero speed of a soft contact, where the determinant changes sign."""
         return soft_grazing.is_past_zero_speed(self.equations, points.z)
 
     def find_early_end(self, task, points):
-        """Where contacts with soft walls are about to lose their speed: before it is lost in rounding."""
+        """End the segment where soft contacts are about to lose their speed, before it is lost in rounding."""
         problem, n_rows = self.equations, len(self.equations.sequence.sides)
         for k in range(1, len(points.z) if problem.scene.soft_sides else 0):
             z, tangent = points.z[k], points.tangent[k]
@@ -110,8 +141,7 @@ class BranchEventDetector(OrbitEventDetector):
         return self.find_inner_end(task, points) if problem.scene.soft_sides else None
 
     def find_inner_end(self, task, points):
-        """`Termination` where a mass within a soft wall is about to leave it for a moment, or not to leave it any
-        more."""
+        """Return the `Termination` where a mass in a soft wall is about to leave it briefly, or to stop leaving it."""
         index_and_grazing = grazing_from_within.find_upcoming_grazing(
             self.equations, points, task.control, self.length_scale
         )
@@ -125,6 +155,7 @@ class BranchEventDetector(OrbitEventDetector):
         )
 
     def find_boundary_end(self, task, points, diagnostics, first_bad):
+        """Return the `Termination` at the grazing or sticking limit before the first inadmissible point."""
         problem = self.equations
         points, residual = truncate_at_grazing(task, points, diagnostics, first_bad, self.length_scale)
         if residual is None:
@@ -148,7 +179,7 @@ class BranchEventDetector(OrbitEventDetector):
         )
 
     def grazing_termination(self, points, kind, residual, grazing_details):
-        """The `Termination` at the last of the points; grazing_details: (touches, exits, whether these are all)."""
+        """Make the `Termination` at the last point; `grazing_details` are (grazing contacts, exits, completeness)."""
         grazing_contacts, grazing_exits, complete = grazing_details
         return Termination(
             points,
@@ -157,8 +188,11 @@ class BranchEventDetector(OrbitEventDetector):
         )
 
     def find_events(self, task, points, diagnostics, known_branch_points, termination):
-        """Where the contact at the end has no speed each test is zero: it is given the sign that the multipliers come
-        there with."""
+        """Locate special points.
+
+        Every test function vanishes where the contact at the end has zero speed. It is given the sign that the
+        multipliers have as they approach the point.
+        """
         n_rows, tangent = len(self.equations.sequence.sides), points.tangent
         flip_test = diagnostics.flip_test if n_rows else 1.0 + diagnostics.trace + diagnostics.determinant
         if termination is not None and soft_grazing.is_singular_grazing(
@@ -170,7 +204,7 @@ class BranchEventDetector(OrbitEventDetector):
             flip_test = np.append(flip_test[:-1], flip_test[-2] * _sign_change(*flip_values))
             tangent = np.vstack([tangent[:-1], tangent[-2] * _sign_change(*fold_values)])
         can_double = (n_rows or self.equations.scene.force is not None) and self.equations.sequence.releases is None
-        test_values = {"PD": flip_test} if can_double else {}  # none under a spring alone, none of what rests
+        test_values = {"PD": flip_test} if can_double else {}  # linear free motion and sticking orbits have no PD
         events = event_search.locate_events(
             task.problem, points._replace(tangent=tangent), test_values, task.control, task.args, known_branch_points
         )
@@ -180,7 +214,7 @@ class BranchEventDetector(OrbitEventDetector):
         return events
 
     def equivalent_points(self, target, near_z):
-        """target: (`ImpactSequence`, parameter)."""
+        """Yield equivalent points of a target (`ImpactSequence`, parameter value)."""
         return equivalent_points(self.equations, *target, near_z)
 
     def end_at_special_point(self, z, kind):
@@ -188,5 +222,5 @@ class BranchEventDetector(OrbitEventDetector):
 
 
 def _sign_change(value_before, value_after):
-    """-1 where a number changes its sign, else 1."""
+    """Return -1 if two values differ in sign, else 1."""
     return -1.0 if value_before * value_after < 0 else 1.0

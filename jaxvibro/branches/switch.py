@@ -1,4 +1,4 @@
-"""`switch`: the other branches that leave a special point; `extend`: a branch beyond its end."""
+"""Follow the branches that emanate from a special point, and extend a branch beyond its ends."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -26,7 +26,7 @@ from .branch import Branch, Special
 from .follow import Monitors, check_settings, make_branch_settings
 from .through_grazings import continue_through_grazings
 
-FIRST_STEP = 0.01  # step of a branch that leaves a point
+FIRST_STEP = 0.01  # first step of a branch that leaves a special point
 SWITCHING_KINDS = ("SB", "BP", "PD", "GR")
 
 
@@ -41,13 +41,46 @@ def switch(
     stop: str | Sequence[str] = (),
     limits: Limits = UNLIMITED,
 ) -> tuple[Branch, ...]:
-    """The branches that leave a `Special` of a branch, as the `switch` of `loci.switch` tells of it: a tuple of
-    `Branch`. Raises ArgumentError for a point of another kind, and arguments that cannot be."""
+    """Follow the branches that emanate from a special point of a branch.
+
+    `jaxvibro.switch` documents the arguments.
+
+    Parameters
+    ----------
+    special : Special
+        Special point of kind SB, BP, PD or GR.
+    bounds : tuple of float, optional
+        Bounds of the parameter. None takes those of the point.
+    first_step : float, optional
+        First step along each branch.
+    largest_step : float, optional
+        Largest step.
+    tolerance : float, optional
+        Tolerance of Newton's method.
+    monitors : dict of str to callable, optional
+        User-defined test functions, as in `follow`.
+    stop : str or sequence of str, optional
+        Kinds of special point at which a branch ends.
+    limits : Limits, optional
+        Limits of points and time.
+
+    Returns
+    -------
+    tuple of Branch
+        The branches.
+
+    Raises
+    ------
+    ArgumentError
+        If the point is of another kind, or an argument is invalid.
+    """
     if not isinstance(special, Special):
         raise check.ArgumentError("special", "must be a special point of a branch", special)
     if special.kind not in SWITCHING_KINDS:
         raise check.ArgumentError(
-            "special", f"must be of kind {', '.join(SWITCHING_KINDS)}: no branch leaves others", special.kind
+            "special",
+            f"must be of kind {', '.join(SWITCHING_KINDS)}, because no branch emanates from other kinds",
+            special.kind,
         )
     bounds = check_bounds(special.scene, special.name, special.bounds if bounds is None else bounds)
     settings = check_settings(first_step, largest_step, tolerance, monitors, stop) | {"limits": limits}
@@ -55,17 +88,17 @@ def switch(
 
 
 def branch_starts(special):
-    """(`OrbitEquations`, `Point`) at the start of each branch that leaves a special point of one of the
-    `SWITCHING_KINDS`.
+    """Return `OrbitEquations` and `Point` at the start of each branch that emanates from a special point.
 
-    Raises ValueError where the equations say that none cross there.
+    The kind of the point must be one of `SWITCHING_KINDS`. Raises ValueError if the equations show that no branches
+    cross.
     """
     start_function = {"PD": _doubling_starts, "GR": _grazing_starts}.get(special.kind, _crossing_starts)
     return start_function(special, *set_up_problem(special.scene, special.name, special.spot))
 
 
 def follow_from_start(special, start, bounds, **settings):
-    """The `Branch` that leaves a special point by one of its `branch_starts`."""
+    """Follow the branch that leaves a special point from one of its `branch_starts`."""
     (problem, point), scene = start, special.scene
     branch_settings = make_branch_settings(
         scene, special.name, bounds, scene_length(scene), (problem, point.z), **settings
@@ -85,19 +118,49 @@ def extend(
     max_seconds: float | None = None,
     progress: Callable[[int], object] | None = None,
 ) -> Branch:
-    """The branch with wider bounds, followed on from each end that had come to its bound, or to a limit of its points
-    or its time: a `Branch`.
+    """Continue a branch beyond its ends within wider bounds.
 
-    max_points, max_seconds, progress: as in `follow`; max_points counts the points that are added.
+    An end is continued if the parameter had reached its bound, or if a limit of points or time had been reached.
 
-    Raises ArgumentError where the new bounds do not hold the old ones.
+    Parameters
+    ----------
+    branch : Branch
+        Branch to continue.
+    bounds : tuple of float
+        Wider bounds. They must contain the bounds of the branch.
+    max_points : int, optional
+        Largest number of added points. None is no limit.
+    max_seconds : float, optional
+        Largest wall-clock time in s. None is no limit.
+    progress : callable, optional
+        Called with the number of points computed.
+
+    Returns
+    -------
+    Branch
+        The branch with the new bounds.
+
+    Raises
+    ------
+    ArgumentError
+        If the new bounds do not contain the old ones.
+
+    See Also
+    --------
+    follow : Continue a periodic orbit in one parameter.
+
+    Examples
+    --------
+    >>> wider = jv.extend(branch, bounds=(0.0, 6.2))
+    >>> wider.bounds, len(wider) >= len(branch)
+    ((0.0, 6.2), True)
     """
     if not isinstance(branch, Branch):
         raise check.ArgumentError("branch", "must be a Branch", branch)
     limits = limits_of(max_points, max_seconds, progress, check.ArgumentError)
     wide_bounds = check_bounds(branch.scene, branch.name, bounds)
     if not (wide_bounds[0] <= branch.bounds[0] and branch.bounds[1] <= wide_bounds[1]):
-        raise check.ArgumentError("bounds", f"must hold the branch's own, {branch.bounds}", bounds)
+        raise check.ArgumentError("bounds", f"must contain the branch's own, {branch.bounds}", bounds)
     for end_index in (0, -1):
         value = branch.values[end_index]
         if branch.ends[end_index] not in RESUMABLE_ENDS and (
@@ -117,26 +180,28 @@ def extend(
         if len(extension) > 1:
             branch = merge_branches(branch, extension) if end_index else merge_branches(extension, branch)
         branch = _with_end(branch, end_index, Reason(extension.ends[end_index], extension.reasons[end_index]))
-        if is_closed:  # it came to the other end
+        if is_closed:  # it reached the other end
             return _with_bounds(_with_end(branch, -1 - end_index, START_REASON), wide_bounds)
     return _with_bounds(branch, wide_bounds)
 
 
 def _with_end(branch, end_index, reason):
-    """The branch with the `Reason` of one of its ends, 0 or -1."""
+    """Replace the `Reason` of one end (0 or -1) of a branch."""
     ends, reasons = list(branch.ends), list(branch.reasons)
     ends[end_index], reasons[end_index] = reason
     return replace(branch, ends=tuple(ends), reasons=tuple(reasons))
 
 
 def _with_bounds(branch, bounds):
-    """The branch as one within these bounds."""
+    """Replace the bounds of a branch and of its special points."""
     return replace(branch, bounds=bounds, special=tuple(replace(special, bounds=bounds) for special in branch.special))
 
 
 def _extend_from_end(branch, end_index, bounds, limits):
-    """The branch beyond one of its ends, 0 or -1, from there on, or, at its first point, up to there. It closes where
-    it comes to the other end."""
+    """Follow a branch beyond its end 0 or -1.
+
+    The extension starts at the last point, or finishes at the first point. It closes where it reaches the other end.
+    """
     row, sign = dataset_row(branch.data, end_index), 1.0 if end_index else -1.0
     orbit_row = parse_orbit_row(row, branch.name)
     scene = branch.scene.replace(**{branch.name: orbit_row.value})
@@ -168,7 +233,7 @@ def _extend_from_end(branch, end_index, bounds, limits):
 
 
 def _crossing_starts(special, problem, z):
-    """Both directions of the branch that crosses that on which the point was found."""
+    """Start both directions of the branch that crosses the branch of the point."""
     weights, n_rows = arclength_weights(problem, scene_length(special.scene)), len(problem.sequence.sides)
     n_impacts, branch_tangent = len(special.spot.times), np.zeros(len(z))
     branch_tangent[:n_impacts], branch_tangent[n_rows : n_rows + n_impacts] = (
@@ -177,7 +242,7 @@ def _crossing_starts(special, problem, z):
     )
     branch_tangent[-1] = special.slopes[-1]
     directions = crossing.branch_tangents(continuation_problem(problem), z, weights, problem)
-    if special.kind == "SB":  # one branch's halves are mirror images of each other, at the same values
+    if special.kind == "SB":  # the halves of one branch are mirror images at equal parameter values
         directions[np.argmin(abs(directions[:, -1])), -1] = 0.0
     crossing_tangent = crossing.farther_tangent(directions, branch_tangent, weights)
     leading_index = np.flatnonzero(abs(crossing_tangent) > 0.5 * abs(crossing_tangent).max())[
@@ -190,7 +255,7 @@ def _crossing_starts(special, problem, z):
 
 
 def _doubling_starts(special, problem, z):
-    """The orbit as one of twice the period, and the direction in which its two halves become different."""
+    """Start the branch of twice the period, in the direction in which its two halves become different."""
     orbit_problem, n_rows, n_impacts = (
         continuation_problem(problem),
         len(problem.sequence.sides),
@@ -202,7 +267,7 @@ def _doubling_starts(special, problem, z):
     orbit_row, orbit_duration = special.spot, special.spot.periods * 2.0 * np.pi / float(special.scene.frequency)
     doubled_times = np.concatenate([orbit_row.times, orbit_row.times + orbit_duration])
     doubled_problem = problem._replace(sequence=problem.sequence._replace(periods=np.asarray(2.0 * orbit_row.periods)))
-    if not n_impacts:  # of z = (x, v, the parameter)
+    if not n_impacts:  # z = (x, v, parameter)
         tangent = np.append(null_vector, 0.0)
         return [
             (
@@ -228,11 +293,11 @@ def _doubling_starts(special, problem, z):
 
 
 def _grazing_starts(special, problem, z):
-    """Each branch that leaves a grazing and is not one that the point was found on."""
+    """Start each branch that emanates from a grazing, except those on which the point was located."""
     _, grazing_exits, _ = find_all_exits(problem, z, scene_length(special.scene))
     if len(grazing_exits) != len(special.aside):
         raise check.ArgumentError(
-            "special", "must be a grazing that this version finds alike: follow its branch anew", special
+            "special", "must be a grazing that this version reproduces; follow its branch again", special
         )
     return [
         (grazing_exit.problem, grazing_exit.point)

@@ -1,4 +1,4 @@
-"""From piece to piece along a branch: at each grazing it is decided what goes on."""
+"""Continue a branch through grazings, from segment to segment."""
 
 import warnings
 from typing import NamedTuple
@@ -16,24 +16,24 @@ from ..problem.same_orbit import impact_points, is_repeated
 from .segment import GrazingPoint, follow_itinerary
 from .through_sticking import SLOW_SPEED, complete_chatter, is_chatter, repartition_impacts
 
-MAX_SEGMENTS = 200  # pieces of a branch
+MAX_SEGMENTS = 200
 CROWD_SIZE, CROWD_WIDTH = (
     16,
     1e-5,
-)  # grazings in a row, and 1 + abs of the parameter: as many within as little are slow progress
-CHATTER_SPEED = 1e-2  # of the scene's length per t: where nothing goes on, as slow an impact tells of a chatter
-VALUE_TOLERANCE, IMPACT_TOLERANCE = 1e-7, 1e-6  # two grazings with values and impacts as near are one
+)  # consecutive grazings within this width, relative to 1 + abs(parameter), give a warning
+CHATTER_SPEED = 1e-2  # scene's lengths per t; without an exit, a slower impact indicates chatter
+VALUE_TOLERANCE, IMPACT_TOLERANCE = 1e-7, 1e-6  # largest differences of identical grazings
 
 
 class DirectedBranch(NamedTuple):
-    """The pieces of a branch in one direction, and why it ends."""
+    """Segments of a branch in one direction, and the reason for its end."""
 
     segments: list[BranchSegment]
     reason: Reason
 
 
 def continue_through_grazings(problem, start, settings):
-    """The `DirectedBranch` from a `Point`, whose tangent leads away."""
+    """Follow the `DirectedBranch` from a `Point` along its tangent."""
     segments, known_grazings, sticking_indices = [], [], ()
     while True:
         weights = arclength_weights(problem, settings.length_scale)
@@ -76,7 +76,7 @@ def continue_through_grazings(problem, start, settings):
 
 
 def _warn_if_slow(segments):
-    """Warn where many grazings in a row lie at nearly one value of the parameter."""
+    """Warn if many consecutive grazings lie at nearly one value of the parameter."""
     values = np.array([segment.points.z[-1, -1] for segment in segments[-CROWD_SIZE:]])
     if len(segments) % CROWD_SIZE == 0 and np.ptp(values) < CROWD_WIDTH * (1.0 + abs(values[-1])):
         warnings.warn(
@@ -89,10 +89,10 @@ def _warn_if_slow(segments):
 
 
 def _choose_exit(problem, segment, weights):
-    """(the piece, its last mark telling which exits are left aside; the `GrazingExit` by which the branch goes on).
+    """Return the segment and the `GrazingExit` along which the branch continues, None if there is none.
 
-    It goes on with the touches' impacts exchanged, those it had for those it had not, else as many of them as can be;
-    the exit is None where there is none.
+    The details of the last special point record which exits are not followed. The branch continues with the grazing
+    contacts exchanged as far as possible: impacts become omitted contacts and vice versa.
     """
     special_index, details = segment.specials[-1], segment.specials[-1].details
     included_contacts = tuple(contact.is_impact for contact in details.grazing_contacts)
@@ -129,8 +129,10 @@ def _choose_exit(problem, segment, weights):
 
 
 def _enter_sticking(segment, completion, has_exit):
-    """(the piece, the `GrazingExit` by which the branch goes on, the marks at its start) where it comes near a CH;
-    completion: what `complete_chatter` gives."""
+    """Return the segment, the exit and the special points at its start, close to a CH.
+
+    `completion` is the result of `complete_chatter`.
+    """
     if completion is None:
         return segment._replace(end=End.CHATTER if has_exit else segment.end), None, ()
     grazing_exit, residual = completion
@@ -138,14 +140,14 @@ def _enter_sticking(segment, completion, has_exit):
 
 
 def _has_slow_impact(problem, segment, length_scale, max_speed):
-    """Whether at the grazing at the end of a piece an impact besides its touches is slower than that."""
+    """Test whether an impact other than the grazing contacts is slower than `max_speed` at the end of a segment."""
     return is_chatter(
         problem, segment.points.z[-1], length_scale, segment.specials[-1].details.grazing_contacts, max_speed
     )
 
 
 def _is_same_grazing(grazing_key, known_grazing):
-    """Whether two grazings, (value, impacts) each, are one."""
+    """Test whether two grazings, given as (value, impacts), are identical."""
     return abs(grazing_key[0] - known_grazing[0]) < VALUE_TOLERANCE and is_same_orbit(
         grazing_key[1], known_grazing[1], IMPACT_TOLERANCE
     )

@@ -1,8 +1,9 @@
-"""Past a CH or RL, from orbits that rest to those that do not, or rest otherwise, and back.
+"""Continue a branch past a CH or RL, between orbits that stick and orbits that do not, or stick differently.
 
-Both kinds are told apart by the hops before a release, of which there are ever more towards a CH. What is on the other
-side is found from the point by the motion itself: next to it orbits forget their past, so that a flight from the orbit
-there settles on that which goes on. Where the hops next to the CH would be lost in rounding a little is left out.
+The orbits on the two sides differ in their bounces before a release; towards a CH there are ever more of them. The
+orbit on the other side is found by simulation from the point: a motion that sticks does not depend on its past, so a
+flight from the orbit settles on the one that continues the branch. Close to the CH, where the bounces would be lost in
+rounding, a small interval is skipped.
 """
 
 import numpy as np
@@ -28,25 +29,27 @@ VALUE_OFFSETS = (
     1e-5,
     1e-4,
     1e-3,
-)  # of 1 + abs of the parameter: so far from the point another orbit is looked for
-STATE_TOLERANCE = 0.05  # of the largest x and v at the section: as near is the orbit that goes on
+)  # relative to 1 + abs(parameter); distances from the point at which the next orbit is searched for
+STATE_TOLERANCE = 0.05  # relative to the largest x and v at the section; largest distance of the next orbit
 SETTLING_PERIODS = 60  # drive periods
 MIN_HOP_MARGIN = (
-    0.05  # `releases.Tails.plain`: less, and the first of the last hops is about to be too long for a series
+    0.05  # `ChatterOutcome.hop_margin`; below it the first of the last bounces becomes too long for the series
 )
-SLOW_SPEED = 1e-6  # of the scene's length per t: below, the flights between impacts are lost in rounding
+SLOW_SPEED = 1e-6  # scene's lengths per t; below it the flights between impacts are lost in rounding
 
 
 def is_chatter(problem, z, length_scale, grazing_contacts=(), max_speed=SLOW_SPEED):
-    """Whether an impact, but for some `Touch`es, is so slow that many more will be, before the mass comes to rest."""
+    """Test whether an impact is so slow that many more follow before the mass sticks, except at some grazings."""
     contact_rows = [contact.row for contact in grazing_contacts if contact.is_impact]
     speeds = z[len(problem.sequence.sides) :][np.setdiff1d(problem.impact_rows, contact_rows)]
     return bool(((speeds > 0) & (speeds < max_speed * length_scale)).any())
 
 
 def find_sticking_exits(problem, z, sign, length_scale, limits=UNLIMITED):
-    """The `GrazingExit`s of a CH or RL, in a list: the orbits on the other side, towards greater values of the
-    parameter where sign is 1. None where the time is over before they are known."""
+    """Return the list of `GrazingExit` records of a CH or RL, None if the time is over.
+
+    They are orbits on the other side: towards greater values of the parameter if `sign` is 1.
+    """
     lifted_problem = sticking_limits.toggle_lift_off(problem, z, length_scale)
     if lifted_problem is not None:
         return [_exit_towards(lifted_problem, z, sign, length_scale)]
@@ -60,8 +63,7 @@ def find_sticking_exits(problem, z, sign, length_scale, limits=UNLIMITED):
 
 
 def repartition_impacts(problem, z, sign, length_scale):
-    """The `GrazingExit` of the same orbit with other hops as rows, None where its own are as good; sign: as of
-    `find_sticking_exits`."""
+    """Return the `GrazingExit` of the same orbit with other bounces as rows, None if its own rows are adequate."""
     if problem.sequence.releases is None or diagnose(problem, z[None]).hop_margin.min() > MIN_HOP_MARGIN:
         return None
     settled_orbit = _settled_orbit(problem, z, z[-1])
@@ -69,15 +71,17 @@ def repartition_impacts(problem, z, sign, length_scale):
 
 
 def _exit_towards(problem, z, sign, length_scale):
-    """The `GrazingExit` from a point that is none itself, towards greater values where sign is 1."""
+    """Make the `GrazingExit` from a regular point, towards greater values of the parameter if `sign` is 1."""
     exit_tangent = unit_tangent(continuation_problem(problem), z, arclength_weights(problem, length_scale), problem)
     return _make_exit(problem, z, sign * np.sign(exit_tangent[-1]) * exit_tangent, z)
 
 
 def complete_chatter(problem, z, sign, length_scale, limits=UNLIMITED):
-    """(the `GrazingExit` from the CH near a grazing on, the largest error left at the CH) where the orbits that rest
-    are on one of its sides; None where none are found, or the time is over. sign: of the way that the branch came
-    by."""
+    """Find the CH close to a grazing.
+
+    Returns the `GrazingExit` from the CH and the largest residual there, if orbits that stick exist on one of its
+    sides. Returns None if none are found, or the time is over. `sign` is the direction in which the branch came.
+    """
     for offset in VALUE_OFFSETS:
         for direction in (sign, -sign):
             if limits.expired:
@@ -103,12 +107,12 @@ def complete_chatter(problem, z, sign, length_scale, limits=UNLIMITED):
 
 
 def _count_sticking(problem):
-    """How many there are."""
+    """Return the number of sticking phases of an orbit."""
     return 0 if problem.sequence.releases is None else np.count_nonzero(problem.sequence.releases)
 
 
 def _nearest_chatter_point(problem, z, value, orbit_value):
-    """The CH of one of the rests of an orbit, about as far from a value as the orbit itself."""
+    """Locate the CH of one of the sticking phases of an orbit, about as far from a value as the orbit itself."""
     rows = np.flatnonzero(np.isfinite(diagnose(problem, z[None]).sticking_time[0]))
     candidates = [
         sticking_limits.locate_sticking_limit(problem, z, int(row), sticking_limits.excess_speeds) for row in rows
@@ -122,11 +126,12 @@ def _nearest_chatter_point(problem, z, value, orbit_value):
 
 
 def _make_exit(problem, z, exit_tangent, nearby_z):
+    """Make a `GrazingExit` without grazing contacts."""
     return GrazingExit(problem, start_point(z, exit_tangent), nearby_z, diagnose(problem, nearby_z[None]), ())
 
 
 def _settled_orbit(problem, z, value):
-    """(along, z) of the orbit that a motion from the orbit of z settles on at a value, None where that is another."""
+    """Return the equations and z of the orbit on which a motion from z settles, None if it is not close."""
     scene = scene_at(problem, np.append(z[:-1], value))
     diagnostics, periods = diagnose(problem, z[None]), int(problem.sequence.periods)
     state = clamp_to_walls(scene, State(float(diagnostics.x[0, 0]), float(diagnostics.v[0, 0])))

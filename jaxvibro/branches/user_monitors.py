@@ -1,4 +1,4 @@
-"""A user's monitors along a branch: functions of a point, and where they change their sign."""
+"""Locate the sign changes of user-defined monitors along a branch."""
 
 from typing import NamedTuple
 
@@ -17,8 +17,21 @@ from ..scene.check import ArgumentError
 
 
 class MonitoredPoint(NamedTuple):
-    """A point of a branch, as a user's monitor sees it. value: the parameter's; times, speeds, sides: of the impacts;
-    x, v: at the section, one for each period; multipliers: the larger first; clearance: the least, inf if none."""
+    """Point of a branch that is passed to a user's monitor.
+
+    Attributes
+    ----------
+    value : float
+        Value of the parameter.
+    times, speeds, sides : ndarray
+        Impact times, speeds and sides, arrays of shape (impacts,).
+    x, v : ndarray
+        State at phase 0 of each period, arrays of shape (periods,).
+    multipliers : ndarray
+        Floquet multipliers, complex array of shape (2,), the larger first.
+    clearance : float
+        Least clearance, inf if none.
+    """
 
     value: float
     times: Float[np.ndarray, " impacts"]
@@ -31,7 +44,7 @@ class MonitoredPoint(NamedTuple):
 
 
 def make_monitored_point(problem, z, diagnostics):
-    """The `MonitoredPoint` of one point."""
+    """Make the `MonitoredPoint` of one point."""
     n_rows, n_impacts = len(problem.sequence.sides), int(np.sum(problem.sequence.sides != 0))
     return MonitoredPoint(
         float(z[-1]),
@@ -46,7 +59,7 @@ def make_monitored_point(problem, z, diagnostics):
 
 
 def locate_crossings(task, points, diagnostics, kind, function):
-    """The `Event`s where a user's monitor changes its sign; task: the `driver.Task` of the branch."""
+    """Locate the `Event` of each sign change of a user's monitor; `task` is the `ContinuationTask` of the branch."""
     problem = task.args
     monitor_values = np.array(
         [
@@ -60,7 +73,9 @@ def locate_crossings(task, points, diagnostics, kind, function):
             point = point_at_length(task, points, row_before, length)
             if point is None:
                 raise ArgumentError(
-                    f"monitors.{kind}", "must be followed between two points", float(points.z[row_before, -1])
+                    f"monitors.{kind}",
+                    "must be evaluated between two points, where Newton's method fails",
+                    float(points.z[row_before, -1]),
                 )
             return _monitor_value(
                 kind, function, make_monitored_point(problem, point.z, row_at(diagnose(problem, point.z[None]), 0))
@@ -72,9 +87,9 @@ def locate_crossings(task, points, diagnostics, kind, function):
 
 
 def _monitor_value(kind, function, point):
-    """What a monitor says of a `MonitoredPoint`. Raises ArgumentError where it fails."""
+    """Evaluate a monitor at a `MonitoredPoint`. Raises ArgumentError if it fails."""
     try:
         return float(function(point))
     except (ValueError, TypeError, IndexError, ArithmeticError) as error:
-        rule = f"must give a number at every point of the branch ({type(error).__name__}: {error})"
+        rule = f"must return a number at every point of the branch ({type(error).__name__}: {error})"
         raise ArgumentError(f"monitors.{kind}", rule, point.value) from None

@@ -1,5 +1,6 @@
-"""How XLA is asked to compile lanes.
+"""Run functions of many lanes block by block and compile their loops as single kernels.
 
-In: functions of lanes. Out: the same, run block by block, their loops compiled as kernels where XLA can do so, whatever
-program surrounds them. Start with `kernels`, then `blocks`; `compiler_hints` has the arithmetic of lanes.
+`kernels` compiles a loop over lanes as one kernel wherever XLA can do so, independently of the surrounding program.
+`blocks` splits lanes into blocks, and `compiler_hints` defines the arithmetic of lanes. Start with `kernels`, then
+`blocks`.
 """

@@ -1,4 +1,4 @@
-"""Run a function of lanes block by block; a caller's own vmap of it becomes more lanes."""
+"""Run functions of lanes block by block, and turn a vmap of such a function into more lanes."""
 
 import math
 from functools import lru_cache, partial
@@ -21,16 +21,36 @@ from .kernels import (
     use_block_sizes,
 )
 
-MIN_LANES = 16  # lanes of a block: fewer are compiled in another way, and differ by a rounding
+MIN_LANES = 16  # least lanes of a block; XLA compiles fewer differently, and results differ by a rounding error
 
 
 def run_in_blocks(run, tree, initial_results, min_lanes=MIN_LANES, rows=(), n_due=None, max_blocks=1):
-    """run(tree, *rows) for numbers of any shapes that broadcast; run takes scalars and lanes of one block.
+    """Run a function of lanes on blocks of lanes.
 
-    initial_results: from a number of lanes to the results' first content, lanes first. min_lanes: lanes that a block
-    has at least. rows: arrays of all lanes with an axis more, the last. n_due: of so many lanes alone, the first ones,
-    None: of all. max_blocks: run takes the lanes of so many blocks at most, in full ones where there is more than one
-    block. Blocks are shorter where XLA would split an operation of a kernel of full ones over threads."""
+    Blocks are narrower where XLA would split an operation of a kernel of full blocks over threads.
+
+    Parameters
+    ----------
+    run : callable
+        Function ``run(tree, *rows)`` of scalars and of the lanes of one block. Returns a pytree of arrays, lanes first.
+    tree : pytree of array
+        Arguments of any shapes that broadcast against each other. Scalars are passed on as scalars.
+    initial_results : callable
+        Function from a number of lanes to the initial content of the results, lanes first.
+    min_lanes : int, optional
+        Smallest number of lanes in a block.
+    rows : sequence of array, optional
+        Further arguments with all lanes and one additional axis, the last.
+    n_due : int or array, optional
+        Number of lanes to compute, counted from the first. None computes all lanes.
+    max_blocks : int, optional
+        Largest number of blocks that one call of `run` receives. If there is more than one block, they are full.
+
+    Returns
+    -------
+    pytree of array
+        Results of `run` for all lanes, in the broadcast shape of `tree`.
+    """
     if is_within_blocks():
         return _run_in_blocks(run, tree, initial_results, min_lanes, rows, n_due, max_blocks)
     for sizes in BLOCK_SIZES:
@@ -45,6 +65,7 @@ def run_in_blocks(run, tree, initial_results, min_lanes=MIN_LANES, rows=(), n_du
 
 
 def _run_in_blocks(run, tree, initial_results, min_lanes, rows, n_due, max_blocks):
+    """Run a function of lanes with the current block sizes."""
     leaves, treedef = jax.tree.flatten(tree)
     shape = jnp.broadcast_shapes(*map(jnp.shape, leaves))
     if not shape:
@@ -54,7 +75,8 @@ def _run_in_blocks(run, tree, initial_results, min_lanes, rows, n_due, max_block
     width = min(full_width if n_due is None else narrow_block_width(), max(min_lanes, 1 << (n_lanes - 1).bit_length()))
     if n_lanes > full_width:
         n_blocks = -(-n_lanes // full_width)
-        width *= -(-n_blocks // -(-n_blocks // max_blocks))  # as many in each strip, so that few are done twice
+        # the same number in each strip, so that few are computed twice
+        width *= -(-n_blocks // -(-n_blocks // max_blocks))
     n_padded = max(n_lanes, width)
 
     def pad_lanes(leaf, *row_sizes):
@@ -62,11 +84,12 @@ def _run_in_blocks(run, tree, initial_results, min_lanes, rows, n_due, max_block
         padding = [(0, n_padded - n_lanes), *[(0, 0)] * len(row_sizes)]
         return jnp.pad(flat, padding, mode="edge" if n_lanes else "constant")
 
-    leaves = [pad_lanes(leaf) if jnp.shape(leaf) else leaf for leaf in leaves]  # one number for all lanes stays one
+    # a scalar for all lanes remains a scalar
+    leaves = [pad_lanes(leaf) if jnp.shape(leaf) else leaf for leaf in leaves]
     rows = [pad_lanes(row, row.shape[-1]) for row in rows]
 
     def run_block(block, results):
-        start = jnp.minimum(block * width, n_padded - width)  # the last block may repeat lanes of the one before
+        start = jnp.minimum(block * width, n_padded - width)  # the last block may repeat lanes of the previous one
         block_leaves = [lax.dynamic_slice_in_dim(leaf, start, width) if jnp.shape(leaf) else leaf for leaf in leaves]
         block_results = run(
             treedef.unflatten(block_leaves), *(lax.dynamic_slice_in_dim(row, start, width) for row in rows)
@@ -82,10 +105,22 @@ def _run_in_blocks(run, tree, initial_results, min_lanes, rows, n_due, max_block
 
 
 def vmap_as_lanes(function, n_rows=0):
-    """function(*numbers) -> a tree of arrays, as one operation of which a vmap is one call with more lanes.
+    """Wrap a function of lanes as one operation, so that a vmap of it is one call with more lanes.
 
-    What surrounds the call changes nothing within it: the function is traced by itself, for arrays of given shapes and
-    types. It has no derivatives of its own. n_rows: so many of the last arguments have an axis more than the lanes'.
+    The function is traced by itself, for arrays of given shapes and types. Hence the surrounding program does not
+    change it. The operation has no derivative rule.
+
+    Parameters
+    ----------
+    function : callable
+        Function of arrays that broadcast. Returns a pytree of arrays.
+    n_rows : int, optional
+        Number of the last arguments that have one axis more than the lanes.
+
+    Returns
+    -------
+    callable
+        Function with the arguments and results of `function`.
     """
 
     def run(*operands):
@@ -96,7 +131,7 @@ def vmap_as_lanes(function, n_rows=0):
 
 
 def _bind_lanes(function, n_rows, operands):
-    """(results, their tree) of a function as one operation."""
+    """Return (results, their pytree structure) of a function applied as one operation."""
     signature = tuple((jnp.shape(operand), jnp.result_type(operand)) for operand in operands)
     closed_jaxpr, treedef = _trace(function, signature, (jax.config.jax_enable_x64, on_cpu()))
     return lanes_p.bind(*operands, closed=closed_jaxpr, function=function, rows=n_rows), treedef
@@ -104,14 +139,14 @@ def _bind_lanes(function, n_rows, operands):
 
 @lru_cache(512)
 def _trace(function, signature, settings):
-    """(closed jaxpr, tree of the results) for arrays of such shapes and types."""
+    """Return (closed jaxpr, pytree structure of the results) for arrays of given shapes and types."""
     abstract_operands = [jax.ShapeDtypeStruct(*shape_dtype) for shape_dtype in signature]
     closed_jaxpr, result_shapes = jax.make_jaxpr(function, return_shape=True)(*abstract_operands)
     return closed_jaxpr, jax.tree.structure(result_shapes)
 
 
 def _add_lane_axis(axis_size, axes, operands, n_rows):
-    """Numbers whose lanes have one axis more, the first."""
+    """Give all operands the additional lane axis of a vmap, as their first axis."""
     row_axes = [0] * (len(operands) - n_rows) + [1] * n_rows
     operands = [
         operand if axis is None else jnp.moveaxis(operand, axis, 0)

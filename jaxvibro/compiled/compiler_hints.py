@@ -1,8 +1,9 @@
-"""How the compiler is asked to treat a block of lanes: hints that cost speed, never correctness, where it ignores them.
+"""Provide arithmetic on lanes and hints for the compiler.
 
-Arithmetic here works on lanes of one shape and on scalars, the numbers that all lanes share. `jnp.where` and its kin
-are jitted functions of their own and would each become a loop of their own below an un-inlined call, so the lanes use
-`choose` and lax alone.
+Hints affect speed only. Results do not depend on whether the compiler follows them.
+
+Operands are lanes of one shape, or scalars that all lanes share. `jnp.where` and similar functions are jitted and
+would each become a separate loop inside a call that is not inlined. Hence code for lanes uses `choose` and `jax.lax`.
 """
 
 import jax
@@ -16,7 +17,22 @@ COMPILER_OPTIONS = {"xla_cpu_prefer_vector_width": 512}
 
 
 def choose(condition, if_true, if_false):
-    """lax.select that takes Python numbers and broadcasts: yes where the condition holds, no elsewhere."""
+    """Select values by a condition, with Python numbers and broadcasting.
+
+    Parameters
+    ----------
+    condition : array of bool
+        Condition for each lane.
+    if_true : array or float
+        Value where the condition holds.
+    if_false : array or float
+        Value where it does not hold.
+
+    Returns
+    -------
+    array
+        Selected values, of the broadcast shape and of the type of the first array among the values.
+    """
     arrays = [operand for operand in (if_true, if_false) if isinstance(operand, jax.Array)]
     dtype = arrays[0].dtype if arrays else jnp.result_type(float)
     shape = jnp.broadcast_shapes(condition.shape, *(operand.shape for operand in arrays))
@@ -26,57 +42,119 @@ def choose(condition, if_true, if_false):
 
 
 def _broadcast(value, dtype, shape):
+    """Convert a value to an array of a given type and shape."""
     if isinstance(value, jax.Array) and value.shape == shape:
         return value
     return jnp.broadcast_to(lax.convert_element_type(value, dtype), shape)
 
 
 def bit_mask(condition, like):
-    """The lanes where a condition holds, for `merge_bits`: all bits set or none, as wide as the numbers of `like`."""
+    """Build the mask of `merge_bits` from a condition.
+
+    Parameters
+    ----------
+    condition : array of bool
+        Condition for each lane.
+    like : array
+        Array with the floating-point type of the values that are merged later.
+
+    Returns
+    -------
+    array of int
+        All bits set where the condition holds, no bit set elsewhere. As wide as the numbers of `like`.
+    """
     int_dtype = jnp.int64 if like.dtype == jnp.float64 else jnp.int32
     return lax.neg(lax.convert_element_type(condition, int_dtype))
 
 
 def merge_bits(mask, if_set, if_clear):
-    """new where the mask's bits are set, else if_clear: for what a loop carries, as `choose` in place is a masked
-    store, ten times as slow on some machines. The mask is to be the result of a `stage`."""
+    """Merge two arrays bit by bit.
+
+    Use this for values that a loop carries. There `choose` compiles to a masked store, which is ten times slower on
+    some machines.
+
+    Parameters
+    ----------
+    mask : array of int
+        Mask from `bit_mask`. It must be the result of a `stage`.
+    if_set : array
+        Value where the bits of the mask are set.
+    if_clear : array
+        Value where they are clear.
+
+    Returns
+    -------
+    array
+        Merged values.
+    """
     bits = [lax.bitcast_convert_type(operand, mask.dtype) for operand in (if_set, if_clear)]
     return lax.bitcast_convert_type((bits[0] & mask) | (bits[1] & ~mask), if_clear.dtype)
 
 
 def positive_part(a):
-    """a where it is positive, else 0."""
+    """Return `a` where it is positive, and 0 elsewhere."""
     return choose(a > 0, a, 0.0)
 
 
 def negative_part(a):
-    """a where it is negative, else 0."""
+    """Return `a` where it is negative, and 0 elsewhere."""
     return choose(a < 0, a, 0.0)
 
 
 def minimum(a, b):
-    """The smaller of two; one instruction, as it promises nothing for nan."""
+    """Return the smaller of two values in one instruction; the result for nan is unspecified."""
     return choose(a < b, a, b)
 
 
 def maximum(a, b):
-    """The larger of two."""
+    """Return the larger of two values in one instruction; the result for nan is unspecified."""
     return choose(a > b, a, b)
 
 
 def two_sum(a, b):
-    """The rounded sum and its error (Knuth): a path's rounding errors then grow with its length, not its steps."""
+    """Add two numbers without loss (Knuth).
+
+    The rounding error of a path then grows with its length and not with its number of steps.
+
+    Parameters
+    ----------
+    a : array
+        First summand.
+    b : array
+        Second summand.
+
+    Returns
+    -------
+    rounded_sum : array
+        Rounded sum.
+    error : array
+        Rounding error: the exact sum less the rounded one.
+    """
     rounded_sum = a + b
     virtual_b = rounded_sum - a
     return rounded_sum, (a - (rounded_sum - virtual_b)) + (b - virtual_b)
 
 
 def stage(function, *lanes, **static):
-    """function(*lanes) as an un-inlined call, whose results are stored: XLA would compute them anew for each use.
+    """Call a function without inlining it, so that its results are stored.
 
-    XLA computes each result of a call in a loop of its own, with all that it depends on within the call: a stage is to
-    be short, or to have few results. Only operands that the results depend on are handed over; the emitter of a whole
-    loop as one kernel aborts on any other. The function is one of a module, traced once for lanes of a kind.
+    Without this XLA recomputes a result at each of its uses. XLA computes each result of a call in a separate loop,
+    with everything that it depends on inside the call. Hence a stage should be short or have few results. Only operands
+    that the results depend on are passed on, because the emitter of a whole loop as one kernel aborts on any other.
+
+    Parameters
+    ----------
+    function : callable
+        Function at the top level of a module. It is traced once for lanes of given shapes and types.
+    *lanes : pytree of array
+        Positional arguments.
+    **static : hashable
+        Static keyword arguments.
+
+    Returns
+    -------
+    pytree of array
+        Results of ``function(*lanes, **static)``.
     """
     traced_function, operands = trace_once(function, lanes, static)
     flat_function = traced_function.call_with_used

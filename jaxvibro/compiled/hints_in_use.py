@@ -1,4 +1,4 @@
-"""Which hints the compiler is given in this process, for reports of faults."""
+"""Report the compiler hints of this process."""
 
 from typing import Any
 
@@ -6,13 +6,13 @@ from . import compiler_hints, kernels
 
 
 def describe_hints() -> dict[str, Any]:
-    """Describe the compiler hints in use: options, marks of calls, and the widths of blocks of lanes.
+    """Describe the compiler hints in use: options, marks of calls, and block widths.
 
     Returns
     -------
     dict
-        ``applied`` (whether code is compiled for a processor, where alone hints are given), ``options`` of the
-        compiler, ``marks`` of each kind of call, ``block_width`` and ``narrow_block_width`` in lanes.
+        ``applied`` (True if code is compiled for a CPU; other devices get no hints), ``options`` of the compiler,
+        ``marks`` of each kind of call, and ``block_width`` and ``narrow_block_width`` in lanes.
     """
     enabled = kernels.on_cpu()
     stage = {"inlineable": "false"}

@@ -1,16 +1,16 @@
-"""Compile loops over lanes as one kernel of the processor, wherever a user's program calls them.
+"""Compile loops over lanes as single CPU kernels, independently of the surrounding program.
 
-XLA emits a call that carries the attribute ``xla_cpu_small_call`` as one kernel, in place of one launch per operation.
-It aborts the process, or fails to link, where a kernel is not of the form that it expects. `call_as_kernel` is
-therefore a primitive: its operands, their layout and what surrounds the call are the same in every program.
+XLA emits a call with the attribute ``xla_cpu_small_call`` as one kernel, instead of one launch per operation. It aborts
+the process or fails to link if a kernel does not have the expected form. `call_as_kernel` is therefore a primitive: its
+operands, their layout and the surroundings of the call are the same in every program.
 
-- XLA's emitter aborts on a parameter without a use in the called computation. Constant folding produces one: it moves
-  a constant operand into the computation. Hence operands pass an optimisation barrier, which outlives constant
-  folding, are stacked into arrays of at least two rows, so that none is a constant's own buffer, and are returned
-  behind a second barrier, so that each is used.
-- A kernel can neither call a library nor start threads: `is_emittable` and `parallel_tasks.cost_share` decide whether a
-  computation may become one. Others are compiled without the attribute: slower, with the same results.
-- Derivatives of a kernel are compiled without the attribute; lanes of a kernel are a kernel if they pass the same test.
+- The emitter of XLA aborts on a parameter that the called computation does not use. Constant folding produces such a
+  parameter when it moves a constant operand into the computation. Hence operands pass an optimisation barrier, which
+  survives constant folding. They are stacked into arrays of at least two rows, so that none is the buffer of a
+  constant. They are returned behind a second barrier, so that each is used.
+- A kernel can neither call a library nor start threads. `is_emittable` and `parallel_tasks.cost_share` decide whether a
+  computation may become a kernel. Other computations are compiled without the attribute: slower, with the same results.
+- Derivatives of a kernel are compiled without the attribute. A vmap of a kernel is a kernel if it passes the same test.
 """
 
 import math
@@ -29,13 +29,14 @@ from jax.interpreters import ad, batching, mlir
 
 from .parallel_tasks import cost_share
 
-BLOCK_WIDTH = 64  # lanes of a block: its arrays stay in the first-level cache, and few lanes wait for the slowest
-NARROW_BLOCK_WIDTH = 32  # the same of lanes that lean steps have given up: few, and slow ones among them
+BLOCK_WIDTH = 64  # lanes of a block: its arrays fit into the first-level cache, and few lanes wait for the slowest
+NARROW_BLOCK_WIDTH = 32  # block width for the reference path, whose lanes are few and slow
+# wide and narrow block width on a GPU, where a step of many lanes takes as long as a step of few
 GPU_BLOCK_WIDTHS = (
     1 << 20,
     1 << 12,
-)  # widths on a graphics card, which takes a step of many lanes in the time of one of few
-NOT_EMITTABLE = frozenset(  # operations that cannot stand within a loop that is one kernel
+)
+NOT_EMITTABLE = frozenset(  # operations that a loop compiled as one kernel cannot contain
     name
     for names in (
         "scatter scatter-add scatter_add scatter_mul scatter_min scatter_max sort top_k fft pure_callback",
@@ -44,33 +45,43 @@ NOT_EMITTABLE = frozenset(  # operations that cannot stand within a loop that is
     )
     for name in names.split()
 )
-MIN_LIBRARY_SUM, MIN_LIBRARY_SIDE = 4096, 8  # terms, rows from which on XLA calls a library for a sum, for a product
+MIN_LIBRARY_SUM, MIN_LIBRARY_SIDE = 4096, 8  # terms of a sum and rows of a product from which XLA calls a library
 
 
 class BlockSizes(NamedTuple):
-    """width_divisor: what the usual number of lanes in a block is divided by; max_blocks: most blocks in a kernel."""
+    """Block sizes: divisor of the usual block width, and largest number of blocks in a kernel."""
 
     width_divisor: int = 1
     max_blocks: int = 1000
 
 
+# tried in this order until no operation of a kernel is too costly
 BLOCK_SIZES = (
     BlockSizes(),
     BlockSizes(1, 1),
     BlockSizes(2, 1),
     BlockSizes(4, 1),
-)  # tried in turn until no operation of a kernel is too costly
+)
 _block_sizes: ContextVar[BlockSizes | None] = ContextVar("sizes", default=None)
 
 
 class TooCostly(Exception):
-    """XLA may split an operation of a kernel over threads; with fewer lanes it will not."""
+    """XLA may split an operation of a kernel over threads. A kernel of fewer lanes avoids this."""
 
 
 class TracedFunction:
-    """A function traced for operands of given shapes and types.
+    """Function traced for operands of given shapes and types.
 
-    jaxpr : the closed jaxpr of all operands. kept : which operands the results depend on.
+    Attributes
+    ----------
+    jaxpr : ClosedJaxpr
+        Closed jaxpr with all operands.
+    tree : PyTreeDef
+        Pytree structure of the results.
+    signature : tuple of (tuple of int, dtype)
+        Shape and type of each operand.
+    is_used : tuple of bool
+        True for the operands that the results depend on.
     """
 
     def __init__(self, function, static, operand_treedef, signature):
@@ -87,15 +98,15 @@ class TracedFunction:
         )
 
     def flat(self, *operands):
-        """Results as a list, for all operands."""
+        """Return the results as a list, given all operands."""
         return jax.core.eval_jaxpr(self.jaxpr.jaxpr, self.jaxpr.consts, *operands)
 
     def select_used(self, operands):
-        """The operands that the results depend on."""
+        """Return the operands that the results depend on."""
         return [operand for operand, used in zip(operands, self.is_used, strict=True) if used]
 
     def call_with_used(self, *operands):
-        """Results as a list, for the operands that they depend on."""
+        """Return the results as a list, given the operands that they depend on."""
         used_operands = iter(operands)
         return self.flat(
             *(
@@ -106,7 +117,7 @@ class TracedFunction:
 
 
 def trace_once(function, lanes, static):
-    """(`TracedFunction`, operands) of a function of a module; it is traced once for lanes of a kind."""
+    """Return (`TracedFunction`, operands) of a module-level function, traced once per kind of lanes."""
     operands, treedef = jax.tree.flatten(lanes)
     signature = tuple((jnp.shape(lane), jnp.result_type(lane)) for lane in operands)
     settings = jax.config.jax_enable_x64, on_cpu(), _block_sizes.get()
@@ -119,10 +130,28 @@ def _trace(function, static, treedef, signature, settings):
 
 
 def call_as_kernel(function, *lanes, **static):
-    """function(*lanes), its loops compiled as one kernel where they can be, in place of one launch per operation.
+    """Call a function with its loops compiled as one kernel where possible.
 
-    The function is one of a module, with hashable static arguments. Raises TooCostly within `blocks.in_blocks` where
-    a kernel of fewer lanes is to be tried.
+    Without this XLA launches each operation separately.
+
+    Parameters
+    ----------
+    function : callable
+        Function at the top level of a module.
+    *lanes : pytree of array
+        Positional arguments.
+    **static : hashable
+        Static keyword arguments.
+
+    Returns
+    -------
+    pytree of array
+        Results of ``function(*lanes, **static)``.
+
+    Raises
+    ------
+    TooCostly
+        Within `blocks.run_in_blocks`, if a kernel of fewer lanes should be tried.
     """
     kernel, operands = trace_once(function, lanes, static)
     jaxpr = kernel.jaxpr.jaxpr
@@ -133,7 +162,7 @@ def call_as_kernel(function, *lanes, **static):
 
 @contextmanager
 def use_block_sizes(sizes):
-    """Trace with other numbers of lanes in a block; None: the usual ones, and nothing is too costly."""
+    """Trace with other block sizes; None restores the usual sizes, for which no kernel is too costly."""
     token = _block_sizes.set(sizes)
     try:
         yield
@@ -142,31 +171,36 @@ def use_block_sizes(sizes):
 
 
 def is_within_blocks():
-    """Return True within `blocks.in_blocks`, where the length of a block is already chosen."""
+    """Return True within `blocks.run_in_blocks`, where the width of a block is already chosen."""
     return _block_sizes.get() is not None
 
 
 def block_width():
-    """Lanes of a block, for what is traced now."""
+    """Return the number of lanes in a block for the code being traced."""
     return BLOCK_WIDTH // (_block_sizes.get() or BLOCK_SIZES[0]).width_divisor if on_cpu() else GPU_BLOCK_WIDTHS[0]
 
 
 def narrow_block_width():
-    """Lanes of a block of those that lean steps have given up."""
+    """Return the number of lanes in a block of the reference path, for the code being traced.
+
+    Returns
+    -------
+    int
+        Number of lanes. Lanes that the fast path gives up are few and slow, so that their blocks are narrower.
+    """
     return (
         NARROW_BLOCK_WIDTH // (_block_sizes.get() or BLOCK_SIZES[0]).width_divisor if on_cpu() else GPU_BLOCK_WIDTHS[1]
     )
 
 
 def on_cpu():
-    """Whether what is traced now is for a processor: elsewhere the hints are none, and a card's compiler is led into a
-    circle by them."""
+    """Return True if the code being traced is for a CPU; on a GPU hints would send the compiler into a loop."""
     device = jax.config.jax_default_device
     return (jax.default_backend() if device is None else getattr(device, "platform", device)) == "cpu"
 
 
 def _call_with_hints(kernel, *operands):
-    """Results of a kernel as a call with the attribute, in the form that the emitter takes."""
+    """Call a kernel with the attribute, in the form that the emitter of XLA expects."""
     operands = lax.optimization_barrier(kernel.select_used(operands))
     groups = {}
     for index, operand in enumerate(operands):
@@ -190,7 +224,7 @@ def _call_with_hints(kernel, *operands):
 
 
 def _lowering_rule(use_hints, context, *operands, call_jaxpr, kernel):
-    """MLIR of a kernel, traced without the mesh axes that its operands may vary over."""
+    """Return the MLIR of a kernel, traced without the mesh axes over which its operands may vary."""
     as_kernel = use_hints and any(kernel.is_used) and can_be_kernel(call_jaxpr.jaxpr)
     avals = [ShapedArray(aval.shape, aval.dtype) for aval in context.avals_in]
     return mlir.lower_fun(partial(_call_with_hints, kernel) if as_kernel else kernel.flat)(
@@ -204,7 +238,7 @@ def can_be_kernel(jaxpr) -> bool:
 
 
 def abstract_results(*avals, call_jaxpr, **static):
-    """Abstract results; in a manual mesh they vary over the axes that any operand varies over."""
+    """Return abstract results; in a manual mesh they vary over the axes of any operand."""
     if not jax.sharding.get_abstract_mesh().manual_axes:
         return [ShapedArray(aval.shape, aval.dtype) for aval in call_jaxpr.out_avals]
 
@@ -241,7 +275,7 @@ batching.primitive_batchers[kernel_p] = _batching_rule
 
 @lru_cache(1024)
 def is_emittable(jaxpr) -> bool:
-    """Return True if a kernel can hold every operation of a jaxpr."""
+    """Return True if a kernel can contain every operation of a jaxpr."""
     return all(
         equation.primitive.name not in NOT_EMITTABLE
         and not _calls_library(equation)
@@ -266,6 +300,7 @@ def _calls_library(equation):
 
 
 def _find_live_variables(jaxpr):
+    """Return the variables that the results of a jaxpr depend on."""
     live_variables = {variable for variable in jaxpr.outvars if not hasattr(variable, "val")}
     for equation in reversed(jaxpr.eqns):
         if not live_variables.isdisjoint(equation.outvars):

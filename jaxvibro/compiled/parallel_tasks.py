@@ -1,8 +1,8 @@
-"""Bound the cost of operations in a kernel, so that XLA does not split one of them over threads.
+"""Bound the cost of operations in a kernel, so that XLA does not split any of them over threads.
 
-XLA splits an operation or loop fusion whose estimated cost exceeds that of two tasks, and a kernel cannot start
-threads: it then fails to link (``Symbols not found: __xla_cpu_runtime_ParallelForkJoin``). The estimate is the one of
-XLA's ``DefaultCostModel``: bytes accessed where an operation reads and writes more than it computes, else
+XLA splits an operation or loop fusion whose estimated cost exceeds that of two tasks. A kernel cannot start threads and
+then fails to link (``Symbols not found: __xla_cpu_runtime_ParallelForkJoin``). The estimate follows the
+``DefaultCostModel`` of XLA: bytes accessed if an operation reads and writes more than it computes, otherwise
 flops + 2 transcendentals + 10 bytes accessed.
 """
 
@@ -12,12 +12,12 @@ from typing import NamedTuple
 
 from jax.extend import core
 
-COMPUTE_LIMIT = 2 * 100_000  # cost of two tasks that compute
-MEMORY_LIMIT = 2 * (256 << 10)  # bytes of two tasks that read and write
+COMPUTE_LIMIT = 2 * 100_000  # cost of two compute-bound tasks
+MEMORY_LIMIT = 2 * (256 << 10)  # bytes of two memory-bound tasks
 EXPONENTIALS = {"exp", "exp2", "log", "expm1", "log1p", "logistic", "pow", "sqrt", "rsqrt", "cbrt", "erf"}
 ANGLES = {"sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh"}
 TRANSCENDENTAL = EXPONENTIALS | ANGLES
-EXPENSIVE = TRANSCENDENTAL | {"div", "rem"}  # XLA keeps such a result in memory where several operations use it
+EXPENSIVE = TRANSCENDENTAL | {"div", "rem"}  # XLA stores such a result if several operations use it
 COST_FREE = {
     "broadcast_in_dim",
     "reshape",
@@ -30,34 +30,35 @@ COST_FREE = {
     "iota",
     "copy",
 }
-MAX_FUSED_USES = 15  # evaluations of one operation in a fusion; XLA does not fuse what would need more
-IN_PLACE = {"dynamic_update_slice"}  # never split
+MAX_FUSED_USES = 15  # evaluations of one operation in a fusion; XLA does not fuse beyond this number
+IN_PLACE = {"dynamic_update_slice"}  # operations that XLA never splits
 
 
 class FusionCone(NamedTuple):
-    """Everything that one fusion with this result may read and compute: sets as bit masks over a region's lists."""
+    """Arrays that one fusion reads and operations that it computes, as bit masks over the lists of a region."""
 
     read_mask: int
     compute_mask: int
 
 
 class FusionRegion:
-    """Operations among which XLA may fuse: the body of a loop, a branch, or a call that is not inlined."""
+    """Operations that XLA may fuse: the body of a loop, a branch, or a call that is not inlined."""
 
     def __init__(self):
+        # bytes of each array read; (elements, is transcendental) of each operation
         self.read_sizes, self.operations = (
             [],
             [],
-        )  # bytes of each array read; (elements, whether transcendental) of each operation
-        self.max_cost_share = 0.0  # largest cost over its limit
+        )
+        self.max_cost_share = 0.0  # largest ratio of a cost to its limit
 
     def read(self, aval):
-        """The cone of an array in memory."""
+        """Add an array in memory and return its cone."""
         self.read_sizes.append(_size_in_bytes(aval))
         return FusionCone(1 << (len(self.read_sizes) - 1), 0)
 
     def add_operation(self, equation, cones):
-        """The cone of an operation's result."""
+        """Add an operation and return the cone of its result."""
         name, aval = equation.primitive.name, equation.outvars[0].aval
         read_mask, compute_mask = (_union_of_masks(cone[field_index] for cone in cones) for field_index in (0, 1))
         if name not in COST_FREE:
@@ -72,11 +73,11 @@ class FusionRegion:
         return FusionCone(read_mask, compute_mask)
 
     def account_for_result(self, aval, cone):
-        """Account for a fusion whose result is this array."""
+        """Account for a fusion with this result."""
         n_elements, bytes_written = aval.size, _size_in_bytes(aval)
         bytes_read = [self.read_sizes[k] for k in _set_bits(cone.read_mask)]
         if n_elements <= 1 or (not cone.compute_mask and bytes_read == [bytes_written]):
-            return  # a single number cannot be split; an array in memory is not computed
+            return  # a scalar cannot be split; an array in memory is not computed
         bytes_moved = bytes_written + sum(bytes_read)
         operations = [self.operations[k] for k in _set_bits(cone.compute_mask)]
         largest_read = max([size for size in bytes_read if size >= 8 * n_elements], default=0)
@@ -91,7 +92,7 @@ class FusionRegion:
 
 
 def _compute_cost_share(operations, bytes_moved, min_bytes):
-    """Cost share of a fusion that computes so much, where that is more flops than the bytes that it moves at least."""
+    """Return the cost share of a compute-bound fusion, and 0 for a memory-bound one."""
     flops = sum(n_elements for n_elements, transcendental in operations if not transcendental)
     if flops <= min_bytes:
         return 0.0
@@ -101,13 +102,14 @@ def _compute_cost_share(operations, bytes_moved, min_bytes):
 
 @lru_cache(1024)
 def cost_share(jaxpr) -> float:
-    """Largest estimated cost of an operation in a jaxpr, as a fraction of the cost from which XLA splits it."""
+    """Return the largest estimated cost of an operation in a jaxpr, relative to the cost at which XLA splits it."""
     region = FusionRegion()
     _visit_jaxpr(region, jaxpr, [region.read(variable.aval) for variable in jaxpr.invars])
     return region.max_cost_share
 
 
 def _visit_jaxpr(region, jaxpr, input_cones):
+    """Add the operations of a jaxpr to a region and return the cones of its results."""
     cones = dict(zip(jaxpr.invars, input_cones, strict=True))
     use_counts = Counter(
         variable for equation in jaxpr.eqns for variable in equation.invars if not isinstance(variable, core.Literal)
@@ -140,6 +142,7 @@ def _visit_jaxpr(region, jaxpr, input_cones):
 
 
 def _compiler_hints(equation):
+    """Return the hints attached to an equation."""
     return getattr(equation.ctx, "xla_metadata", None) or {}
 
 
@@ -148,6 +151,7 @@ def _size_in_bytes(aval):
 
 
 def _union_of_masks(masks):
+    """Return the bitwise union of masks."""
     union = 0
     for mask in masks:
         union |= mask
@@ -155,6 +159,7 @@ def _union_of_masks(masks):
 
 
 def _set_bits(mask):
+    """Yield the positions of the set bits of a mask."""
     while mask:
         lowest_bit = mask & -mask
         yield lowest_bit.bit_length() - 1

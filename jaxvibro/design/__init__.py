@@ -1,5 +1,5 @@
-"""Questions that gradients answer: bifurcations as functions of the scene, and what is built on them.
+"""Locate, place and fit bifurcations with gradients.
 
-In: special points of branches, orbits, scenes. Out: values with derivatives of any order by every number of a scene.
-Start reading at `located.py`.
+In: special points of branches, orbits, scenes. Out: values with derivatives of any order with respect to every number
+of a scene. Start reading at `located.py`.
 """

@@ -1,9 +1,9 @@
-"""Where the nearest change of an orbit lies, as the gradients of the tests say that become zero there.
+"""Differentiate the test functions of an orbit with respect to free parameters, to predict its nearest bifurcation.
 
-A test T(z, q) is followed along the orbit z(q), F(z, q) = 0, as the scene's numbers q change: its derivative is
-T_q - T_z F_z^-1 F_q, here by differences in q, which only point the way. The tests are those of `rays`: the
-determinants that vanish at a fold and at a period doubling, of the equations in times and speeds, finite also where an
-impact loses its speed; the least clearance; the least speed.
+A test function T(z, q) is differentiated along the orbit z(q), F(z, q) = 0, with the numbers q of the scene. Its
+derivative ``T_q - T_z F_z^-1 F_q`` is a difference in q, which only determines the search direction. The test functions
+are those of `rays`: the determinants of the equations in times and speeds that vanish at a fold and at a period
+doubling, which remain finite where an impact loses its speed; the smallest clearance; the smallest speed.
 """
 
 from functools import partial
@@ -21,13 +21,16 @@ from ..orbits import impact_equations
 from .rays import bifurcation_tests, free_response, sequence_at
 
 FOLD, FLIP, TOUCH, ZERO_SPEED = range(4)
-DIFFERENCE_STEP = 1e-5  # units: the points of a difference
+DIFFERENCE_STEP = 1e-5  # in units: step of central differences
 
 
 @partial(jax.jit, static_argnums=0, compiler_options=FAST_COMPILE)
 def differentiate_tests(treedef, sequences, scene_vectors, unit_vectors):
-    """(the four tests, (orbits, 4), their derivatives by the free numbers in their units, (orbits, 4, free)) of orbits,
-    `Cycle`s without empty rows, of scenes with these numbers, (orbits, numbers). unit_vectors: (free, numbers)."""
+    """Return the four tests of orbits, (orbits, 4), and their derivatives with respect to the free parameters.
+
+    The derivatives have shape (orbits, 4, free), in units of the free parameters. `sequences` are `ImpactSequence`
+    without empty rows, `scene_vectors` has shape (orbits, numbers), and `unit_vectors` has shape (free, numbers).
+    """
     differentiate = loop_over_lanes(partial(_differentiate_orbit, treedef), call_as_kernel)
     tests, gradients = jax.vmap(differentiate, in_axes=(0, 0, None))(sequences, scene_vectors, unit_vectors)
     return tests, jnp.moveaxis(gradients, 2, 1)

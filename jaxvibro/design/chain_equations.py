@@ -1,9 +1,10 @@
-"""Impacts one after the other, not closed to an orbit: what each flight leaves open, and how that changes.
+"""Define the equations of a chain of flights from impact to impact, and their derivatives.
 
-A node is an impact (unknown: its time, and the speed before it) or a free state at a given time (unknown: x, v). The
-flight from a node has to end at the next one: at an impact on its wall and with its speed, at a state in that state. As
-the flight is free, both are smooth in the unknowns and in every number of the scene: nothing is chaotic here, however
-long the chain, and a grazing is no singularity. Whether a flight passes through a wall is asked apart (`first_return`).
+The chain is not closed to an orbit. A node is an impact (unknowns: its time and the speed before it) or a free state at
+a given time (unknowns: x, v). The flight from a node must end at the next: at an impact on its wall with its speed, or
+in its state. The flight is free, so that the equations are smooth in the unknowns and in every number of the scene.
+Chaos does not amplify errors, whatever the length of the chain, and a grazing is not a singularity. `next_impact`
+checks whether a flight passes through a wall.
 """
 
 from typing import NamedTuple
@@ -25,8 +26,11 @@ from .shape_padding import pad_to_power_of_two, scene_with_tangents
 
 
 class Nodes(NamedTuple):
-    """Nodes in order of time. sides: -1, 1 of an impact, 0 a free state; state_times: the time of a free state; first,
-    second: time and speed of an impact, x and v of a state. Times since the drive was at phase 0."""
+    """Nodes in order of time.
+
+    `sides` is -1 or 1 for an impact, 0 for a free state. `state_times` are the times of free states. `first_unknown`
+    and `second_unknown` are time and speed of an impact, or x and v of a state. Times count from phase 0 of the drive.
+    """
 
     sides: Float[np.ndarray, " nodes"]
     state_times: Float[np.ndarray, " nodes"]
@@ -35,21 +39,26 @@ class Nodes(NamedTuple):
 
     @property
     def times(self) -> Float[np.ndarray, " nodes"]:
-        """Of all nodes."""
+        """Times of all nodes."""
         return np.where(self.sides == 0, self.state_times, self.first_unknown)
 
 
 class FlightResiduals(NamedTuple):
-    """values: (flights, 2), what is to be zero; derivatives: its derivatives by the node's own two unknowns, by the
-    next one's, by the free numbers and by the phase, (flights, 2, 4 + numbers + 1)."""
+    """Residuals of flights, (flights, 2), and their derivatives, (flights, 2, 4 + numbers + 1).
+
+    The derivatives are with respect to the two unknowns of the node, those of the next node, the free parameters, and
+    the phase.
+    """
 
     values: Float[np.ndarray, "flights 2"]
     derivatives: Float[np.ndarray, "flights 2 columns"]
 
 
 def flight_residuals(scene, names, nodes, parameters, phase):
-    """The `FlightResiduals` of nodes in a scene whose numbers of these names are others, the drive's phase at time 0
-    too."""
+    """Return the `FlightResiduals` of nodes in a scene with other values of the named parameters.
+
+    `phase` is that of the drive at time 0.
+    """
     n_nodes = len(nodes.sides)
     if n_nodes < 2:
         return FlightResiduals(np.zeros((0, 2)), np.zeros((0, 2, 5 + len(names))))
@@ -67,9 +76,12 @@ def flight_residuals(scene, names, nodes, parameters, phase):
 
 
 def connecting_speeds(scene, nodes, phase):
-    """(speed after the node, speed before the next), (flights,) each and towards the wall's inside and outside: with
-    which a flight goes from one impact's time and place to the next's. What both say of an impact's speed differs
-    where times are not those of the scene. A stay within a soft wall takes half a swing, as if nothing else pulled."""
+    """Return the speeds of the flights that connect consecutive impacts.
+
+    The first array holds the speed after each node, the second the speed before the next, (flights,) each. Positive
+    speeds point away from the wall and into the wall. Both arrays give the speed of an inner impact. They disagree if
+    the times are not those of the scene. A contact phase of a soft wall is taken to last half a free oscillation.
+    """
     n_nodes, sides = len(nodes.sides), np.asarray(nodes.sides)
     contact_durations = sum(
         (np.where(sides == sign, contact_duration, 0.0) for sign, contact_duration in _contact_half_periods(scene)),
@@ -81,7 +93,7 @@ def connecting_speeds(scene, nodes, phase):
 
 
 def _contact_half_periods(scene):
-    """(side, how long the mass is within) of soft walls."""
+    """Yield (side, contact duration) of each soft wall."""
     for side, wall in scene.walls.items():
         if wall.soft:
             squared_frequency = 1.0 + float(wall.stiffness) - float(scene.parameter(f"{side}.damping")) ** 2
@@ -90,7 +102,7 @@ def _contact_half_periods(scene):
 
 @persistent_jit
 def _differentiate_flights(scene, tangents, sides, state_times, first_unknown, second_unknown, phase):
-    """(values, derivatives by the unknowns, along the ways of the scene and by the phase)."""
+    """Return residuals and their derivatives in the unknowns, along the scene tangents, and in the phase."""
     node_unknowns = first_unknown, second_unknown, jnp.roll(first_unknown, -1), jnp.roll(second_unknown, -1)
 
     def residuals(first_unknown, second_unknown, next_first, next_second, scene, phase):
@@ -112,7 +124,7 @@ def _differentiate_flights(scene, tangents, sides, state_times, first_unknown, s
 
 
 def _fly_between_nodes(scene, sides, state_times, node_unknowns, next_unknowns, phase):
-    """(gap, excess): of where flights end, and of the speed there."""
+    """Return the residuals of position and velocity at the ends of the flights."""
     coeffs, next_sides = flow_coefficients(scene), jnp.roll(sides, -1)
     is_state, next_is_state = sides == 0, next_sides == 0
     start_times, end_times = (
@@ -141,12 +153,14 @@ def _fly_between_nodes(scene, sides, state_times, node_unknowns, next_unknowns, 
 
 
 def _drive_phasor(coeffs, phase, time):
+    """Return the cosine and sine of the phase of the drive at a time."""
     angle = phase + coeffs.frequency * time
     return jnp.cos(angle), jnp.sin(angle)
 
 
 @persistent_jit
 def _compute_speeds(scene, sides, state_times, impact_times, contact_durations, phase):
+    """Compute the two arrays of `connecting_speeds` for padded nodes."""
     coeffs, next_sides, start_times = flow_coefficients(scene), jnp.roll(sides, -1), impact_times + contact_durations
     flight_time = jnp.maximum(jnp.roll(impact_times, -1) - start_times, 0.0)
     cosine, sine = _drive_phasor(coeffs, phase, start_times)

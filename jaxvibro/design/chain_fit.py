@@ -1,4 +1,4 @@
-"""Numbers of a scene from a chain of impacts: the least squares of their times under what flights leave open."""
+"""Fit parameters of a scene to a chain of impacts: least squares of the times under the equations of the flights."""
 
 from functools import partial
 from typing import NamedTuple
@@ -19,13 +19,13 @@ from .least_squares import (
     Linearisation,
 )
 
-MIN_TIME_FRACTION = 0.25  # a flight's time is at least as much of what it was before a step
-MIN_FLIGHT_TIME = 1e-12  # of the times of flights
-MIN_STEP_FRACTION = 1e-9  # of a step
+MIN_TIME_FRACTION = 0.25  # smallest ratio of a flight time to its value before a step
+MIN_FLIGHT_TIME = 1e-12  # smallest flight time
+MIN_STEP_FRACTION = 1e-9  # smallest fraction of a step
 
 
 class Measurements(NamedTuple):
-    """What was measured of nodes: of which, what of it, 0 the first unknown, 1 the second, the values, their errors."""
+    """Measurements of nodes: node index, index of the unknown (0 first, 1 second), measured value, standard error."""
 
     node_indices: Int[np.ndarray, " seen"]
     unknown_indices: Int[np.ndarray, " seen"]
@@ -43,8 +43,10 @@ def fit_chain_parameters(
     max_iterations=MAX_ITERATIONS,
     step_tolerance=STEP_TOLERANCE,
 ) -> LeastSquaresSolution:
-    """The `LeastSquaresSolution` least squares from nodes and numbers near it; phase: the drive's at time 0 where it is
-    not free."""
+    """Solve the least squares from approximate nodes and parameters.
+
+    `phase` is that of the drive at time 0 if it is not a free parameter.
+    """
     problem = LeastSquaresProblem(
         partial(_linearise, scene, phase, measurements, free_params), _shift_nodes, _max_step_fraction
     )
@@ -52,6 +54,7 @@ def fit_chain_parameters(
 
 
 def _linearise(scene, phase, measurements, free_params, nodes, parameters):
+    """Return the `Linearisation` of the flights and measurements at nodes and parameters."""
     names, drive_phase = free_params.split_phase(parameters, phase)
     flights = flight_residuals(scene, names, nodes, parameters[: len(names)], drive_phase)
     n_flights, n_nodes = len(flights.values), len(nodes.sides)
@@ -82,7 +85,7 @@ def _shift_nodes(nodes, change):
 
 
 def _max_step_fraction(nodes, parameters, node_change, parameter_change):
-    """How much of a step leaves the nodes in order."""
+    """Return the largest fraction of a step that keeps the nodes in order."""
     is_impact = nodes.sides != 0
     flight_times, time_changes = (
         np.diff(nodes.times),

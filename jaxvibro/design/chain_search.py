@@ -1,8 +1,8 @@
-"""The search for the chain that explains a record: it begins where six impacts fit as they are, and grows both ways.
+"""Search the chain that explains a record. It starts with a few consecutive impacts and grows in both directions.
 
-From a chain's end the motion is flown on, as it would be, with the error that the numbers and the end have. An impact
-that comes where the record has one is taken for it; one that comes much before is missing from the record. Where errors
-leave this open, several chains are kept, and what comes later decides.
+The motion is continued from the end of a chain, with the error propagated from the parameters and the end. A predicted
+impact near an impact of the record is identified with it. A predicted impact well before the next one is missing from
+the record. Where errors leave several possibilities, several chains are kept, and later impacts decide.
 """
 
 from itertools import product
@@ -30,25 +30,27 @@ from .impact_chains import (
 from .impact_chains import guess_from_chain as as_found
 from .next_impact import Impact, Motion
 
-FIRST_IMPACTS, GROWTH_FRACTION = 6, 0.4  # impacts of the first chain; by what share of it a sure one grows at once
-EASY_COST = 6.0  # a first chain that costs as little is not asked whether another is better
-MAX_FITTED_WINDOWS, MAX_START_WINDOWS = 16, 6  # first chains that are fitted, and grown
-MAX_FITTED_INSERTIONS, MAX_START_INSERTIONS = 10, 4  # of those with impacts put in
-MAX_SPURIOUS_SHARE = 0.1  # of a record's impacts
-FREQUENCY_SCALES = 2.0  # scales of the frequency, within which it is looked for
-PHASE_STEP, MAX_FREQUENCIES = 0.5, 400  # rad of the last impact's phase between one frequency and the next; how many
-MATCH_ERRORS = 5.0  # errors: an impact as near to one that was flown to may be it
-SURE_ERRORS = 10.0  # of the record's errors: a time with an error as small is known
-MAX_LOOKAHEAD = 5  # impacts that a chain is flown on by, where it is not sure
-MAX_CHAINS, MAX_EXTRA_COST = 6, 24.0  # chains that are kept, and how much more than the best they may cost
-EXPENSIVE_STEP = 10.0  # a step that costs as much is asked whether another is cheaper
-MAX_INSERTIONS = 4  # ways of putting in before a new impact, those that suit its speeds best
-MAX_STRAINED_FLIGHTS = 3  # flights at which an impact is put in where a chain breaks off
+FIRST_IMPACTS, GROWTH_FRACTION = 6, 0.4  # impacts of the first chain; relative growth of a certain chain at once
+EASY_COST = 6.0  # a cheaper first chain is accepted without alternatives
+MAX_FITTED_WINDOWS, MAX_START_WINDOWS = 16, 6  # largest numbers of first chains that are fitted, and grown
+MAX_FITTED_INSERTIONS, MAX_START_INSERTIONS = 10, 4  # the same for chains with inserted impacts
+MAX_SPURIOUS_SHARE = 0.1  # fraction of the impacts of a record
+FREQUENCY_SCALES = 2.0  # half-width of the frequency search, in scales
+PHASE_STEP, MAX_FREQUENCIES = 0.5, 400  # change of the phase of the last impact per frequency, in rad; largest number
+MATCH_ERRORS = 5.0  # in standard errors: largest distance between a predicted impact and its match in the record
+SURE_ERRORS = 10.0  # in errors of the record: largest error of a certain time
+MAX_LOOKAHEAD = 5  # impacts by which an uncertain chain is predicted
+MAX_CHAINS, MAX_EXTRA_COST = 6, 24.0  # number of chains that are kept, and their largest cost above the best
+EXPENSIVE_STEP = 10.0  # a more expensive step is compared with alternatives
+MAX_INSERTIONS = 4  # ways of inserting impacts before a new one, ranked by the mismatch of the speeds
+MAX_STRAINED_FLIGHTS = 3  # flights in which an impact is inserted where a chain breaks off
 
 
 def match_record(record: Record, flawed: bool) -> ImpactChain | None:
-    """The `ImpactChain` of a whole record; its cost is `IMPOSSIBLE_COST` at least where there is none. flawed: whether
-    the record may lack impacts or have others."""
+    """Return the `ImpactChain` of a whole record; its cost is at least `IMPOSSIBLE_COST` if there is none.
+
+    `flawed` allows missing and spurious impacts.
+    """
     best = None
     for start_chain in _start_chains(record, flawed):
         full_chain = _grow_chain(record, flawed, start_chain)
@@ -59,7 +61,10 @@ def match_record(record: Record, flawed: bool) -> ImpactChain | None:
 
 
 def _start_chains(record, flawed):
-    """First chains, likely ones first: of a few impacts as they are, from several places on; then with some put in."""
+    """Yield first chains in order of plausibility.
+
+    Consecutive impacts from several positions come first, then chains with inserted impacts.
+    """
     n_impacts, start_values = min(FIRST_IMPACTS, len(record.times)), record.free_params.start_values
     first_chain = fit_chain(record, guess_from_record(record, start_values, np.arange(n_impacts)))
     is_easy = is_acceptable(record, first_chain) and first_chain.cost <= EASY_COST
@@ -79,8 +84,10 @@ def _start_chains(record, flawed):
 
 
 def _start_windows(record, n_impacts):
-    """(place in the record, numbers) where first chains may be, those first in which speeds suit each other best.
-    A frequency that is little off is much off in the phase of a late impact: many are tried."""
+    """Return (index in the record, parameters) of plausible first chains, sorted by the mismatch of their speeds.
+
+    A small error of the frequency is a large error of the phase of a late impact. Therefore many frequencies are tried.
+    """
     free_params, times = record.free_params, record.times
     start_values, trial_values = free_params.start_values, [free_params.start_values]
     if "frequency" in free_params.names:
@@ -109,7 +116,7 @@ def _start_windows(record, n_impacts):
 
 
 def _start_with_insertions(record, parameters, n_impacts):
-    """Chains of the first impacts with one or two put in, or one left out, the cheapest first."""
+    """Yield chains of the first impacts with one or two inserted or one removed, sorted by cost."""
     guess = guess_from_record(record, parameters, np.arange(n_impacts))
     single_insertions = _insert_one(record, guess, range(n_impacts - 1))
     double_insertions = [
@@ -131,24 +138,27 @@ def _start_with_insertions(record, parameters, n_impacts):
 
 
 def _insert_one(record, guess, flights):
-    """The chains with one impact put in on one of some flights."""
+    """Return the chains with one impact inserted in one of several flights."""
     flight_sides = product(flights, wall_sides(record.scene))
     return [insertion for flight, side in flight_sides for insertion in insert_impacts(record, guess, flight, (side,))]
 
 
 def _last_inserted(guess):
+    """Return the index of the last inserted node."""
     return int(np.flatnonzero(guess.record_indices < 0)[-1])
 
 
 def _matched_range(chain):
-    """(first, one past the last) of the record's impacts that a chain has come to."""
+    """Return the range (first, end) of record indices that a chain covers."""
     record_indices = [*chain.record_indices[chain.record_indices >= 0], *chain.spurious_indices]
     return min(record_indices), max(record_indices) + 1
 
 
 def _grow_chain(record, flawed, start_chain):
-    """The cheapest `ImpactChain` of the whole record from a first part on; its cost is `IMPOSSIBLE_COST` at least where
-    it breaks off."""
+    """Grow a chain to the cheapest `ImpactChain` of the whole record.
+
+    Its cost is at least `IMPOSSIBLE_COST` if it breaks off.
+    """
     chains, n_impacts = [start_chain], len(record.times)
     while True:
         first_matched, end_matched = _matched_range(chains[0])
@@ -166,7 +176,7 @@ def _grow_chain(record, flawed, start_chain):
 
 
 def _extend_by_one(record, flawed, chains, direction):
-    """The good chains with one impact of the record more, the cheapest first."""
+    """Return the acceptable chains with one more impact of the record, sorted by cost."""
     best_by_key = {}
     for chain in chains:
         for extension in _extend_chain(record, flawed, chain, direction):
@@ -186,7 +196,10 @@ def _extend_by_one(record, flawed, chains, direction):
 
 
 def _predict_impacts(record, chain, end_time, max_impacts, direction):
-    """[(the impact, the error of its time)] of the motion from a chain's end on, until a time, so many at most."""
+    """Return [(impact, error of its time)] of the motion beyond the end of a chain.
+
+    The prediction ends at a time or at a number of impacts.
+    """
     solution = chain.solution
     nodes, end_node, n_params = (
         solution.nodes,
@@ -218,7 +231,7 @@ def _predict_impacts(record, chain, end_time, max_impacts, direction):
 
 
 def _impacts_ahead(record, chain, direction, max_count):
-    """The record's impacts beyond a chain's end, the nearest first."""
+    """Return the indices of the impacts of the record beyond the end of a chain, the nearest first."""
     first_matched, end_matched = _matched_range(chain)
     return (
         np.arange(end_matched, len(record.times))[:max_count]
@@ -228,13 +241,13 @@ def _impacts_ahead(record, chain, direction, max_count):
 
 
 def _guess_from_impacts(record_indices, impacts, direction):
-    """The `ChainGuess` of impacts that were flown to, the nearest first."""
+    """Return the `ChainGuess` of predicted impacts, the nearest first."""
     sides, times, speeds = (np.array(column, float) for column in zip(*impacts[::direction], strict=True))
     return ChainGuess(np.array(record_indices[::direction], int), sides, times, speeds, (), np.zeros(0))
 
 
 def _extend_by_many(record, flawed, chain, direction):
-    """The chain made longer by as much as is sure; None where nothing is."""
+    """Extend a chain by all impacts that are certain, or return None if none is."""
     indices_ahead = _impacts_ahead(record, chain, direction, max(2, int(GROWTH_FRACTION * len(chain.record_indices))))
     end_time = record.times[indices_ahead[-1]] + direction * 2.0 * MATCH_ERRORS * SURE_ERRORS * record.sigma[0]
     impacts, record_indices, n_matched = [], [], 0
@@ -265,7 +278,7 @@ def _extend_by_many(record, flawed, chain, direction):
 
 
 def _extend_chain(record, flawed, chain, direction):
-    """The chain with the record's next impact, in the ways that there may be."""
+    """Return the chains with the next impact of the record, in all plausible ways."""
     record_index, guess = int(_impacts_ahead(record, chain, direction, 1)[0]), as_found(chain)
     time, matched_range = record.times[record_index], _matched_range(chain)
     time_gap = abs(time - record.times[matched_range[1] - 1 if direction > 0 else matched_range[0]])

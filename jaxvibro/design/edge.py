@@ -1,7 +1,7 @@
-"""The defining equations of where a sheet of bifurcations ends.
+"""Define the equations of the edges of a sheet of bifurcations.
 
-An SN, PD, SB or GR ends where its orbit touches a wall besides, or where one of its impacts loses its speed; two sheets
-of SN end in each other at a cusp. That is one equation more, so that an edge has one dimension less than the sheet.
+An SN, PD, SB or GR ends where its orbit grazes another wall, or where one of its impacts loses its speed. Two sheets of
+SN end at a cusp. Each is one more equation, so that an edge has one dimension less than the sheet.
 """
 
 from dataclasses import dataclass, field, replace
@@ -28,9 +28,12 @@ TOUCHES, ZERO_SPEED, CUSP = "a touch", "an impact without speed", "a cusp"
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class BoundaryEdge:
-    """What is zero at an edge, a pytree. equations: the sheet's `PointEquations`; end_kind: TOUCHES, of the flight
-    after the impact in a row and a wall among the walls; SLOW: the impact in that row; CUSP, with left_null: what comes
-    nearest to a left null vector there."""
+    """Equations of an edge, a pytree.
+
+    `equations` are the `PointEquations` of the sheet. `end_kind` is TOUCHES (grazing of the flight after the impact in
+    `row` at a `wall`, an index of the walls), ZERO_SPEED (the impact in `row`), or CUSP, with `left_null` close to a
+    left null vector.
+    """
 
     equations: PointEquations
     end_kind: str = field(metadata=STATIC)
@@ -40,16 +43,19 @@ class BoundaryEdge:
 
     @property
     def kind(self) -> str:
-        """Of the sheet."""
+        """Kind of the sheet."""
         return self.equations.kind
 
     def sequence_at(self, unknowns: Unknowns) -> ImpactSequence:
-        """The `ImpactSequence` with these unknowns."""
+        """Return the `ImpactSequence` with these unknowns."""
         return self.equations.sequence_at(unknowns)
 
     def residual(self, unknowns: Unknowns, scene_vector: Parameters) -> Float[Array, " equations"]:
-        """What is to be zero in the scene with these numbers, two more than the unknowns are: the sheet's equations,
-        and the edge's. unknowns: times and speeds, the null vector, the time of a touch since its flight's start."""
+        """Return the residual in the scene with these numbers: equations of the sheet and of the edge.
+
+        There are two more equations than unknowns. The unknowns are times and speeds, the null vector, and the time of
+        a grazing since the start of its flight.
+        """
         equations = self.equations
         n_orbit_unknowns = equations.n_orbit_unknowns
         n_null_components = 0 if equations.is_grazing else n_orbit_unknowns
@@ -77,7 +83,7 @@ class BoundaryEdge:
         )
 
     def _cusp_function(self, coeffs, sequence, null_vector):
-        """Of a fold, w F_uu v v, w the left null vector: zero at a cusp."""
+        """Return w F_uu v v of a fold with left null vector w; it vanishes at a cusp."""
         derivatives = impact_equations.residual_and_jacobian(coeffs, sequence)[1]
         matrix, n_unknowns = (
             cyclic_system.dense_matrix(cyclic_system.assemble_matrix(derivatives), 1.0),
@@ -95,8 +101,11 @@ class BoundaryEdge:
 
 
 def find_edges(equations, unknowns, scene_vector):
-    """[(`BoundaryEdge`, its unknowns)] that a point of a sheet is beyond: of each flight that passes through a wall, of
-    each impact from behind. unknowns: as `PointEquations` has them, scene_vector: of the scene there."""
+    """Return [(`BoundaryEdge`, its unknowns)] that an inadmissible point of a sheet has passed.
+
+    There is one edge for each flight that passes through a wall and for each impact with negative speed. `unknowns` are
+    those of `PointEquations`, `scene_vector` the numbers of the scene at the point.
+    """
     flight_gaps = jax.device_get(evaluate_clearances(equations, unknowns, scene_vector))
     orbit_unknowns = np.delete(unknowns, equations.n_orbit_unknowns)
     touch_edges = [
@@ -109,7 +118,7 @@ def find_edges(equations, unknowns, scene_vector):
 
 
 def make_cusp(equations, unknowns, scene_vector):
-    """(`BoundaryEdge`, its unknowns): the cusp of a sheet of SN, to be looked for from one of its points."""
+    """Return the `BoundaryEdge` of the cusp of a sheet of SN and its unknowns, as a guess from a point of the sheet."""
     orbit_unknowns = np.delete(unknowns, equations.n_orbit_unknowns)
     matrix = np.asarray(
         closed_jacobian(
@@ -124,8 +133,11 @@ def _make_edge(equations, end_kind, row=0, wall=0, left_null=None):
 
 
 class FlightClearances(NamedTuple):
-    """The least clearances of flights and walls, and when, since the flights' starts, (rows, walls); the impacts'
-    speeds, and how long the flights are, (rows,); slack: a clearance or a speed as small is zero."""
+    """Smallest clearances of flights from walls.
+
+    `min_clearances` and `turning_times`, since the start of each flight, have shape (rows, walls). `speeds` of the
+    impacts and `flight_times` have shape (rows,). A clearance or a speed below `slack` counts as zero.
+    """
 
     min_clearances: Float[ArrayLike, "rows walls"]
     turning_times: Float[ArrayLike, "rows walls"]
@@ -136,7 +148,7 @@ class FlightClearances(NamedTuple):
 
 @jax.jit
 def evaluate_clearances(equations, unknowns, scene_vector):
-    """The `FlightClearances` of a point of a sheet with these unknowns, of the scene with these numbers."""
+    """Return the `FlightClearances` of a point of a sheet with these unknowns in the scene with these numbers."""
     coeffs, sequence = flow_coefficients(equations.scene_at(scene_vector)), equations.sequence_at(unknowns)
     flights = impact_equations.compute_flights(coeffs, sequence)
     min_clearances, turning_times = flight_clearance.turning_clearances(

@@ -1,4 +1,4 @@
-"""Which numbers of a scene made a record: `fit`."""
+"""Fit parameters of a scene to a record of impacts, samples or special points: `fit`."""
 
 from collections.abc import Mapping, Sequence
 
@@ -17,12 +17,9 @@ from .least_squares import FreeParameters
 from .periodic_records import count_impact_values, count_sample_values
 from .records import ImpactRecord, PointRecord, SampleRecord
 
-N_PHASES, HEAD_IMPACTS, MAX_CHAINS = (
-    8,
-    10,
-    3,
-)  # of an unknown phase: starts, impacts that choose among them, how many are gone on with
-PHASE_SCALE = 0.5  # rad: the scale of an unknown phase
+# Unknown phase: number of start phases, impacts that rank them, and chains that are continued.
+N_PHASES, HEAD_IMPACTS, MAX_CHAINS = 8, 10, 3
+PHASE_SCALE = 0.5  # scale of an unknown phase, in rad
 
 
 @check.host_only("use the chain's equations")
@@ -32,20 +29,58 @@ def fit(
     free: Mapping[str | tuple[str, ...], float],
     bounds: Mapping[str | tuple[str, ...], Sequence[float]] | None = None,
 ) -> Fit:
-    """The numbers of a scene that made a record, with their errors: a `Fit`.
+    """Fit parameters of a scene to a record and estimate their errors.
 
-    scene: where it begins, some scales off at most; data: an `ImpactRecord`, a `SampleRecord` or a `PointRecord`; free:
-    {name: scale}, of the numbers that are not known, and by how much each may be off; bounds: {name: (low, high)} of
-    free numbers, by default their domains. Of a `PointRecord` a tuple of names is one number, of several that have one
-    value. The first state of a motion is never known. An impact on a soft wall is when the mass comes to it.
+    Parameters
+    ----------
+    scene : Scene
+        Initial scene, in double precision. The free parameters may be off by a few times their scale.
+    data : ImpactRecord or SampleRecord or PointRecord
+        The record.
+    free : dict of str or tuple of str to float
+        Free parameters, each with the scale by which it may be off. For a `PointRecord`, a tuple of names is one
+        parameter of several numbers that share a value.
+    bounds : dict of str or tuple of str to sequence of float, optional
+        Lower and upper bound of free parameters. By default their domains.
 
-    Points are functions of the scene (`located`), fitted by Gauss and Newton. Impacts are explained by a chain of
-    flights, each as exact as in `strobe`, samples by short shots as exact as in `sample`; where the motion is chaotic
-    nothing is lost (multiple shooting; Bock 1981). Errors are those of least squares, of the linear theory.
+    Returns
+    -------
+    Fit
+        Parameter values, errors, and the combinations that the record does not determine.
 
-    Raises ArgumentError for a scene in single precision, names that the scene lacks, scales that are none, bounds that
-    do not hold the scene, walls that the scene lacks, and where more is unknown than the record holds: a settled record
-    holds its impacts' phases alone, or its samples of one round, and its period where the frequency is free.
+    Raises
+    ------
+    ArgumentError
+        If the scene is in single precision, if a name is not a parameter of the scene, if a scale is not a positive
+        number, if `bounds` does not contain the scene, if the record refers to a wall that the scene does not have, or
+        if the record holds fewer values than there are unknowns. A record of a settled motion holds only the phases of
+        its impacts, or the samples of one cycle, and its period if the frequency is free.
+
+    See Also
+    --------
+    ImpactRecord : Record of impacts.
+    SampleRecord : Record of samples.
+    PointRecord : Record of special points.
+
+    Notes
+    -----
+    The initial state of the motion is always unknown. The time of an impact on a soft wall is the time of entry.
+
+    Special points are functions of the scene (`located`), fitted by the Gauss-Newton method. Impacts are explained by a
+    chain of flights, each as exact as in `strobe`, and samples by short shots as exact as in `sample`. Chaotic motions
+    are fitted as accurately as periodic ones (multiple shooting [1]_). Errors follow from the linear theory of least
+    squares.
+
+    References
+    ----------
+    .. [1] H. G. Bock, "Numerical treatment of inverse problems in chemical reaction kinetics", 1981.
+
+    Examples
+    --------
+    >>> record = jv.PointRecord(branch.points("SN"), [0.52], sigma=0.01)
+    >>> result = jv.fit(scene, record, {"damping": 0.01})
+    >>> round(result.values["damping"], 5), result.status.name
+    (0.05298, 'OK')
     """
     if not isinstance(scene, Scene):
         raise check.ArgumentError("scene", "must be a Scene", scene)
@@ -66,7 +101,9 @@ def fit(
 def _fit_impacts(scene, data, units, change_bounds):
     for side in np.unique(data.sides):
         if SIDES[int(side > 0)] not in scene.walls:
-            raise check.ArgumentError("data.sides", f"the scene has no {SIDES[int(side > 0)]} wall", int(side))
+            raise check.ArgumentError(
+                "data.sides", f"must be sides of its walls; the scene has no {SIDES[int(side > 0)]} wall", int(side)
+            )
     _require_enough_data(len(data.times), "times", units, data.phase)
     free_params, sigma = (
         _make_free_params(scene, data.phase, units, change_bounds),
@@ -111,7 +148,7 @@ def _fit_impacts(scene, data, units, change_bounds):
 
 def _fit_samples(scene, data, units, change_bounds):
     n_values = data.measured[0].size
-    _require_enough_data(n_values, "numbers", units, data.phase)
+    _require_enough_data(n_values, "values", units, data.phase)
     free_params = _make_free_params(scene, data.phase, units, change_bounds)
     samples = sample_fit.make_samples(scene, data, free_params)
     first_solution = sample_fit.follow_record(samples)
@@ -137,12 +174,12 @@ def _fit_samples(scene, data, units, change_bounds):
 def _require_enough_data(n_values, data_name, units, phase):
     n_unknowns = len(units) + 2 + (phase is None)
     if n_values < n_unknowns:
-        rule = f"must hold as many numbers as are unknown, {n_unknowns} with the first state"
+        rule = f"must hold at least {n_unknowns} values, as many as unknowns including the initial state"
         raise check.ArgumentError("data", rule, f"{n_values} {data_name}")
 
 
 def _make_free_params(scene, phase, units, change_bounds):
-    """The `FreeParameters` numbers, the drive's phase at time 0 among them where it is not known."""
+    """Make the `FreeParameters`, including the phase of the drive at time 0 if it is unknown."""
     names, scales, (lower, upper) = tuple(units), np.array(list(units.values())), change_bounds
     start_values = np.array([float(scene.parameter(name)) for name in names])
     if phase is None:
@@ -152,7 +189,7 @@ def _make_free_params(scene, phase, units, change_bounds):
 
 
 def _match_record(record, data):
-    """The `Chain` of a record of impacts: of an unknown phase the best of several."""
+    """Return the `ImpactChain` of a record of impacts, the best of several start phases if the phase is unknown."""
     if data.phase is not None:
         return match_record(record, data.flawed)
     trials = []
@@ -172,7 +209,7 @@ def _match_record(record, data):
 
 
 def _refuse_undetermined(data, free_params, solution, n_independent):
-    """Refuse a settled record that holds fewer numbers than are free."""
+    """Refuse a settled record that holds fewer values than there are free parameters."""
     if n_independent is None or n_independent >= len(free_params.names):
         return
     hint = ""
@@ -180,7 +217,8 @@ def _refuse_undetermined(data, free_params, solution, n_independent):
         directions = fitted.identify_directions(np.linalg.inv(solution.covariance) - free_params.prior_information)
         hint = ": " + "; ".join(map(str, directions.combinations(free_params.names, slice(n_independent))))
     rule = (
-        f"is settled, holds {n_independent} numbers and must hold as many as are free, {len(free_params.names)}{hint}"
+        f"must hold at least {len(free_params.names)} independent values, one per free parameter;"
+        f" a settled motion with {n_independent} is recorded{hint}"
     )
     raise check.ArgumentError("data", rule, f"{len(data.times)} times")
 
@@ -201,7 +239,7 @@ def _build_fit(scene, free_params, solution, directions, *details):
 def _fit_points(scene, data, free, bounds):
     name_groups = [(key,) if isinstance(key, str) else tuple(key) for key in free]
     if len(data.values) < len(name_groups):
-        rule = f"must hold as many numbers as are unknown, {len(name_groups)}"
+        rule = f"must hold at least {len(name_groups)} values, as many as unknowns"
         raise check.ArgumentError("data", rule, f"{len(data.values)} points")
     scales, lower, upper = _group_bounds(scene, free, name_groups, bounds)
     labels, start_values = (
@@ -232,12 +270,12 @@ def _fit_points(scene, data, free, bounds):
 
 
 def _group_bounds(scene, free, name_groups, bounds):
-    """(scales, low, high) of free numbers, each of one or several names. Raises ArgumentError."""
+    """Return (scales, lower, upper) of the free parameters, each of one or several names. Raises ArgumentError."""
     if not isinstance(free, Mapping) or not free:
-        raise check.ArgumentError("free", "must be {name: unit}, one number at least", free)
+        raise check.ArgumentError("free", "must be {name: unit} with at least one parameter", free)
     for key in bounds:
         if key not in free:
-            raise check.ArgumentError(f"bounds.{key}", "must be of a free number", key)
+            raise check.ArgumentError(f"bounds.{key}", "must belong to a free parameter", key)
     rows = []
     for key, name_group in zip(free, name_groups, strict=True):
         value, name_bounds = common_value(scene, name_group), []

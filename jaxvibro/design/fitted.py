@@ -1,4 +1,4 @@
-"""What is told of a fit: numbers, errors, and the combinations of numbers that a record says, or does not."""
+"""Report a fit: values, errors, and combinations of parameters that a record determines or does not determine."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -14,16 +14,33 @@ from ..output.units import TIME, unit_in_system, unit_of
 from ..scene.scene import SIDES, Scene
 from .least_squares import STEP_TOLERANCE, FreeParameters, LeastSquaresSolution, largest_chi2
 
-MAX_KNOWN_ERROR = 1.0  # scales: a record that says no more than this of a combination does not say it
-MIN_INVOLVED_SHARE = 0.05  # of a combination that is held: a number with as large a share has no error of its own
-MIN_SHOWN_SHARE = 0.1  # of a combination, a smaller share is left out of its text
-MIN_INFORMATION = 1e-30  # of what is said of a combination
+MAX_KNOWN_ERROR = 1.0  # in scales: a combination with a larger error is undetermined
+MIN_INVOLVED_SHARE = 0.05  # share in an undetermined combination above which a parameter has no error of its own
+MIN_SHOWN_SHARE = 0.1  # smallest share that the text of a combination shows
+MIN_INFORMATION = 1e-30  # smallest information of a combination
 
 
 class FitStatus(IntEnum):
-    """What became of a fit. OK: the numbers are found. UNIDENTIFIABLE: some of their combinations are not in the
-    record, and were held. BOUND: a number is at the end of where it may be. MISFIT: the scene does not explain the
-    record within its errors. NONE: no motion of the scene goes along it; the numbers are the first ones."""
+    """Outcome of a fit.
+
+    Attributes
+    ----------
+    OK : int
+        The parameters are determined.
+    UNIDENTIFIABLE : int
+        The record does not determine some combinations of parameters, which were held at their initial values.
+    BOUND : int
+        A parameter is at a bound.
+    MISFIT : int
+        The scene does not explain the record within its errors.
+    NONE : int
+        No motion of the scene follows the record. The parameters are the initial ones.
+
+    Examples
+    --------
+    >>> int(jv.FitStatus.OK), jv.FitStatus(3).name
+    (0, 'MISFIT')
+    """
 
     OK = 0
     UNIDENTIFIABLE = 1
@@ -34,7 +51,20 @@ class FitStatus(IntEnum):
 
 @dataclass(frozen=True)
 class Combination:
-    """A combination of the free numbers, each in its scale: its shares, a unit vector, and its error."""
+    """Linear combination of the free parameters, each in units of its scale.
+
+    Attributes
+    ----------
+    shares : dict of str to float
+        Coefficient of each parameter. The coefficients form a unit vector.
+    sigma : float
+        Standard error of the combination.
+
+    Examples
+    --------
+    >>> print(jv.Combination({"damping": 0.8, "amplitude": -0.6}, sigma=0.01))
+    +0.80 damping -0.60 amplitude
+    """
 
     shares: dict[str, float]
     sigma: float
@@ -46,11 +76,45 @@ class Combination:
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """What a record says of a scene, made by `fit`. values, sigma: {name: number}, sigma infinite where the number is
-    part of a combination that the record does not say; covariance: (name, other), of what it says; residuals: measured
-    less fitted, in errors; chi2, dof: their squares' sum, and what noise makes of it on average; identifiable,
-    unidentifiable: `Combination`s, best known first; missed: (time, side) of impacts that the record lacks; spurious:
-    places in the record of those that are none; scene: with the numbers put in; status: a `FitStatus`."""
+    """Parameters of a scene that fit a record.
+
+    Made by `fit`.
+
+    Attributes
+    ----------
+    values : dict of str to float
+        Value of each free parameter.
+    sigma : dict of str to float
+        Standard error of each parameter, infinite if the parameter is part of a combination that the record does not
+        determine.
+    covariance : xarray.DataArray
+        Covariance of the parameters along ``"name"`` and ``"other"``, without undetermined combinations.
+    residuals : numpy.ndarray
+        Measured minus fitted values, in units of the standard errors. Array of shape (residuals,).
+    chi2 : float
+        Sum of squares of the residuals.
+    dof : int
+        Number of degrees of freedom, the expected value of `chi2`.
+    identifiable : tuple of Combination
+        Combinations that the record determines, the best known first.
+    unidentifiable : tuple of Combination
+        Combinations that the record does not determine.
+    missed : tuple of tuple
+        Time and side of impacts that are missing from the record.
+    spurious : tuple of int
+        Indices of the spurious impacts of the record.
+    scene : Scene
+        Scene with the fitted parameters.
+    status : FitStatus
+        Outcome of the fit.
+
+    Examples
+    --------
+    >>> record = jv.PointRecord(branch.points("SN"), [0.52], sigma=0.01)
+    >>> result = jv.fit(scene, record, {"damping": 0.01})
+    >>> round(result.sigma["damping"], 5), [str(combination) for combination in result.identifiable]
+    (0.00249, ['+1.00 damping'])
+    """
 
     values: dict[str, float]
     sigma: dict[str, float]
@@ -66,24 +130,41 @@ class Fit:
     status: FitStatus
 
     def table(self, units: str = "scene") -> str:
-        """The fit as text. units: "scene", or "physical" (Hz, N, mm, s) of a scene that has scales.
+        """Format the fit as text.
 
-        Raises ArgumentError for other units, and where the scene has no scales.
+        Parameters
+        ----------
+        units : {"scene", "physical"}, optional
+            Units of the values. Physical units (Hz, N, mm, s) require a scene with scales.
+
+        Returns
+        -------
+        str
+            Table with one line per parameter, followed by chi2, the status, undetermined combinations, and missing and
+            spurious impacts.
+
+        Raises
+        ------
+        ArgumentError
+            If `units` is unknown, or if physical units are requested of a scene without scales.
         """
-        rows: list[tuple[str | float, ...]] = [("number", "value", "sigma")]
+        rows: list[tuple[str | float, ...]] = [("parameter", "value", "sigma")]
         for name in self.values:
             unit, unit_size = unit_in_system(self.scene, unit_of(name), units)
             rows.append((column_header(name, unit, units), unit_size * self.values[name], unit_size * self.sigma[name]))
         time_unit = unit_in_system(self.scene, TIME, units)[1]
         lines = [align_columns(rows), f"chi2 {self.chi2:.4g} of {self.dof}, {self.status.name}"]
-        lines += [f"not in the record: {combination}" for combination in self.unidentifiable]
-        lines += [f"missed: {time_unit * time:.6g} {SIDES[int(side > 0)]}" for time, side in self.missed]
-        return "\n".join([*lines, *(f"spurious: impact {k}" for k in self.spurious)])
+        lines += [f"undetermined: {combination}" for combination in self.unidentifiable]
+        lines += [f"missing impact: {time_unit * time:.6g} {SIDES[int(side > 0)]}" for time, side in self.missed]
+        return "\n".join([*lines, *(f"spurious impact: {k}" for k in self.spurious)])
 
 
 class IdentifiableDirections(NamedTuple):
-    """Combinations of the free numbers in their scales, best known first. errors; vectors: a column each;
-    is_undetermined: whether the record does not say it."""
+    """Combinations of the free parameters in units of their scales, the best known first.
+
+    `errors` has shape (free,), `vectors` one column per combination, and `is_undetermined` marks combinations that the
+    record does not determine.
+    """
 
     errors: Float[np.ndarray, " free"]
     vectors: Float[np.ndarray, "free free"]
@@ -91,13 +172,13 @@ class IdentifiableDirections(NamedTuple):
 
     @property
     def undetermined_projector(self) -> Float[np.ndarray, "free free"]:
-        """The projection on what is lost."""
+        """Projection on the undetermined combinations. Array of shape (free, free)."""
         return self.vectors[:, self.is_undetermined] @ self.vectors[:, self.is_undetermined].T
 
     def combinations(
         self, names: Sequence[str], selection: slice | Bool[np.ndarray, " free"]
     ) -> tuple[Combination, ...]:
-        """Some of them as `Combination`s."""
+        """Return a selection of the combinations as `Combination` records."""
         error_directions = zip(self.errors[selection], self.vectors.T[selection], strict=True)
         return tuple(
             Combination(dict(zip(names, map(float, direction), strict=True)), float(error))
@@ -106,7 +187,7 @@ class IdentifiableDirections(NamedTuple):
 
 
 def identify_directions(information) -> IdentifiableDirections:
-    """What a record's information, a matrix, says of combinations; one that is no number says nothing."""
+    """Diagonalise an information matrix; a matrix that is not finite determines nothing."""
     information = information if np.isfinite(information).all() else np.zeros_like(information)
     information, directions = np.linalg.eigh(0.5 * (information + information.T))
     errors = np.maximum(information, MIN_INFORMATION) ** -0.5
@@ -118,8 +199,10 @@ def solve_identifiable(
     free_params: FreeParameters,
     solve_with: Callable[[FreeParameters], LeastSquaresSolution],
 ) -> tuple[LeastSquaresSolution, IdentifiableDirections]:
-    """(the least squares with what is lost held, and nothing else; what is said). solve_with: from where `solution` is
-    on."""
+    """Solve the least squares with the undetermined combinations held, and nothing else.
+
+    `solve_with` continues from `solution`. Returns the new solution and the `IdentifiableDirections`.
+    """
     initial_directions = identify_directions(np.linalg.inv(solution.covariance) - free_params.prior_information)
     constrained_params = free_params._replace(prior_information=initial_directions.undetermined_projector)
     constrained_solution = solve_with(constrained_params)
@@ -134,7 +217,7 @@ def solve_identifiable(
 def fit_status(
     free_params: FreeParameters, solution: LeastSquaresSolution, directions: IdentifiableDirections, dof: int
 ) -> FitStatus:
-    """The `FitStatus` of least squares that are met."""
+    """Return the `FitStatus` of a converged least-squares solution."""
     if np.min(np.abs(free_params.remaining_range(solution.parameters))) <= STEP_TOLERANCE:
         return FitStatus.BOUND
     return misfit_status(solution.chi2, dof) or (
@@ -143,7 +226,7 @@ def fit_status(
 
 
 def misfit_status(chi2: float, dof: int) -> FitStatus | None:
-    """MISFIT where noise makes a chi2 as large too seldom."""
+    """Return MISFIT if noise rarely causes a chi2 as large, else None."""
     return FitStatus.MISFIT if chi2 > largest_chi2(dof) else None
 
 
@@ -160,7 +243,7 @@ def build_fit(
     missed_impacts=(),
     spurious_indices=(),
 ) -> Fit:
-    """The `Fit` of numbers; covariance: in scales; status: a `FitStatus`."""
+    """Build the `Fit` of parameter values; `covariance` is in units of the scales."""
     determined_projector = np.eye(len(names)) - directions.undetermined_projector
     covariance = determined_projector @ covariance @ determined_projector * np.outer(scales, scales)
     is_undetermined = np.sum(directions.vectors[:, directions.is_undetermined] ** 2, 1) > MIN_INVOLVED_SHARE**2
@@ -182,7 +265,7 @@ def build_fit(
 
 
 def build_empty_fit(scene, names, start_values) -> Fit:
-    """The `Fit` that says nothing."""
+    """Build the `Fit` with status NONE."""
     values, sigma = dict(zip(names, map(float, start_values), strict=True)), dict.fromkeys(names, np.inf)
     nan_covariance, no_residuals = np.full((len(names),) * 2, np.nan), np.zeros(0)
     return Fit(

@@ -1,4 +1,4 @@
-"""The range in which two motions live side by side, as a function of the scene: `hysteresis`."""
+"""Compute the range in which two stable motions coexist as a function of the scene: `hysteresis`."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -17,15 +17,35 @@ from ..scene.scene import Scene
 from .located_orbit import LocatedOrbit, OrbitOfScene, make_located_orbit
 from .located_point import Located, make_located_point
 
-N_QUADRATURE_NODES = 24  # Gauss and Legendre's, of an area
+N_QUADRATURE_NODES = 24  # Gauss-Legendre nodes of an area
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class HysteresisLoop:
-    """A hysteresis of each scene. first, last: the parameter's values at its ends; width: last - first; area: the
-    integral of the upper orbit's measure less the lower's between them, nan where no orbits were given; status: the
-    worst `SolutionStatus` of the ends and of the orbits between: VIRTUAL or NONE where another event ends it before."""
+    """Hysteresis in each scene of a batch.
+
+    Attributes
+    ----------
+    first : jax.Array
+        Parameter value at the first end. Array of shape (...).
+    last : jax.Array
+        Parameter value at the last end. Array of shape (...).
+    width : jax.Array
+        Difference ``last - first``. Array of shape (...).
+    area : jax.Array
+        Integral over the parameter of the measure of the upper orbit minus that of the lower; nan if no orbits were
+        given. Array of shape (...).
+    status : jax.Array
+        Worst `SolutionStatus` of the ends and of the orbits between. It is VIRTUAL or NONE where another event ends the
+        hysteresis before. Array of shape (...).
+
+    Examples
+    --------
+    >>> loop = jv.hysteresis(branch.points("SN")[0], branch.points("SB")[0]).solve(scene)
+    >>> round(float(loop.width), 6), int(loop.status)
+    (3.035834, 0)
+    """
 
     first: Float[Array, "..."]
     last: Float[Array, "..."]
@@ -36,8 +56,26 @@ class HysteresisLoop:
 
 @dataclass(frozen=True, eq=False)
 class Hysteresis:
-    """A hysteresis as a function of scenes, made by `hysteresis`: `width(scene)`, `area(scene)`, `solve(scene)` a
-    `HysteresisLoop`. Under jit, vmap and grad; smooth as long as the same events are its ends."""
+    """Hysteresis between two special points as a function of scenes.
+
+    Made by `hysteresis`. Its methods can be transformed by jit, vmap and grad. They are smooth as long as the same
+    special points end the hysteresis.
+
+    Attributes
+    ----------
+    ends : tuple of Located
+        The two ends as functions of scenes.
+    orbits : tuple of LocatedOrbit or None
+        Upper and lower orbit as functions of scenes, if they were given.
+    measure : callable
+        Function of an `OrbitOfScene` that is integrated for the area.
+
+    Examples
+    --------
+    >>> loop = jv.hysteresis(branch.points("SN")[0], branch.points("SB")[0])
+    >>> loop.name
+    'amplitude'
+    """
 
     ends: tuple[Located, Located]
     orbits: tuple[LocatedOrbit, LocatedOrbit] | None
@@ -45,28 +83,66 @@ class Hysteresis:
 
     @property
     def name(self) -> str:
-        """Of the parameter."""
+        """Name of the parameter."""
         return self.ends[0].name
 
     def width(self, scene: Scene) -> Float[Array, "..."]:
-        """How wide it is, in the parameter's units."""
+        """Compute the width of the hysteresis.
+
+        Parameters
+        ----------
+        scene : Scene
+            A single scene or a batch.
+
+        Returns
+        -------
+        jax.Array
+            Width in units of the parameter, of the shape of the scene.
+        """
         first_value, last_value = (end(scene) for end in self.ends)
         return last_value - first_value
 
     def area(self, scene: Scene) -> Float[Array, "..."]:
-        """Of the loop, the parameter's times the measure's units. Raises ArgumentError where no orbits were given."""
+        """Compute the area of the hysteresis loop.
+
+        Parameters
+        ----------
+        scene : Scene
+            A single scene or a batch.
+
+        Returns
+        -------
+        jax.Array
+            Area in units of the parameter times those of the measure, of the shape of the scene.
+
+        Raises
+        ------
+        ArgumentError
+            If no orbits were given to `hysteresis`.
+        """
         if self.orbits is None:
-            raise check.ArgumentError("orbits", "must be given to hysteresis for an area", None)
+            raise check.ArgumentError("orbits", "must be given to `hysteresis` for an area", None)
         return self.solve(scene).area
 
     def solve(self, scene: Scene) -> HysteresisLoop:
-        """The `HysteresisLoop` of a scene, single or a batch."""
+        """Compute the ends, the width, the area and the status of the hysteresis.
+
+        Parameters
+        ----------
+        scene : Scene
+            A single scene or a batch.
+
+        Returns
+        -------
+        HysteresisLoop
+            Hysteresis in each scene.
+        """
         first_point, last_point = (item.solve(scene) for item in self.ends)
         status, width = jnp.maximum(first_point.status, last_point.status), last_point.value - first_point.value
         if self.orbits is None:
             return HysteresisLoop(first_point.value, last_point.value, width, jnp.nan * width, status)
         nodes, weights = np.polynomial.legendre.leggauss(N_QUADRATURE_NODES)
-        angles = 0.25 * np.pi * (nodes + 1.0)  # roots at the ends are smooth in them
+        angles = 0.25 * np.pi * (nodes + 1.0)  # square roots at the ends are smooth in these angles
         fractions, weights = np.sin(angles) ** 2, 0.25 * np.pi * weights * np.sin(2.0 * angles)
         area, half_count = 0.0 * width, N_QUADRATURE_NODES // 2
         for half_slice in (slice(half_count - 1, None, -1), slice(half_count, None)):  # from the middle to either end
@@ -86,7 +162,7 @@ class Hysteresis:
 
 
 def peak_of(orbit: OrbitOfScene) -> Float[Array, "..."]:
-    """The largest abs x of orbits."""
+    """Return the largest ``|x|`` of orbits."""
     return orbit.peak
 
 
@@ -97,24 +173,53 @@ def hysteresis(
     orbits: tuple[Orbit, Orbit] | None = None,
     measure: Callable[[OrbitOfScene], Float[Array, "..."]] = peak_of,
 ) -> Hysteresis:
-    """The hysteresis between two special points of one parameter, as a function of the scene: a `Hysteresis`.
+    """Make the hysteresis between two special points a function of the scene.
 
-    first, last: `Special`s of the same parameter, the ends of the range in which two motions live side by side, such as
-    an SN and a GR; a `Located` of one that has to be said the wall of. orbits: (upper, lower), an `Orbit` of each
-    between the ends, for the area of the loop; measure: what is drawn of an orbit, a JAX function of an `OrbitOfScene`
-    with an entry for each of a batch, by default the peak.
+    Parameters
+    ----------
+    first : Special or Located
+        First end of the range in which two stable motions coexist, for example an SN. Pass a `Located` for a point
+        whose wall must be given.
+    last : Special or Located
+        Other end, in the same parameter, for example a GR.
+    orbits : tuple of Orbit, optional
+        Upper and lower orbit, each between the ends. Required for the area.
+    measure : callable, optional
+        JAX function of an `OrbitOfScene` that returns one entry per orbit. By default the peak, the largest ``|x|``.
 
-    The area is a sum over 24 places between the ends, Gauss and Legendre's in an angle in which square roots at the
-    ends are smooth. It is smooth by pieces: where another event comes before, status says so.
+    Returns
+    -------
+    Hysteresis
+        Width and area as functions of scenes.
 
-    Raises ArgumentError for points of different parameters, and what `located` does.
+    Raises
+    ------
+    ArgumentError
+        If the points have different parameters, or if `located` refuses a point or an orbit.
+
+    See Also
+    --------
+    located : Special points and orbits as functions of scenes.
+
+    Notes
+    -----
+    The area is a Gauss-Legendre quadrature with 24 nodes in an angle in which square roots at the ends are smooth. It
+    is piecewise smooth: if another event ends the range before, the status of the `HysteresisLoop` reports it.
+
+    Examples
+    --------
+    >>> loop = jv.hysteresis(branch.points("SN")[0], branch.points("SB")[0])
+    >>> round(float(loop.width(scene)), 6)
+    3.035834
     """
     first_end, last_end = (item if isinstance(item, Located) else make_located_point(item) for item in (first, last))
     if first_end.name != last_end.name:
-        raise check.ArgumentError("last", f"must be of the same parameter, {first_end.name}", last_end.name)
+        raise check.ArgumentError(
+            "last", f"must be a point in the same parameter as `first`, {first_end.name}", last_end.name
+        )
     if orbits is None:
         return Hysteresis((first_end, last_end), None, measure)
     if len(orbits) != 2 or not all(isinstance(item, Orbit) for item in orbits):
-        raise check.ArgumentError("orbits", "must be two Orbits, the upper and the lower", orbits)
+        raise check.ArgumentError("orbits", "must be the upper and the lower Orbit", orbits)
     upper_orbit, lower_orbit = (make_located_orbit(item, "peak") for item in orbits)
     return Hysteresis((first_end, last_end), (upper_orbit, lower_orbit), measure)

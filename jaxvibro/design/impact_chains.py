@@ -1,7 +1,7 @@
-"""Chains of impacts: which of a record's impacts are of the motion, and which of the motion are missing from it.
+"""Represent chains of impacts: match impacts of a record with those of the motion, with missing and spurious impacts.
 
-How a chain is fitted, made longer, given an impact that the record lacks, or relieved of one. What is tried, and in
-which order, is in `growth`.
+The functions fit a chain, extend it, insert an impact that the record lacks, or remove one. `chain_search` decides what
+is tried, and in which order.
 """
 
 from itertools import product
@@ -18,24 +18,22 @@ from .chain_fit import Measurements
 from .least_squares import FreeParameters, LeastSquaresSolution, largest_chi2
 from .next_impact import Motion
 
-MISSED_COST, SPURIOUS_COST, IMPOSSIBLE_COST = (
-    6.0,
-    14.0,
-    1e6,
-)  # what is added to chi2 for each of them, for a chain that cannot be
-GRID_SIZE = 24  # times of an impact that is put in
-MAX_GRID_MINIMA = 2  # places on a grid that are tried
-MAX_ITERATIONS, ROUGH_TOLERANCE = (
-    25,
-    1e-2,
-)  # of Newton's steps; of errors and scales: so short is the last while chains are looked for
-MIN_RESTITUTION = 0.05  # restitution below which a speed before an impact is not told from that after it
-MAX_DEPTH_ERRORS = 4.0  # errors of a flight's depth in a wall: deeper it passes through
+# Penalties added to chi2: for each missing and each spurious impact, and for a chain that is not a motion.
+MISSED_COST, SPURIOUS_COST, IMPOSSIBLE_COST = 6.0, 14.0, 1e6
+GRID_SIZE = 24  # grid points of the time of an inserted impact
+MAX_GRID_MINIMA = 2  # minima on a grid that are tried
+# Newton steps; tolerance of the step during the search, in standard errors and scales
+MAX_ITERATIONS, ROUGH_TOLERANCE = 25, 1e-2
+MIN_RESTITUTION = 0.05  # smaller restitutions do not determine the speed before an impact from that after it
+MAX_DEPTH_ERRORS = 4.0  # in standard errors of the penetration: a deeper flight passes through the wall
 
 
 class ImpactChain(NamedTuple):
-    """record_indices: of each node the record's impact, -1 where it was missed; spurious_indices: the record's impacts
-    of no node; solution: the `LeastSquaresSolution`; cost: chi2 and what is added."""
+    """Fitted chain of impacts.
+
+    `record_indices` holds the index in the record of each node, -1 for a missing impact. `spurious_indices` are impacts
+    of the record without a node. `cost` is chi2 plus the penalties.
+    """
 
     record_indices: Int[np.ndarray, " nodes"]
     spurious_indices: tuple[int, ...]
@@ -44,7 +42,7 @@ class ImpactChain(NamedTuple):
 
 
 class Record(NamedTuple):
-    """What the chains are of: the scene, the phase, times, sides and their errors, what is free."""
+    """Record to be explained: scene, phase, times, sides, standard errors, free parameters."""
 
     scene: Scene
     phase: float
@@ -55,7 +53,7 @@ class Record(NamedTuple):
 
 
 class ChainGuess(NamedTuple):
-    """A chain that is not fitted yet; a speed that is not known is nan."""
+    """Chain that is not fitted; an unknown speed is nan."""
 
     record_indices: Int[np.ndarray, " nodes"]
     sides: Float[np.ndarray, " nodes"]
@@ -66,7 +64,7 @@ class ChainGuess(NamedTuple):
 
 
 def fit_chain(record: Record, guess: ChainGuess) -> ImpactChain:
-    """The `ImpactChain` of a `ChainGuess`; speeds that are not known are those with which flights come."""
+    """Fit a `ChainGuess`; unknown speeds start from those of the connecting flights."""
     scene, phase = scene_and_phase(record, guess.parameters)
     times, zeros = _separate_times(guess.times, record.sigma[0]), np.zeros(len(guess.record_indices))
     speeds_after, speeds_before = connecting_speeds(scene, Nodes(guess.sides, zeros, times, zeros), phase)
@@ -100,7 +98,7 @@ def fit_chain(record: Record, guess: ChainGuess) -> ImpactChain:
 
 
 def measurements_of(record, chain):
-    """What was measured of a chain's nodes."""
+    """Return the `Measurements` of the nodes of a chain."""
     node_indices = np.flatnonzero(chain.record_indices >= 0)
     return Measurements(
         node_indices,
@@ -111,7 +109,10 @@ def measurements_of(record, chain):
 
 
 def is_possible(record, solution):
-    """Whether a chain is a motion: solved, each impact into its wall, and no flight through one, but for errors."""
+    """Check that a chain is a motion, within errors.
+
+    It must be converged, each impact must enter its wall, and no flight may pass through a wall.
+    """
     if not solution.converged or np.any(solution.nodes.second_unknown <= 0):
         return False
     scene, phase = scene_and_phase(record, solution.parameters)
@@ -123,7 +124,7 @@ def is_possible(record, solution):
 
 
 def _may_graze(record, solution, flight, side, contact_time, depth):
-    """Whether a flight is as deep in a wall at a time as errors may take it, and no deeper."""
+    """Check that the penetration of a flight at a time is within its error."""
     nodes, n_params = solution.nodes, len(solution.parameters)
     node_pair = Nodes(
         np.array([nodes.sides[flight], side]),
@@ -138,8 +139,10 @@ def _may_graze(record, solution, flight, side, contact_time, depth):
 
 
 def residual_derivatives(record, nodes, parameters):
-    """How what flights leave open changes with their nodes' unknowns and the free numbers, in their scales,
-    (flights, 2, 4 + free)."""
+    """Return the derivatives of the residuals of flights in the unknowns of their nodes and the free parameters.
+
+    The array has shape (flights, 2, 4 + free). Parameters are in units of their scales.
+    """
     names, phase = record.free_params.split_phase(parameters, record.phase)
     derivatives = flight_residuals(record.scene, names, nodes, parameters[: len(names)], phase).derivatives[
         :, :, : 4 + len(parameters)
@@ -148,7 +151,7 @@ def residual_derivatives(record, nodes, parameters):
 
 
 def is_acceptable(record: Record, chain: ImpactChain) -> bool:
-    """Whether a chain is a motion that noise may have made the record of."""
+    """Check that a chain is a motion from which noise may have made the record."""
     solution = chain.solution
     return bool(
         chain.cost < IMPOSSIBLE_COST
@@ -157,7 +160,7 @@ def is_acceptable(record: Record, chain: ImpactChain) -> bool:
 
 
 def _separate_times(times, sigma):
-    """Times in order, none as near to the next as their error."""
+    """Return increasing times, separated by at least half a standard error."""
     times = np.array(times)
     for k in range(1, len(times)):
         times[k] = max(times[k], times[k - 1] + 0.5 * sigma)
@@ -165,12 +168,12 @@ def _separate_times(times, sigma):
 
 
 def scene_and_phase(record, parameters):
-    """(the scene with free numbers, the phase)."""
+    """Return the scene with the given parameters, and the phase."""
     return record.free_params.scene_and_phase(record.scene, record.phase, parameters)
 
 
 def restitutions(scene, sides):
-    """R of the walls on sides, of soft ones the effective one."""
+    """Return the restitution of the walls on given sides, the effective one of soft walls."""
     restitution_by_side = {side: _restitution_of(scene, SIDES[int(side > 0)]) for side in set(sides)}
     return np.array([restitution_by_side[side] for side in sides])
 
@@ -183,12 +186,12 @@ def _restitution_of(scene, side):
 
 
 def wall_sides(scene):
-    """-1, 1 of the walls that a scene has."""
+    """Return the sides, -1 and 1, of the walls of a scene."""
     return tuple(-1.0 if side == "left" else 1.0 for side in scene.walls)
 
 
 def guess_from_record(record: Record, parameters, record_indices) -> ChainGuess:
-    """The chain of some impacts of the record, as they are."""
+    """Return the chain of some impacts of the record."""
     record_indices = np.asarray(record_indices, int)
     return ChainGuess(
         record_indices,
@@ -201,7 +204,7 @@ def guess_from_record(record: Record, parameters, record_indices) -> ChainGuess:
 
 
 def guess_from_chain(chain: ImpactChain) -> ChainGuess:
-    """A chain as it was found."""
+    """Return a fitted chain as a guess."""
     nodes, solution = chain.solution.nodes, chain.solution
     return ChainGuess(
         chain.record_indices,
@@ -214,14 +217,17 @@ def guess_from_chain(chain: ImpactChain) -> ChainGuess:
 
 
 def join_guesses(guess: ChainGuess, addition: ChainGuess, direction: int) -> ChainGuess:
-    """A chain with more after it, or before it where way is -1; left out is what either leaves out."""
+    """Append a chain to another, or prepend it if `direction` is -1.
+
+    Parameters and spurious impacts are those of the first chain.
+    """
     ordered_guesses = (guess, addition) if direction > 0 else (addition, guess)
     columns = [np.concatenate(pair) for pair in zip(ordered_guesses[0][:4], ordered_guesses[1][:4], strict=True)]
     return guess._replace(record_indices=columns[0], sides=columns[1], times=columns[2], speeds=columns[3])
 
 
 def insert_impacts(record: Record, guess: ChainGuess, flight: int, sides) -> list[ChainGuess]:
-    """The chains with impacts on sides put in after a node, at times that suit, the best first."""
+    """Return the chains with impacts on given sides inserted after a node, at plausible times, the best first."""
     position, n_inserted = flight + 1, len(sides)
     speeds = np.insert(guess.speeds, position, np.full(n_inserted, np.nan))
     speeds[position + n_inserted] = np.nan
@@ -235,7 +241,7 @@ def insert_impacts(record: Record, guess: ChainGuess, flight: int, sides) -> lis
 
 
 def remove_node(guess: ChainGuess, node: int) -> ChainGuess:
-    """The chain without a node; of a measured one the record's impact is left out."""
+    """Return the chain without a node; its impact of the record, if any, becomes spurious."""
     columns = [np.delete(column, node) for column in guess[:4]]
     if node < len(columns[3]):
         columns[3][node] = np.nan
@@ -254,7 +260,7 @@ def remove_node(guess: ChainGuess, node: int) -> ChainGuess:
 
 
 def speed_mismatch(record: Record, guess: ChainGuess) -> Float[np.ndarray, " inner"]:
-    """How badly the speeds with which flights come suit those with which the next ones go, at each inner node."""
+    """Return the mismatch of the speeds before and after each inner node."""
     scene, phase = scene_and_phase(record, guess.parameters)
     zeros = np.zeros(len(guess.record_indices))
     speeds_after, speeds_before = connecting_speeds(
@@ -265,8 +271,10 @@ def speed_mismatch(record: Record, guess: ChainGuess) -> Float[np.ndarray, " inn
 
 
 def rate_insertions(record, guess, flight, sides):
-    """(how badly, times) of impacts put in after a node, on a grid, at its lowest places: where speeds before and after
-    suit each other."""
+    """Return (mismatch, times) of impacts inserted after a node.
+
+    Times are the best points of a grid, at which the speeds before and after the impacts match.
+    """
     scene, phase = scene_and_phase(record, guess.parameters)
     start_time, end_time = guess.times[flight], guess.times[flight + 1]
     fractions = (np.arange(GRID_SIZE) + 0.5) / GRID_SIZE

@@ -1,9 +1,9 @@
-"""Numbers of a scene, and what they leave open between nodes: least squares under equations, by Gauss and Newton.
+"""Solve least squares under equality constraints by the Gauss-Newton method.
 
-Unknown are all nodes of a record and the free numbers together (multiple shooting; Bock 1981): the sum of squares of
-residuals is least under c = 0, what is left open between one node and the next. A step solves the Karush-Kuhn-Tucker
-system ((H, C^T), (C, 0)), H the squares' normal matrix, C the derivative of c. The part of its inverse that belongs to
-the numbers is their covariance.
+Unknowns are all nodes of a record and the free parameters (multiple shooting; Bock 1981). The sum of squares of the
+residuals is minimised subject to c = 0, the conditions between consecutive nodes. A step solves the Karush-Kuhn-Tucker
+system ((H, C^T), (C, 0)) with the normal matrix H and the Jacobian C of c. The block of its inverse that belongs to the
+parameters is their covariance.
 """
 
 from collections.abc import Callable, Sequence
@@ -15,18 +15,22 @@ from jaxtyping import Float
 
 from ..scene.scene import Scene, replace_unchecked
 
-MAX_ITERATIONS = 200  # of Newton's steps
-STEP_TOLERANCE = 1e-6  # of the errors: a step as short is the last
-CONSTRAINT_FACTOR = 1e-3  # of that: what may be left open between nodes
-MAX_STEP = 4.0  # scales that a number may change by in a step
+MAX_ITERATIONS = 200  # Newton steps
+STEP_TOLERANCE = 1e-6  # in standard errors: a shorter step is the last
+CONSTRAINT_FACTOR = 1e-3  # relative to the step tolerance: largest violation of the constraints
+MAX_STEP = 4.0  # largest change of a parameter in a step, in scales
 MAX_HALVINGS = 8
-MISFIT_PROBABILITY = 1e-5  # a chi2 that noise makes larger so seldom is too large
-REGULARISATION = 1e-12  # of H's first entries: what makes it regular in unknowns that nothing is known of
+MISFIT_PROBABILITY = 1e-5  # a chi2 that noise exceeds less often is a misfit
+REGULARISATION = 1e-12  # relative to the diagonal of H: regularises unknowns without measurements
 
 
 class FreeParameters(NamedTuple):
-    """The free numbers: their names, the drive's phase at time 0 last where it is free; scales; where they began; in
-    scales, how far from there they may go, and how much is known of them beforehand, a matrix."""
+    """Free parameters of a fit.
+
+    `names` ends with ``"phase"`` if the phase of the drive at time 0 is free. `start_values` are the initial values.
+    `lower` and `upper` bound the change from them, in units of `scales`. `prior_information` is the information matrix
+    of the prior, in the same units.
+    """
 
     names: tuple[str, ...]
     scales: Float[np.ndarray, " free"]
@@ -36,31 +40,36 @@ class FreeParameters(NamedTuple):
     prior_information: Float[np.ndarray, "free free"]
 
     def split_phase(self, parameters: Float[np.ndarray, "free ..."], phase: float) -> tuple[tuple[str, ...], Any]:
-        """(the names of the scene's numbers among them, the drive's phase at time 0, which may be one of the
-        numbers)."""
+        """Return the names of the parameters of the scene, and the phase of the drive at time 0.
+
+        The phase is the last parameter if it is free.
+        """
         return (self.names[:-1], parameters[-1]) if self.names[-1:] == ("phase",) else (self.names, phase)
 
     def scene_and_phase(
         self, scene: Scene, phase: float, parameters: Float[np.ndarray, " free"]
     ) -> tuple[Scene, float]:
-        """(the scene with these numbers, the phase)."""
+        """Return the scene with these parameters, and the phase."""
         names, phase = self.split_phase(parameters, phase)
         return replace_unchecked(scene, dict(zip(names, parameters[: len(names)], strict=True))), float(phase)
 
     def with_start_phase(self, parameters: Float[np.ndarray, " free"]) -> "FreeParameters":
-        """The same begun at the phase of other numbers, where it is free."""
+        """Return the free parameters with the phase of `parameters` as initial value, if the phase is free."""
         if self.names[-1] != "phase":
             return self
         return self._replace(start_values=np.append(self.start_values[:-1], parameters[-1]))
 
     def remaining_range(self, parameters: Float[np.ndarray, " free"]) -> Float[np.ndarray, "2 free"]:
-        """(low, high) of the further change of numbers, in scales."""
+        """Return the bounds of the further change of parameters, in units of their scales."""
         return np.array([self.lower, self.upper]) - (parameters - self.start_values) / self.scales
 
 
 class Linearisation(NamedTuple):
-    """Of nodes and numbers: what is left open and its derivative by the nodes' unknowns, then by the numbers in their
-    scales; the residuals in errors, and their derivative."""
+    """Constraints and residuals at nodes and parameters, with their Jacobians.
+
+    The columns are the unknowns of the nodes, then the parameters in units of their scales. Residuals are in standard
+    errors.
+    """
 
     constraints: Float[np.ndarray, " equations"]
     constraint_jacobian: "scipy.sparse.csr_array"
@@ -69,9 +78,12 @@ class Linearisation(NamedTuple):
 
 
 class LeastSquaresProblem(NamedTuple):
-    """linearise: (nodes, numbers) -> `Linearisation`; shift_nodes: (nodes, change of their unknowns) -> nodes;
-    max_step_fraction: (nodes, numbers, change of the unknowns, of the numbers) -> how much of it may be made at once, 1
-    at most."""
+    """Functions that define a problem.
+
+    `linearise` maps (nodes, parameters) to a `Linearisation`. `shift_nodes` applies a change of the unknowns to nodes.
+    `max_step_fraction` returns the admissible fraction, at most 1, of a step (nodes, parameters, change of the
+    unknowns, change of the parameters).
+    """
 
     linearise: Callable[[Any, Float[np.ndarray, " free"]], Linearisation]
     shift_nodes: Callable[[Any, Float[np.ndarray, " inner"]], Any]
@@ -81,9 +93,12 @@ class LeastSquaresProblem(NamedTuple):
 
 
 class LeastSquaresSolution(NamedTuple):
-    """nodes, numbers; residuals in errors; chi2: their squares' sum; prior_chi2: the same of what was known beforehand;
-    max_constraint: what is left open at most; factors: the factors of the last system, None where it is singular;
-    n_node_unknowns: how many unknowns the nodes have; converged: whether the last step was a short one."""
+    """Solution of a least-squares problem.
+
+    `chi2` is the sum of squares of `residuals`, in standard errors, `prior_chi2` that of the prior. `max_constraint` is
+    the largest violation of a constraint. `factors` factorise the last system, None if it is singular.
+    `n_node_unknowns` counts the unknowns of the nodes. `converged` states whether the last step was short.
+    """
 
     nodes: Any
     parameters: Float[np.ndarray, " free"]
@@ -97,11 +112,14 @@ class LeastSquaresSolution(NamedTuple):
 
     @property
     def covariance(self) -> Float[np.ndarray, "free free"]:
-        """Of the numbers, in scales."""
+        """Covariance of the parameters, in units of their scales."""
         return self.covariance_with([])
 
     def covariance_with(self, node_indices: Sequence[int]) -> Float[np.ndarray, "some some"]:
-        """The covariance of some of the nodes' unknowns, and then the numbers in scales; nan where there is none."""
+        """Return the covariance of some unknowns of the nodes, followed by the parameters.
+
+        It is nan if the system is singular.
+        """
         selection = np.array([*node_indices, *range(self.n_node_unknowns, self.n_node_unknowns + len(self.parameters))])
         if self.factors is None:
             return np.full((len(selection),) * 2, np.nan)
@@ -111,6 +129,8 @@ class LeastSquaresSolution(NamedTuple):
 
 
 class _Iterate(NamedTuple):
+    """Nodes and parameters of an iteration with their `Linearisation`."""
+
     nodes: Any
     parameters: Float[np.ndarray, " free"]
     linearisation: Linearisation
@@ -124,8 +144,10 @@ def solve_least_squares(
     max_iterations=MAX_ITERATIONS,
     step_tolerance=STEP_TOLERANCE,
 ) -> LeastSquaresSolution:
-    """The `LeastSquaresSolution` least squares from nodes and numbers near it; step_tolerance: of errors and scales, a
-    step as short is the last."""
+    """Solve the least squares from approximate nodes and parameters.
+
+    The iteration ends at a step below `step_tolerance`, in units of standard errors and scales.
+    """
     iterate = _Iterate(nodes, parameters, problem.linearise(nodes, parameters))
     penalty, converged = 0.0, False
     for _ in range(max_iterations):
@@ -146,7 +168,7 @@ def solve_least_squares(
 
 
 def largest_chi2(dof: int) -> float:
-    """What noise makes larger too seldom."""
+    """Return the chi2 that noise exceeds with probability `MISFIT_PROBABILITY`."""
     return float(scipy.special.chdtri(max(1, dof), MISFIT_PROBABILITY))
 
 
@@ -167,7 +189,7 @@ def _merit(iterate, free_params, penalty):
 
 
 def _kkt_system(iterate, free_params):
-    """(the matrix of Karush, Kuhn and Tucker, the gradient)."""
+    """Return the Karush-Kuhn-Tucker matrix and the gradient."""
     linearisation = iterate.linearisation
     n_node_unknowns = linearisation.constraint_jacobian.shape[1] - len(iterate.parameters)
     normal_matrix = linearisation.residual_jacobian.T @ linearisation.residual_jacobian
@@ -183,18 +205,17 @@ def _kkt_system(iterate, free_params):
 
 
 def _factorise(matrix):
-    """The factors of a matrix, None where it has none."""
+    """Return the sparse LU factors of a matrix, or None if it is singular."""
     if not np.isfinite(matrix.data).all():
         return None
     try:
         return scipy.sparse.linalg.splu(matrix)
-    except RuntimeError:  # it is singular
+    except RuntimeError:  # the matrix is singular
         return None
 
 
 def _newton_step(iterate, free_params):
-    """(step, multipliers, the matrix's factors), None where there is none. A number that would pass the end of where it
-    may be goes there."""
+    """Return (step, multipliers, factors), or None. A parameter that would exceed a bound is set to it."""
     matrix, gradient = _kkt_system(iterate, free_params)
     n_unknowns, n_node_unknowns = len(gradient), len(gradient) - len(iterate.parameters)
     right_side = -np.concatenate([gradient, iterate.linearisation.constraints])
@@ -216,8 +237,11 @@ def _newton_step(iterate, free_params):
 
 
 def _line_search(problem, iterate, free_params, step, penalty, factors, is_last):
-    """The `_Iterate` after as much of a step as makes it better, of the last step after all of it. Where the whole step
-    does not, what is then left open is taken away first (Maratos's effect)."""
+    """Return the `_Iterate` after the largest tried fraction of a step that decreases the merit function.
+
+    The last step is taken in full. If a full step fails, a second-order correction first removes the violation of the
+    constraints (Maratos effect).
+    """
 
     def iterate_after(change):
         node_change, parameter_change = _split_step(iterate, change)
@@ -251,13 +275,13 @@ def _line_search(problem, iterate, free_params, step, penalty, factors, is_last)
 
 
 def _split_step(iterate, step):
-    """(of the nodes' unknowns, of the numbers in scales)."""
+    """Return the change of the unknowns of the nodes, and that of the parameters in units of their scales."""
     n_node_unknowns = len(step) - len(iterate.parameters)
     return step[:n_node_unknowns], step[n_node_unknowns:]
 
 
 def _step_size(iterate, step):
-    """The largest change of what was measured, in errors, and of the numbers, in scales."""
+    """Return the largest change of a measured value in standard errors, or of a parameter in units of its scale."""
     return max(
         abs(iterate.linearisation.residual_jacobian @ step).max(initial=0.0),
         abs(_split_step(iterate, step)[1]).max(initial=0.0),

@@ -1,4 +1,4 @@
-"""Special points and orbits as functions of their scenes: `located`."""
+"""Make special points and orbits differentiable functions of their scenes: `located`."""
 
 from ..branches.branch import Special
 from ..orbits.orbit import Orbit
@@ -9,19 +9,50 @@ from .located_point import Located, make_located_point
 
 @check.host_only("use the function that it gives")
 def located(point: Special | Orbit, name: str | None = None, wall: str | None = None) -> Located | LocatedOrbit:
-    """A special point's value, or what an orbit has, as a JAX function of its scene: a `Located`, a `LocatedOrbit`.
+    """Make the value of a special point, or a quantity of an orbit, a JAX function of its scene.
 
-    point: a `Special` of a branch, SN, PD, SB or GR, and name: of the parameter whose value is asked for, by default
-    the point's own; or an `Orbit` of separate impacts or none, and name: "multipliers", "speeds" of its impacts, or
-    "peak", its largest abs x. wall: "left" or "right" for a GR that touches both at once: which of them is meant.
+    Parameters
+    ----------
+    point : Special or Orbit
+        Special point of a branch, of kind SN, PD, SB or GR, or an orbit with separate impacts or without impacts.
+    name : str, optional
+        For a special point, the parameter whose value is returned. By default the parameter of its branch. For an orbit
+        the quantity: ``"multipliers"``, ``"speeds"`` of its impacts, or ``"peak"``, the largest ``|x|``.
+    wall : {"left", "right"}, optional
+        Wall of a GR that touches both walls at once. Required for such a point, and not allowed for an orbit.
 
-    The point or orbit is followed on the straight way from its own scene to the one given, by Newton's method on its
-    defining equations (`point_equations`, `impact_equations`), and differentiated by the implicit function theorem. An
-    SB is that of the scene's symmetric part. Where a wall has no restitution (or damping) of its own, the scene's
-    derivative holds the wall's.
+    Returns
+    -------
+    Located or LocatedOrbit
+        Function of a scene or of a batch of scenes.
 
-    Raises ArgumentError for a point of another kind, a name that the scene or the orbit lacks, and a GR that touches
-    more than one wall, or one more than once, where no wall is given; OrbitError for an orbit that rests on a wall.
+    Raises
+    ------
+    ArgumentError
+        If the point is of another kind, if the scene or the orbit has no such name, or if a GR touches several walls,
+        or one wall several times, and no wall is given.
+    OrbitError
+        If the orbit sticks to a wall.
+
+    See Also
+    --------
+    sensitivity : Table of the first derivatives of a special point.
+    place : Find the least change of a scene that moves special points to given values.
+
+    Notes
+    -----
+    The point or orbit is continued along the straight path from its own scene to the given one by Newton's method on
+    its defining equations (`point_equations`, `impact_equations`). Derivatives follow from the implicit function
+    theorem. An SB is located in the symmetric part of the scene. If a wall has no restitution (or damping) of its own,
+    the derivative with respect to the restitution of the scene includes that of the wall.
+
+    Examples
+    --------
+    >>> value = jv.located(branch.points("SN")[0])
+    >>> round(float(value(scene)), 6)
+    0.508058
+    >>> round(float(jax.grad(value)(scene).damping), 6)
+    4.00908
     """
     if isinstance(point, Orbit):
         if wall is not None:

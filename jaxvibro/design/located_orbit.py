@@ -1,4 +1,4 @@
-"""What an orbit has as a function of its scene: what `located.located` gives of an orbit."""
+"""Express quantities of an orbit as functions of its scene, for `located.located`."""
 
 from dataclasses import dataclass, field, fields
 from functools import partial
@@ -31,19 +31,60 @@ QUANTITIES = ("multipliers", "speeds", "peak")
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class OrbitOfScene(OrbitSolutions):
-    """What `OrbitSolutions` says, times since the orbit's own phase, and peak: the largest abs x on the orbit. A status
-    is JUMPED where the way from the orbit's own scene was lost."""
+    """Orbit in each scene of a batch.
+
+    Extends `OrbitSolutions`. Times count from the phase of the orbit. A status is ``SolutionStatus.JUMPED`` if the
+    continuation from the scene of the orbit failed.
+
+    Attributes
+    ----------
+    state : State
+        State at the phase of the orbit.
+    times : jax.Array
+        Times of the impacts since that phase. Array of shape (..., impacts).
+    speeds : jax.Array
+        Relative speeds before the impacts. Array of shape (..., impacts).
+    multipliers : jax.Array
+        Floquet multipliers, the larger first. Array of shape (..., 2), complex.
+    residual : jax.Array
+        Largest residual of the equations before the last step of Newton's method. Array of shape (...).
+    status : jax.Array
+        `SolutionStatus` of each orbit. Array of shape (...).
+    itinerary : tuple of str
+        Sequence of walls hit, a word for each drive period.
+    peak : jax.Array
+        Largest ``|x|`` on the orbit, in lengths of the scene. Array of shape (...).
+
+    Examples
+    --------
+    >>> solution = jv.located(orbit, "peak").solve(scene)
+    >>> solution.itinerary, round(float(solution.peak), 6), int(solution.status)
+    (('RL',), 1.0, 0)
+    """
 
     peak: Float[Array, "*shape"]
 
 
 @dataclass(frozen=True, eq=False)
 class LocatedOrbit:
-    """An orbit as a function of scenes, made by `located`: `value(scene)` is what was asked for of it,
-    `value.solve(scene)` an `OrbitOfScene`.
+    """Quantity of an orbit as a function of scenes.
 
-    orbit: that it was made of; quantity: "multipliers", (..., 2) complex, "speeds", (..., impacts), or "peak", the
-    largest abs x. A batch of scenes gives arrays of its shape first. Under jit, vmap and grad, forward and reverse.
+    Made by `located`. Calling it with a scene returns the quantity, of which the shape of the batch comes first. It can
+    be transformed by jit, vmap and grad, in forward and reverse mode.
+
+    Attributes
+    ----------
+    orbit : Orbit
+        Orbit that defines the function.
+    quantity : str
+        ``"multipliers"``, complex, of shape (..., 2); ``"speeds"`` of shape (..., impacts); or ``"peak"``, the largest
+        ``|x|``, of shape (...).
+
+    Examples
+    --------
+    >>> peak = jv.located(orbit, "peak")
+    >>> round(float(peak(scene.replace(amplitude=2.1))), 6)
+    1.0
     """
 
     orbit: Orbit
@@ -52,17 +93,65 @@ class LocatedOrbit:
     _start: Float[np.ndarray, " unknowns"] = field(repr=False)
 
     def __call__(self, scene: Scene) -> Array:
-        """The quantity, nan where there is no such orbit. Raises ArgumentError for a scene with other walls."""
+        """Return the quantity in a scene.
+
+        Parameters
+        ----------
+        scene : Scene
+            A single scene or a batch, with walls of the same kinds as the scene of the orbit.
+
+        Returns
+        -------
+        jax.Array
+            The quantity, nan where there is no such orbit.
+
+        Raises
+        ------
+        ArgumentError
+            If the scene has other walls.
+        """
         return getattr(self.solve(scene), self.quantity)
 
     def solve(self, scene: Scene) -> OrbitOfScene:
-        """The `OrbitOfScene` of the scene. Raises ArgumentError for a scene with other walls."""
+        """Solve for the orbit in a scene.
+
+        Parameters
+        ----------
+        scene : Scene
+            A single scene or a batch, with walls of the same kinds as the scene of the orbit.
+
+        Returns
+        -------
+        OrbitOfScene
+            Orbit in each scene.
+
+        Raises
+        ------
+        ArgumentError
+            If the scene has other walls.
+        """
         orbits = self.along(jax.tree.map(lambda leaf: jnp.asarray(leaf)[..., None], scene))
         return jax.tree.map(lambda leaf: jnp.take(leaf, 0, len(scene.shape)), orbits)
 
     def along(self, scenes: Scene) -> OrbitOfScene:
-        """The `OrbitOfScene`s of scenes whose last axis is a way: each is followed from the one before, the first from
-        the orbit's own. Raises ArgumentError for scenes with other walls."""
+        """Solve for the orbit along a path of scenes.
+
+        Parameters
+        ----------
+        scenes : Scene
+            Scenes whose last axis is the path. The orbit is continued from each scene to the next, and to the first
+            scene from the scene of the orbit.
+
+        Returns
+        -------
+        OrbitOfScene
+            Orbit in each scene.
+
+        Raises
+        ------
+        ArgumentError
+            If the scenes have other walls.
+        """
         require_same_walls(scenes, self.orbit.scene)
         start_scene, end_scenes, shape = complete_scene(self.orbit.scene), complete_scene(scenes), scenes.shape
         leaves = [jnp.broadcast_to(leaf, shape).reshape(-1, shape[-1]) for leaf in jax.tree.leaves(end_scenes)]
@@ -74,7 +163,7 @@ class LocatedOrbit:
 
 @partial(jax.jit, static_argnums=0)
 def _solve_orbits(itinerary, start_unknowns, start_vector, scene_vectors, phase):
-    """The `OrbitOfScene`s, one row after the other, of scenes whose numbers are in rows, (ways, places, numbers)."""
+    """Solve for orbits along paths of scene vectors of shape (paths, points, numbers); return an `OrbitOfScene`."""
     fixed_arguments = phase, start_unknowns
     follow = jax.vmap(loop_over_lanes(partial(_follow_orbits, itinerary), call_as_kernel), (None, None, 0, None))
     unknowns, outcomes = follow(start_unknowns, start_vector, lax.stop_gradient(scene_vectors), phase)
@@ -104,7 +193,7 @@ def _solve_orbits(itinerary, start_unknowns, start_vector, scene_vectors, phase)
 
 
 def _follow_orbits(itinerary, start_unknowns, start_vector, scene_vectors, phase):
-    """(unknowns, how they were found at worst so far) from the numbers begin on straight ways from row to row."""
+    """Continue unknowns along straight paths from row to row; return them with the worst outcome up to each row."""
 
     def advance(carry, scene_vector):
         unknowns, previous_vector, worst_outcome = carry
@@ -119,7 +208,7 @@ def _follow_orbits(itinerary, start_unknowns, start_vector, scene_vectors, phase
 
 
 def _largest_position(itinerary, unknowns_and_scene, fixed_arguments):
-    """The largest abs x, of unknowns and numbers in one row."""
+    """Return the largest ``|x|`` for unknowns and numbers of the scene in one row."""
     phase, start_unknowns = fixed_arguments
     unknowns, scene = (
         unknowns_and_scene[: len(start_unknowns)],
@@ -132,12 +221,15 @@ def _largest_position(itinerary, unknowns_and_scene, fixed_arguments):
 
 
 def make_located_orbit(orbit: Orbit, quantity: str | None) -> LocatedOrbit:
-    """The `LocatedOrbit` of a quantity of an orbit. Raises ArgumentError, OrbitError for one that rests on a wall."""
+    """Make the `LocatedOrbit` of a quantity of an orbit.
+
+    Raises ArgumentError for an unknown quantity, OrbitError if the orbit sticks or chatters.
+    """
     if quantity not in QUANTITIES:
         raise check.ArgumentError("name", f"must be one of an orbit's {', '.join(QUANTITIES)}", quantity)
     impacts, state, n_impacts = orbit.impacts, orbit.state, int(orbit.impacts.count)
     if orbit.unknowns == "state" and n_impacts:
-        raise OrbitError("the orbit rests on a wall, or chatters", orbit.residual, "separate impacts are needed")
+        raise OrbitError("the orbit sticks to a wall or chatters", orbit.residual, "separate impacts are required")
     orbit_columns = (impacts.time[:n_impacts], impacts.speed[:n_impacts]) if n_impacts else ([state.x], [state.v])
     itinerary = OrbitTask(jax.tree.structure(complete_scene(orbit.scene)), tuple(orbit.itinerary))
     return LocatedOrbit(

@@ -1,4 +1,4 @@
-"""A special point's value as a function of its whole scene: what `located_orbit.located` gives of it."""
+"""Make the value of a special point a function of its whole scene, for `located.located`."""
 
 from dataclasses import dataclass, field, replace
 
@@ -23,16 +23,39 @@ from ..scene.force import MAX_TOLERANCE
 from ..scene.scene import SIDES, Scene
 from .point_equations import STATIC, PointEquations, complete_scene, equations_at_point, parameter_mask
 
-TOLERANCE_RATIO = 100.0  # the steps by which the flow's error is estimated
+TOLERANCE_RATIO = 100.0  # ratio of the tolerances that estimate the error of the flow
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class LocatedPoint:
-    """A special point of each scene. value: of the parameter; times: of the impacts, since the drive was at phase 0,
-    that which grazes first; speeds: before them, 0 of that one; residual: the largest number left in the equations;
-    status: a `SolutionStatus`; sides: -1 left, 1 right, of an impact; periods: of the drive. At an SB half of the
-    orbit, with half of its periods: the other half is its mirror image."""
+    """Special point in each scene of a batch.
+
+    At an SB the record describes one half of the orbit and half of its periods. The other half is the mirror image.
+
+    Attributes
+    ----------
+    value : jax.Array
+        Parameter value of the point. Array of shape (...).
+    times : jax.Array
+        Times of the impacts since phase 0. A grazing impact comes first. Array of shape (..., impacts).
+    speeds : jax.Array
+        Speeds before the impacts, 0 for a grazing impact. Array of shape (..., impacts).
+    residual : jax.Array
+        Largest residual of the equations. Array of shape (...).
+    status : jax.Array
+        `SolutionStatus` of each point. Array of shape (...).
+    sides : tuple of int
+        Side of each impact, -1 left, 1 right.
+    periods : float
+        Number of drive periods.
+
+    Examples
+    --------
+    >>> solution = jv.located(branch.points("SN")[0]).solve(scene)
+    >>> round(float(solution.value), 6), solution.sides, solution.periods
+    (0.508058, (1, -1), 1.0)
+    """
 
     value: Float[Array, "..."]
     times: Float[Array, "... impacts"]
@@ -45,12 +68,26 @@ class LocatedPoint:
 
 @dataclass(frozen=True, eq=False)
 class Located:
-    """A special point as a function of scenes, made by `located`: `value(scene)` is the parameter's value there,
-    `value.solve(scene)` a `LocatedPoint`.
+    """Value of a special point as a function of scenes.
 
-    special: the point that it was made of; name: of the parameter; wall: that is touched, where it was given. A scene
-    has the walls of the point's; a batch of scenes gives arrays of its shape. Under jit, vmap and grad, forward and
-    reverse, at any order.
+    Made by `located`. Calling it with a scene returns the parameter value of the point. A batch of scenes gives arrays
+    of its shape. The walls of a scene must be of the same kinds as those of the point. The function can be transformed
+    by jit, vmap and grad, in forward and reverse mode, at any order.
+
+    Attributes
+    ----------
+    special : Special
+        Special point that defines the function.
+    name : str
+        Parameter whose value is returned.
+    wall : str or None
+        Wall that is touched, if it was given.
+
+    Examples
+    --------
+    >>> value = jv.located(branch.points("SN")[0])
+    >>> round(float(value(scene.replace(damping=0.06))), 6)
+    0.548148
     """
 
     special: Special
@@ -60,14 +97,45 @@ class Located:
     _start: Float[np.ndarray, " unknowns"] = field(repr=False)
 
     def __call__(self, scene: Scene) -> Float[Array, "..."]:
-        """The parameter's value at the point, of the scene's shape; nan where there is none.
+        """Return the parameter value of the point in a scene.
 
-        What the scene itself says of the parameter does not matter. Raises ArgumentError for a scene with other walls.
+        The value that the scene itself has for this parameter is ignored.
+
+        Parameters
+        ----------
+        scene : Scene
+            A single scene or a batch, with walls of the same kinds as the scene of the point.
+
+        Returns
+        -------
+        jax.Array
+            Parameter value, of the shape of the scene; nan where there is no such point.
+
+        Raises
+        ------
+        ArgumentError
+            If the scene has other walls.
         """
         return self.solve(scene).value
 
     def solve(self, scene: Scene) -> LocatedPoint:
-        """The `LocatedPoint` of the scene. Raises ArgumentError for a scene with other walls."""
+        """Solve for the point in a scene.
+
+        Parameters
+        ----------
+        scene : Scene
+            A single scene or a batch, with walls of the same kinds as the scene of the point.
+
+        Returns
+        -------
+        LocatedPoint
+            Special point in each scene.
+
+        Raises
+        ------
+        ArgumentError
+            If the scene has other walls.
+        """
         require_same_walls(scene, self.special.scene)
         start_scene, end_scene, shape = complete_scene(self.special.scene), complete_scene(scene), scene.shape
         scene_vectors = jnp.stack([jnp.broadcast_to(leaf, shape).reshape(-1) for leaf in jax.tree.leaves(end_scene)], 1)
@@ -79,16 +147,23 @@ class Located:
         )
         located_points, _ = solve_points(self._equations, self._start, *arguments)
         located_points = jax.tree.map(lambda leaf: leaf.reshape(*shape, *leaf.shape[1:]), located_points)
-        if self.name == "hardness":  # it is counted from the walls' stiffness
+        if self.name == "hardness":  # the equations measure it from the stiffness of the walls
             located_points = replace(located_points, value=located_points.value + scene.parameter("hardness"))
         sequence = self._equations.sequence
         sides = tuple(int(side) for side in np.asarray(sequence.sides))
         return replace(located_points, sides=sides, periods=float(sequence.periods))
 
     def flow_error(self) -> float:
-        """How far the flow's own error has the value off, as two tolerances tell: what it changes by where steps under
-        a `Force` are to be `TOLERANCE_RATIO` times as loose, over that. 0 under spring and damper, whose flow is
-        exact."""
+        """Estimate the error of the value that the integration of the flow causes.
+
+        The value is recomputed with `TOLERANCE_RATIO` times the tolerance of the `Force`. The change of the value is
+        divided by the ratio of the tolerances.
+
+        Returns
+        -------
+        float
+            Estimated error; 0 for a linear spring and damper, whose flow is exact.
+        """
         scene = self.special.scene
         if scene.force is None:
             return 0.0
@@ -100,11 +175,31 @@ class Located:
 
 
 def make_located_point(special: Special, name: str | None = None, wall: str | None = None) -> Located:
-    """The `Located` of a special point, as `located_orbit.located` tells."""
+    """Make the `Located` of a special point.
+
+    Parameters
+    ----------
+    special : Special
+        Special point, as in `located`.
+    name : str, optional
+        Parameter whose value is returned.
+    wall : {"left", "right"}, optional
+        Wall of a GR that touches both walls.
+
+    Returns
+    -------
+    Located
+        Value of the point as a function of scenes.
+
+    Raises
+    ------
+    ArgumentError
+        If the point, `name` or `wall` is invalid, or if the orbit of the point sticks.
+    """
     locus_start = make_locus_start(special)
     if special.orbit.rests:
         raise check.ArgumentError(
-            "point", "must be of an orbit that does not rest: `sensitivity` has its derivatives", special.label
+            "point", "must belong to an orbit that does not stick; use `sensitivity` for its derivatives", special.label
         )
     name = special.name if name is None else name
     check.require_parameter(name, locus_start.scene.names, name)
@@ -117,7 +212,7 @@ def make_located_point(special: Special, name: str | None = None, wall: str | No
 
 
 def _select_contact(locus_start, name, wall):
-    """(`PointEquations`, unknowns) of the one touch of a wall."""
+    """Return the `PointEquations` and unknowns of the single contact with a wall."""
     candidates = [
         equations_at_point(locus_start.kind, *problem_and_z)
         for problem_and_z in locus_problems(locus_start, (name,), whole_orbit=True)
@@ -128,21 +223,23 @@ def _select_contact(locus_start, name, wall):
     matches = [candidate for candidate, side in zip(candidates, sides, strict=True) if wall in (None, side)]
     if len(matches) != 1:
         sides_text = ", ".join(side for side in sides if side) or "none"
-        raise check.ArgumentError("wall", f"must be one of those that are touched, {sides_text}", wall)
+        raise check.ArgumentError("wall", f"must be one of the touched walls, {sides_text}", wall)
     return matches[0]
 
 
 def require_same_walls(scene: Scene, reference_scene: Scene) -> None:
-    """Raise ArgumentError where what is no scene, or has walls of other kinds than one that is known."""
+    """Raise ArgumentError if an argument is not a scene with walls of the same kinds as those of a reference."""
     walls_text = _describe_walls(reference_scene)
     if not isinstance(scene, Scene) or _describe_walls(scene) != walls_text:
         raise check.ArgumentError(
-            "scene", f"must be a Scene with the walls of the point's, {walls_text}", _describe_scene(scene)
+            "scene",
+            f"must be a Scene with walls of the same kinds as those of the point, {walls_text}",
+            _describe_scene(scene),
         )
 
 
 def _describe_walls(scene):
-    """What is static of a scene, in words."""
+    """Describe the static properties of the walls of a scene."""
     descriptions = []
     for side, wall in scene.walls.items():
         motion_text = "" if wall.motion is None else f", moving {wall.motion.harmonic} times a period"
@@ -156,10 +253,27 @@ def _describe_scene(scene):
 
 @jax.jit
 def solve_points(equations, start_unknowns, start_vector, scene_vectors, direction):
-    """(the `LocatedPoint`s from scenes whose numbers are in rows, along a direction of them, value: how far; the
-    unknowns).
+    """Solve for special points in scenes given as vectors.
 
-    equations: the `PointEquations`; start_unknowns: their unknowns where the numbers are those of begin.
+    Parameters
+    ----------
+    equations : PointEquations
+        Defining equations of the point.
+    start_unknowns : jax.Array
+        Solution in the scene `start_vector`.
+    start_vector : jax.Array
+        Numbers of the start scene. Array of shape (numbers,).
+    scene_vectors : jax.Array
+        Numbers of the scenes. Array of shape (n, numbers).
+    direction : jax.Array
+        Direction in the space of these numbers along which the point is located. Array of shape (numbers,).
+
+    Returns
+    -------
+    points : LocatedPoint
+        Special points. Their value is the distance from each scene along `direction`.
+    unknowns : jax.Array
+        Unknowns of the equations. Array of shape (n, unknowns).
     """
     find_root, check_admissible = (
         implicit_root(_residual, _follow_point, call_as_kernel),
@@ -181,7 +295,7 @@ def _residual(unknowns, scene_vector, fixed_arguments):
 
 
 def _follow_point(scene_vector, fixed_arguments):
-    """(unknowns, (the residual, how they were found))."""
+    """Return the unknowns, and their residual and outcome."""
     *_, start_unknowns, start_vector = fixed_arguments
     solution = continue_root(_residual, start_unknowns, start_vector, scene_vector, fixed_arguments)
     return solution.u, (solution.residual, solution.kind)
@@ -197,7 +311,7 @@ def _make_point(equations, unknowns, residual, outcome, is_admissible):
 
 
 def _is_admissible(equations, direction, scene_vector, unknowns):
-    """Whether the orbit keeps to its walls and hits them with positive speed, one after the other."""
+    """Check that the orbit stays between the walls and hits them with positive speed, in order."""
     sequence = equations.sequence_at(unknowns)
     coeffs = flow_coefficients(equations.scene_at(scene_vector + unknowns[equations.n_orbit_unknowns] * direction))
     return is_admissible(

@@ -1,4 +1,4 @@
-"""How far an orbit is from its nearest bifurcations, in the space of some numbers of its scene: `margin`."""
+"""Find the nearest bifurcations of an orbit in the space of several parameters of its scene: `margin`."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -31,26 +31,58 @@ from .ray_end_equations import equations_at_ray_end
 from .rays import RayEnd, follow_rays
 
 KINDS = ("SN", "PD", "SB", "GR")
-SEARCH_RADII = 1.0, 4.0, 16.0, 64.0, 256.0  # units: one after the other, until a boundary is found
-MAX_STARTS = 4  # starts of a kind and of touches of one wall
-BOUND_TOLERANCE = 1e-12  # of 1 + a number's change: so far beyond its bound it is at it
-DISTINCT_TOLERANCE = 1e-6  # of 1 + the distance: two points as near are one
-RAY_TOLERANCE = 4.0 / 1024.0  # of a way: a ray's end is so well known
-EDGE_TOLERANCE = 1e-3  # units: edges are looked for once from places as near
-# of 1 + the largest unknown: an orbit that far on from a cusp, by the cube root of `RAY_TOLERANCE`, has passed it
+SEARCH_RADII = 1.0, 4.0, 16.0, 64.0, 256.0  # in units, tried in turn until a boundary is found
+MAX_STARTS = 4  # starts of each kind, and of each wall of a grazing
+BOUND_TOLERANCE = 1e-12  # relative to 1 + |change|: a parameter closer to its bound is at it
+DISTINCT_TOLERANCE = 1e-6  # relative to 1 + distance: points closer than this coincide
+RAY_TOLERANCE = 4.0 / 1024.0  # relative accuracy of the end of a ray
+EDGE_TOLERANCE = 1e-3  # in units: starts of the same edge closer than this coincide
+# Relative to 1 + the largest unknown: largest change of an orbit that has just passed a cusp. The change is of order
+# `RAY_TOLERANCE` to the power 1/3.
 MAX_TIP_CHANGE = 0.3
 REACHED, BEHIND = "reached", "behind another"
 
 
 @dataclass(frozen=True, eq=False)
 class NearPoint:
-    """A bifurcation near a scene. kind: SN, PD, SB or GR; distance: from the scene, in units of the free numbers;
-    change: by how much each free number is another there; direction: to it, of length 1, in these units; scene: there;
-    times, speeds, sides: of its orbit's impacts, of half the orbit at an SB; residual: the largest number left in its
-    equations; slope: of the distance across the direction, 0 where it is least; status: "reached": the orbit was
-    followed on the straight way there, and it is the first that it meets; "behind another": another comes before;
-    at_bound: the names of free numbers that are at a bound there; edge: what ends the boundary there, "a touch", "an
-    impact without speed", "a cusp", or nothing."""
+    """Bifurcation near a scene.
+
+    Attributes
+    ----------
+    kind : {"SN", "PD", "SB", "GR"}
+        Kind of the bifurcation.
+    distance : float
+        Distance from the scene, in units of the free parameters.
+    change : dict of str to float
+        Change of each free parameter.
+    direction : dict of str to float
+        Unit vector that points to the bifurcation, in units of the free parameters.
+    scene : Scene
+        Scene at the bifurcation.
+    times : numpy.ndarray
+        Times of the impacts of the orbit; at an SB of one half of the orbit. Array of shape (impacts,).
+    speeds : numpy.ndarray
+        Speeds before these impacts. Array of shape (impacts,).
+    sides : tuple of int
+        Side of each of these impacts, -1 left, 1 right.
+    residual : float
+        Largest residual of the equations.
+    slope : float
+        Slope of the distance perpendicular to the direction, 0 at a minimum.
+    status : {"reached", "behind another"}
+        ``"reached"`` if the orbit was continued along the straight path to the point and meets no other bifurcation
+        before. ``"behind another"`` if another bifurcation comes before.
+    at_bound : tuple of str
+        Names of the free parameters that are at a bound.
+    edge : {"", "a touch", "an impact without speed", "a cusp"}
+        Condition that ends the sheet of bifurcations at the point, or an empty string.
+
+    Examples
+    --------
+    >>> near = jv.margin(orbit, {"amplitude": 0.1, "frequency": 0.1}, directions=8).points[0]
+    >>> near.kind, round(near.distance, 4), near.status
+    ('SB', 5.6116, 'reached')
+    """
 
     kind: str
     distance: float
@@ -69,10 +101,31 @@ class NearPoint:
 
 @dataclass(frozen=True, eq=False)
 class Margin:
-    """What is near an orbit. orbit; free: the unit of each number; points: the nearest `NearPoint` of each kind, the
-    nearest first; others: more of them, and such as lie behind; searched: how far, in units, in how many directions the
-    orbit was followed. stopped: why the search ended before it was complete, else ""; a nearer bifurcation may then be
-    missing."""
+    """Bifurcations near an orbit.
+
+    Made by `margin`.
+
+    Attributes
+    ----------
+    orbit : Orbit
+        Orbit at the centre.
+    free : dict of str to float
+        Unit of each free parameter.
+    points : tuple of NearPoint
+        Nearest bifurcation of each kind, sorted by distance.
+    others : tuple of NearPoint
+        Further bifurcations, including those behind another.
+    searched : tuple
+        Distance in units up to which the orbit was continued, and the number of directions.
+    stopped : str
+        Reason why the search is incomplete, or an empty string. A nearer bifurcation may then be missing.
+
+    Examples
+    --------
+    >>> near = jv.margin(orbit, {"amplitude": 0.1, "frequency": 0.1}, directions=8)
+    >>> round(near.distance, 4), near.searched
+    (5.6116, (16.0, 8))
+    """
 
     orbit: Orbit
     free: dict[str, float]
@@ -83,13 +136,26 @@ class Margin:
 
     @property
     def distance(self) -> float:
-        """To the nearest, in units; infinite where none was found."""
+        """Distance to the nearest bifurcation, in units of the free parameters; infinite if there is none."""
         return self.points[0].distance if self.points else np.inf
 
     def table(self, units: str = "scene") -> str:
-        """A line each, and how far it was looked. units: "scene", or "physical" (Hz, N, mm) of a scene that has scales.
+        """Format the nearest bifurcations as text.
 
-        Raises ArgumentError for other units, and where the scene has no scales.
+        Parameters
+        ----------
+        units : {"scene", "physical"}, optional
+            Units of the values. Physical units (Hz, N, mm) require a scene with scales.
+
+        Returns
+        -------
+        str
+            Table with one line per bifurcation, followed by the units and the extent of the search.
+
+        Raises
+        ------
+        ArgumentError
+            If `units` is unknown, or if physical units are requested of a scene without scales.
         """
         column_units = {name: unit_in_system(self.orbit.scene, unit_of(name), units) for name in self.free}
 
@@ -120,8 +186,19 @@ class Margin:
 
 
 class _ParameterSpace(NamedTuple):
-    """The free numbers. names; unit_vectors: what one of each is of the scene's numbers; lower, upper: bounds, in units
-    from the scene; keeps_symmetry: which of them keep a symmetric scene so."""
+    """Space of the free parameters.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Names of the free parameters.
+    unit_vectors : numpy.ndarray
+        Change of the numbers of the scene for one unit of each free parameter. Array of shape (free, numbers).
+    lower, upper : numpy.ndarray
+        Bounds of the change in units. Arrays of shape (free,).
+    keeps_symmetry : numpy.ndarray
+        1 for free parameters that keep a symmetric scene symmetric, else 0. Array of shape (free,).
+    """
 
     names: tuple[str, ...]
     unit_vectors: Float[np.ndarray, "free numbers"]
@@ -141,20 +218,59 @@ def margin(
     *,
     max_seconds: float | None = None,
 ) -> Margin:
-    """The nearest bifurcation of each kind, in the space of some numbers of the orbit's scene: a `Margin`.
+    """Find the nearest bifurcation of each kind in the space of several parameters.
 
-    orbit: an `Orbit` of separate impacts, or of none, stable or not. free: {name: unit}: distances are the root of the
-    sum of squares of (change / unit). bounds: {name: (low, high)} of free numbers, by default their domains. kinds: SN,
-    PD, SB, GR. directions: in so many, the axes and random ones, the orbit is followed until something ends it; these
-    ends are where Newton's method on the condition of Karush, Kuhn and Tucker begins, with multipliers for bounds. The
-    margin is that of this one orbit: other motions may be there sooner, and take most starts (`find_attractors`).
+    Parameters
+    ----------
+    orbit : Orbit
+        Stable or unstable orbit with separate impacts or without impacts.
+    free : dict of str to float
+        Free parameters, each with its unit. The distance is the root of the sum of squares of change / unit.
+    bounds : dict of str to sequence of float, optional
+        Lower and upper bound of free parameters, by name. By default their domains.
+    kinds : str or sequence of str, optional
+        Kinds of bifurcation: ``"SN"``, ``"PD"``, ``"SB"``, ``"GR"``.
+    directions : int, optional
+        Number of directions in which the orbit is continued: the axes and random directions. At least twice the number
+        of free parameters.
+    seed : int, optional
+        Seed of the random directions.
+    max_seconds : float, optional
+        Wall-clock time in s after which the search stops. By default the time is unlimited. The attribute ``stopped``
+        then states that the search is incomplete.
 
-    An SB is looked for among the free numbers that keep the scene symmetric. Nothing is proved about directions
-    in which the orbit was not followed (`searched`). max_seconds: wall-clock time, s, after which the orbit is followed
-    no farther and no further point is looked for; None is no limit. `stopped` then says so.
+    Returns
+    -------
+    Margin
+        The nearest bifurcations.
 
-    Raises ArgumentError for a name that the scene lacks, a unit that is no positive number, bounds that do not hold the
-    scene; OrbitError for an orbit that rests on a wall.
+    Raises
+    ------
+    ArgumentError
+        If a free parameter is not a parameter of the scene, if a unit is not a positive number, if `bounds` does not
+        contain the scene, or if another argument is invalid.
+    OrbitError
+        If the orbit sticks to a wall or chatters.
+
+    See Also
+    --------
+    find_attractors : Find other motions of the scene.
+    search : Find bifurcations in a box of scenes without an initial orbit.
+
+    Notes
+    -----
+    The orbit is continued in each direction until a bifurcation ends it. From these ends, Newton's method solves the
+    Karush-Kuhn-Tucker conditions of the nearest point, with multipliers for the bounds. An SB is located among the free
+    parameters that keep the scene symmetric.
+
+    The margin is that of the given orbit. Another motion may attract most initial states before (`find_attractors`).
+    The search proves nothing about directions in which the orbit was not continued (``searched``).
+
+    Examples
+    --------
+    >>> near = jv.margin(orbit, {"amplitude": 0.1, "frequency": 0.1}, directions=8)
+    >>> [point.kind for point in near.points]
+    ['SB', 'SN']
     """
     limits = limits_of(None, max_seconds, None, check.ArgumentError)
     if not isinstance(orbit, Orbit):
@@ -162,10 +278,10 @@ def margin(
     if not orbit.impacts.count:
         check.require_spring(orbit.scene, "margin of an orbit without impacts")
     if orbit.unknowns == "state" and orbit.impacts.count:
-        raise OrbitError("the orbit rests on a wall, or chatters", orbit.residual, "margin takes separate impacts")
+        raise OrbitError("the orbit sticks to a wall or chatters", orbit.residual, "separate impacts are required")
     units, kinds = check_units(orbit.scene, free), check.name_tuple("kinds", kinds)
     if not set(kinds) <= set(KINDS) or not kinds:
-        raise check.ArgumentError("kinds", f"must be some of {', '.join(KINDS)}", kinds)
+        raise check.ArgumentError("kinds", f"must be one or more of {', '.join(KINDS)}", kinds)
     n_directions = check.whole_number("directions", directions, 2 * len(units))
     space, sequence = _make_space(orbit.scene, units, bounds or {}), impact_sequence_of(orbit)
     scene = complete_scene(orbit.scene)
@@ -183,7 +299,7 @@ def margin(
     ]
     is_incomplete = len(nearest_points) < len(starts) or limits.expired
     stop_reason = (
-        f"{EXPIRED_REASON}: {len(nearest_points)} of {len(starts)} points near it looked for" if is_incomplete else ""
+        f"{EXPIRED_REASON}: {len(nearest_points)} of {len(starts)} nearest points computed" if is_incomplete else ""
     )
     nearest_points += [] if is_incomplete else _find_on_edges(scene_vector, space, starts, nearest_points)
     near_points = [
@@ -214,7 +330,7 @@ def _make_space(scene, free, bounds):
 
 
 def impact_sequence_of(orbit):
-    """The `ImpactSequence` of an orbit, without empty rows, times since phase 0."""
+    """Return the `ImpactSequence` of an orbit without empty rows, with times since phase 0."""
     impacts, scene = orbit.impacts, orbit.scene
     duration = orbit.periods * 2.0 * np.pi / float(scene.frequency)
     times = np.mod(np.asarray(impacts.time) + float(orbit.state.phase) / float(scene.frequency), duration)
@@ -224,14 +340,14 @@ def impact_sequence_of(orbit):
 
 
 def sample_directions(n_params, n_directions, seed):
-    """Unit vectors, (count, size): the axes both ways, then random ones."""
+    """Return unit vectors of shape (directions, parameters): the axes in both senses, then random ones."""
     axes = np.concatenate([np.eye(n_params), -np.eye(n_params)])
     random_vectors = np.random.default_rng(seed).normal(size=(n_directions - len(axes), n_params))
     return np.concatenate([axes, random_vectors / np.linalg.norm(random_vectors, axis=1, keepdims=True)])
 
 
 def _follow_directions(treedef, sequence, scene_vector, space, directions, radius):
-    """(the `Ray`s, NumPy's, how long each way is): to the reach, or to where a bound is."""
+    """Continue the orbit along rays up to the radius or a bound; return the `Ray` records and the ray lengths."""
     with np.errstate(divide="ignore", invalid="ignore"):
         bound_distances = np.where(
             directions > 0, space.upper / directions, np.where(directions < 0, space.lower / directions, np.inf)
@@ -242,8 +358,7 @@ def _follow_directions(treedef, sequence, scene_vector, space, directions, radiu
 
 
 def _select_starts(treedef, sequence, scene_vector, space, directions, ray_lengths, ray_results, kinds):
-    """(`PointEquations`, unknowns, offset) where to look for the nearest points from: of each kind and touched wall the
-    nearest ends of ways."""
+    """Select the nearest ray ends of each kind and touched wall as (`PointEquations`, unknowns, offset)."""
     starts, n_taken = [], {}
     for k in np.argsort(ray_results.fraction * ray_lengths):
         if ray_results.end[k] == RayEnd.NONE or ray_lengths[k] == 0:
@@ -263,8 +378,10 @@ def _select_starts(treedef, sequence, scene_vector, space, directions, ray_lengt
 
 
 def _find_nearest(scene_vector, space, equations, unknowns, offset):
-    """(the `Foot` within the bounds, which numbers are at one) on a boundary, or its `BoundaryEdge`; None where
-    Newton's method leads to none."""
+    """Find the nearest point of a boundary or edge within the bounds.
+
+    Returns the `NearestBoundaryPoint` and a mask of the parameters at a bound, or None if Newton's method fails.
+    """
     is_fixed = np.zeros(len(offset), bool)
     if equations.kind == "SB":
         is_fixed = space.keeps_symmetry == 0
@@ -297,8 +414,11 @@ def _find_nearest(scene_vector, space, equations, unknowns, offset):
 
 
 def _find_on_edges(scene_vector, space, starts, nearest_points):
-    """[(`Foot`, which numbers are at a bound)] where no nearest point was found, none of a real orbit, or one that
-    is farther than where it was looked for from."""
+    """Find nearest points on edges for starts whose sheet has no suitable nearest point.
+
+    A sheet is unsuitable if Newton's method failed, if the orbit of the point is inadmissible, or if the point is
+    farther than the start. Returns pairs as `_find_nearest` does.
+    """
     edge_points, attempts = [], []
     for (equations, unknowns, offset), result in zip(starts, nearest_points, strict=True):
         nearest_point = None if result is None else result[0]
@@ -326,7 +446,7 @@ def _find_on_edges(scene_vector, space, starts, nearest_points):
 
 
 def _move_to_bound(nearest_point, scene_vector, space, offset, bound_index, bound_value, is_fixed):
-    """(unknowns, offset) on the boundary where one number is at its bound; None where there is none."""
+    """Return (unknowns, offset) on the boundary with one parameter at its bound; unknowns may be None."""
     free_offset = np.where(is_fixed, 0.0, offset)
     free_distance = np.linalg.norm(free_offset)
     if free_distance == 0:
@@ -347,7 +467,7 @@ def _move_to_bound(nearest_point, scene_vector, space, offset, bound_index, boun
 
 
 def _make_near_point(orbit, treedef, sequence, scene_vector, space, nearest_point, is_bounded):
-    """The `NearPoint` of a `Foot`, None where its orbit is none."""
+    """Make the `NearPoint` of a `NearestBoundaryPoint`, or None if it is not a bifurcation of the orbit."""
     if nearest_point.status == SolutionStatus.VIRTUAL or (nearest_point.curvatures <= 0).any():
         return None
     ray_result = jax.device_get(
@@ -357,13 +477,12 @@ def _make_near_point(orbit, treedef, sequence, scene_vector, space, nearest_poin
     )
     status = REACHED if ray_result.fraction[0] * (1.0 + RAY_TOLERANCE) >= 1.0 - RAY_TOLERANCE else BEHIND
     if status == REACHED and ray_result.end[0] == RayEnd.NONE and not _passes_cusp(nearest_point, ray_result):
-        return None  # a boundary of another orbit
+        return None  # a boundary of another orbit: no event ends the ray
     names, scene, changes = space.names, orbit.scene, nearest_point.offset * abs(space.unit_vectors).max(axis=1)
     values = [float(scene.parameter(name)) + change for name, change in zip(names, changes, strict=True)]
     domains = (parameter_domain(scene, name) for name in names)
-    values = [
-        min(max(value, lower), upper) for value, (lower, upper) in zip(values, domains, strict=True)
-    ]  # a rounding beyond
+    # Rounding may exceed a domain.
+    values = [min(max(value, lower), upper) for value, (lower, upper) in zip(values, domains, strict=True)]
     scene = scene.replace(**dict(zip(names, values, strict=True)))
     point_sequence = nearest_point.equations.sequence_at(jnp.asarray(nearest_point.unknowns))
     return NearPoint(
@@ -384,7 +503,7 @@ def _make_near_point(orbit, treedef, sequence, scene_vector, space, nearest_poin
 
 
 def _passes_cusp(nearest_point, ray_result):
-    """Whether a way that went on led through a cusp, by the orbit just after it."""
+    """Check whether a continued ray passed a cusp, by the orbit just beyond it."""
     if not isinstance(nearest_point.equations, BoundaryEdge) or nearest_point.equations.end_kind != CUSP:
         return False
     orbit_unknowns = nearest_point.unknowns[: nearest_point.equations.equations.n_orbit_unknowns]

@@ -1,7 +1,8 @@
-"""The point of a boundary's edge that is nearest to a scene.
+"""Find the point of the edge of a boundary that is nearest to a scene.
 
-It is a root of the whole condition of Karush, Kuhn and Tucker: with w the times, speeds, null vector and offset y, and
-r(w) = 0 the edge's equations, stationary is y y / 2 + m r(w), by Newton's method in w and the multipliers m.
+It is a root of the complete Karush-Kuhn-Tucker conditions. With w the times, speeds, null vector and offset y, and with
+the equations r(w) = 0 of the edge, ``y y / 2 + m r(w)`` is stationary. Newton's method solves for w and the multipliers
+m.
 """
 
 import jax
@@ -11,17 +12,17 @@ from ..scene.codes import SolutionStatus
 from .edge import evaluate_clearances
 from .nearest_point import NearestBoundaryPoint
 
-MAX_GAUSS_NEWTON = 30  # of Gauss and Newton's steps onto the edge
-MAX_NEWTON = 40  # of Newton's on the condition
-MAX_STEP = 0.3  # of 1 + the largest unknown: the longest step
-DIFFERENCE_STEP = 1e-5  # of 1 + the largest unknown: the points of a difference
-STEP_TOLERANCE = 1e-10  # of 1 + the largest unknown: a step as short is the last
+MAX_GAUSS_NEWTON = 30  # Gauss-Newton steps onto the edge
+MAX_NEWTON = 40  # Newton steps on the optimality conditions
+MAX_STEP = 0.3  # relative to 1 + the largest unknown: longest step
+DIFFERENCE_STEP = 1e-5  # relative to 1 + the largest unknown: step of central differences
+STEP_TOLERANCE = 1e-10  # relative to 1 + the largest unknown: a shorter step is the last
 TINY = 1e-300
 
 
 @jax.jit
 def _residuals_and_jacobians(edge, scene_vector, unit_vectors, rows):
-    """(r, its derivative) by unknowns and offsets in rows."""
+    """Return r and its Jacobian with respect to unknowns and offsets, for variables in rows."""
     n_params = len(unit_vectors)
 
     def residual(variables):
@@ -31,8 +32,11 @@ def _residuals_and_jacobians(edge, scene_vector, unit_vectors, rows):
 
 
 def find_nearest_edge_point(edge, unknowns, scene_vector, unit_vectors, offset):
-    """The `NearestBoundaryPoint` that Newton's method reaches from a guess; None where it reaches none, or fewer than
-    two numbers are free. Arguments as of `nearest.nearest`."""
+    """Return the `NearestBoundaryPoint` that Newton's method reaches from a guess.
+
+    Returns None if it fails, or if fewer than two parameters are free. The arguments are those of
+    `nearest_point.find_nearest_point`.
+    """
     n_unknowns, n_params = len(unknowns), len(offset)
     if n_params < 2:
         return None
@@ -40,7 +44,7 @@ def find_nearest_edge_point(edge, unknowns, scene_vector, unit_vectors, offset):
     offset_mask = np.concatenate([np.zeros(n_unknowns), np.ones(n_params)])
 
     def evaluate(variables):
-        """(r, its derivative, and that's derivative, of differences: it only points the way)."""
+        """Return r, its Jacobian, and differences of the Jacobian, which only determine the search direction."""
         spacing = DIFFERENCE_STEP * (1.0 + abs(variables).max())
         shifts = spacing * np.eye(len(variables))
         variable_rows = variables + np.concatenate([shifts, -shifts, np.zeros((1, len(variables)))])

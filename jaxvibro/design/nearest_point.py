@@ -1,9 +1,10 @@
-"""The point of a boundary that is nearest to a scene, in the space of some of its numbers, each in a unit of its own.
+"""Find the point of a boundary that is nearest to a scene, in the space of several parameters, each in its unit.
 
-About a point of the boundary that lies in a unit direction e, the boundary is a graph over the plane across: x(y) =
-T y + tau(y) e, tau how far from the scene moved by T y it is along e (`point_equations`). Nearest is where y + tau tau'
-= 0, the condition of Karush, Kuhn and Tucker: the offset is parallel to the normal. tau and tau' are exact, tau'' is
-taken from differences of tau', which only points the way; e is turned to the point after each step.
+Near a point of the boundary in the unit direction e, the boundary is a graph over the transverse plane: ``x(y) = T y +
+tau(y) e``, where tau is the distance along e from the scene moved by T y (`point_equations`). The nearest point
+satisfies the Karush-Kuhn-Tucker condition ``y + tau tau' = 0``: the offset is parallel to the normal. tau and tau' are
+exact. tau'' is a difference of tau', which only determines the search direction. e is turned to the point after each
+step.
 """
 
 from functools import partial
@@ -19,20 +20,23 @@ from .located_point import solve_points
 from .point_equations import PointEquations
 
 MAX_ITERATIONS = 40
-BLOCK_SIZE = 8  # places that are asked for at once: a multiple, so that few shapes are compiled
-DIFFERENCE_STEP = 1e-5  # of 1 + the distance: the points of a difference
-MAX_STEP_FRACTION = 0.3  # of the distance: the longest step
-STEP_TOLERANCE = 1e-9  # of the distance: a step from which the next leaves rounding alone
-NEWTON_STEP_FRACTION = 1e-4  # of the distance: a step as short is Newton's own
+BLOCK_SIZE = 8  # scenes per call are a multiple of this, so that few shapes are compiled
+DIFFERENCE_STEP = 1e-5  # relative to 1 + distance: step of central differences
+MAX_STEP_FRACTION = 0.3  # relative to the distance: longest step
+STEP_TOLERANCE = 1e-9  # relative to the distance: after a shorter step the error is rounding
+NEWTON_STEP_FRACTION = 1e-4  # relative to the distance: a shorter step is taken in full
 TINY = 1e-300
 
 
 class NearestBoundaryPoint(NamedTuple):
-    """A point of a boundary, or of its edge. equations: its `PointEquations`, or the `BoundaryEdge`; unknowns: of them,
-    along the direction to it; offset: from the scene, in units of each number, (free,); slope: the part of tau' across
-    the direction, of an edge what is left of the condition, zero where it is nearest; curvatures: eigenvalues of the
-    distance's second derivative, positive where it is a minimum; residual: the largest number left in the equations;
-    status: a `SolutionStatus`."""
+    """Nearest point of a boundary or of its edge.
+
+    `equations` are `PointEquations` or a `BoundaryEdge`, with their `unknowns` along the direction to the point.
+    `offset` is the change from the scene in units, (free,). `slope` is the component of tau' across the direction, or
+    at an edge the residual of the optimality condition; it vanishes at the nearest point. `curvatures` are the
+    eigenvalues of the second derivative of the distance, positive at a minimum. `residual` is the largest residual of
+    the equations, `status` a `SolutionStatus`.
+    """
 
     equations: PointEquations | BoundaryEdge
     unknowns: Float[np.ndarray, " unknowns"]
@@ -44,13 +48,13 @@ class NearestBoundaryPoint(NamedTuple):
 
     @property
     def distance(self) -> float:
-        """From the scene."""
+        """Distance from the scene."""
         return float(np.linalg.norm(self.offset))
 
 
 @jax.jit
 def _solve_with_gradients(equations, start_unknowns, start_vector, rows, direction):
-    """(`LocatedPoint`s, unknowns, derivatives by the numbers) from scenes in rows."""
+    """Return the `LocatedPoint`, the unknowns and the gradient of the value for each scene in rows."""
 
     def value(scene_vector):
         located_point, unknowns = solve_points(equations, start_unknowns, start_vector, scene_vector[None], direction)
@@ -61,11 +65,12 @@ def _solve_with_gradients(equations, start_unknowns, start_vector, rows, directi
 
 
 def find_nearest_point(equations, unknowns, scene_vector, unit_vectors, offset):
-    """The `NearestBoundaryPoint` that Newton's method reaches from a point of the boundary; its status NONE where it
-    reaches none.
+    """Return the `NearestBoundaryPoint` that Newton's method reaches from a point of the boundary.
 
-    scene_vector: the scene's, (numbers,); unit_vectors: what one unit of each free number is of these, (free, numbers);
-    offset: to the point, (free,); unknowns: there, along the direction to it."""
+    Its status is NONE if the method fails. `scene_vector` has shape (numbers,). `unit_vectors` holds the change of
+    these for one unit of each free parameter, (free, numbers). `offset` leads to the starting point, (free,), with its
+    `unknowns` along this direction.
+    """
     step_length = np.inf
     for _ in range(MAX_ITERATIONS):
         distance = np.linalg.norm(offset)
@@ -104,7 +109,7 @@ def find_nearest_point(equations, unknowns, scene_vector, unit_vectors, offset):
             return nearest_point
         newton_step = -distance * np.linalg.solve(hessian if curvatures.min() > 0 else np.eye(n_transverse), gradient)
         newton_step *= min(1.0, MAX_STEP_FRACTION * distance / max(np.linalg.norm(newton_step), TINY))
-        trial_steps = newton_step * 0.5 ** np.arange(n_padded)[:, None]  # as many as before: one compiled shape
+        trial_steps = newton_step * 0.5 ** np.arange(n_padded)[:, None]  # the same number of rows: one compiled shape
         located_points, unknown_rows, _ = jax.device_get(
             solve_rows(rows=scene_vector + trial_steps @ transverse_basis @ unit_vectors)
         )
@@ -116,7 +121,7 @@ def find_nearest_point(equations, unknowns, scene_vector, unit_vectors, offset):
             and curvatures.min() > 0
             and np.linalg.norm(newton_step) < NEWTON_STEP_FRACTION * distance
         ):
-            best_index = 0  # near the end distances differ by roundings alone
+            best_index = 0  # near convergence the distances differ by rounding only
         if not np.isfinite(located_points.value[best_index]):
             break
         offset, unknowns, step_length = (
@@ -128,5 +133,5 @@ def find_nearest_point(equations, unknowns, scene_vector, unit_vectors, offset):
 
 
 def _transverse_basis(direction):
-    """Unit vectors across a unit vector, (free - 1, free)."""
+    """Return an orthonormal basis perpendicular to a unit vector, (free - 1, free)."""
     return np.linalg.svd(direction[None])[2][1:]

@@ -1,9 +1,9 @@
-"""The impacts that a motion makes from an impact on, forward or backward in time, and how near flights come to walls.
+"""Compute the impacts that follow an impact, forward or backward in time, and the clearances of flights.
 
-In NumPy, as a search asks for single flights of many scenes. A flight is looked at in short steps, exact but for
-rounding (the matrix exponential of x, v and the drive together); between two of them the clearance is a cubic, within a
-known bound. So no impact is passed over but such as reach less than that bound into a wall. The impact on a soft wall
-is where the mass enters it; the flight begins where it comes out, which is looked for in the same way.
+The functions use NumPy, because a search requires single flights in many scenes. A flight is evaluated at short steps,
+exact to rounding (the matrix exponential of x, v and the drive). Between two steps the clearance is a cubic within a
+known bound. An impact is missed only if it penetrates a wall by less than this bound. The time of an impact on a soft
+wall is the time of entry. The flight starts at the exit, which is found in the same way.
 """
 
 from typing import NamedTuple
@@ -13,20 +13,18 @@ import scipy
 
 from ..scene.scene import SIDES
 
-STEP_FRACTION = 0.04  # of the fastest time there is
-MAX_STEPS = 20_000  # steps
-N_SERIES_TERMS = 14  # of the power series within a step
-MAX_ROOT_STEPS = 60  # halvings at most
-ROOT_TOLERANCE = 1e-15  # of a step: as near to the root is at it
-STEPS_PER_BLOCK, MIN_CONTACT_FRACTION = (
-    96,
-    1e-6,
-)  # steps that are looked at together: a half swing; of a step: a stay takes as long at least
-MAX_CONTACT_PERIODS = 8.0  # drive periods that a stay within a soft wall is looked for
+STEP_FRACTION = 0.04  # step relative to the fastest time scale
+MAX_STEPS = 20_000  # largest number of steps
+N_SERIES_TERMS = 14  # terms of the power series within a step
+MAX_ROOT_STEPS = 60  # largest number of iterations
+ROOT_TOLERANCE = 1e-15  # tolerance of a root, relative to a step
+# Steps evaluated together, about half an oscillation; smallest contact duration relative to a step.
+STEPS_PER_BLOCK, MIN_CONTACT_FRACTION = 96, 1e-6
+MAX_CONTACT_PERIODS = 8.0  # drive periods after which the search for the end of a contact phase stops
 
 
 class Impact(NamedTuple):
-    """side: -1, 1; time; speed: before it."""
+    """Impact: side -1 or 1, time, speed before it."""
 
     side: float
     time: float
@@ -34,8 +32,11 @@ class Impact(NamedTuple):
 
 
 class WallMotion(NamedTuple):
-    """How a wall moves, and what it does. sign: of its side; restitution: R, -1 of a soft one; position; swing, rate,
-    phase: of its cosine; stiffness, damping: 1 + k2 and gamma2 of a soft one, None of a rigid one."""
+    """Motion and contact law of a wall.
+
+    `sign` of its side; `restitution`, -1 for a soft wall; `position`; `amplitude`, `frequency` and `phase` of its
+    cosine; `stiffness` (1 + k2) and `damping` (gamma2) of a soft wall, None for a rigid wall.
+    """
 
     sign: float
     restitution: float
@@ -48,7 +49,7 @@ class WallMotion(NamedTuple):
 
 
 class DriveTerm(NamedTuple):
-    """A term of the drive: force cos(rate t + phase), since time 0."""
+    """Term of the drive: amplitude cos(frequency t + phase)."""
 
     amplitude: float
     frequency: float
@@ -56,8 +57,11 @@ class DriveTerm(NamedTuple):
 
 
 class Motion:
-    """A scene's motions, its drive at a phase at time 0; time_direction: 1 forward, -1 backward in time. A state is x,
-    v, and the cosine and the sine of each `DriveTerm` of the drive."""
+    """Motions of a scene whose drive has a given phase at time 0.
+
+    `time_direction` is 1 forward and -1 backward in time. A state consists of x, v, and the cosine and sine of each
+    `DriveTerm`.
+    """
 
     def __init__(self, scene, phase, time_direction=1):
         self.time_direction, self.phase, self.frequency = time_direction, phase, float(scene.frequency)
@@ -77,8 +81,10 @@ class Motion:
         self.step_powers, self.contact_flows = np.eye(n_states)[None], {}
 
     def flight_start(self, side, time, speed):
-        """(the state (x, v, cos, sin), its time) at an impact, after it forward in time, before it backward; None of
-        one on a soft wall that lets the mass not go."""
+        """Return the state (x, v, cos, sin, ...) and the time after an impact, or before it backward in time.
+
+        Returns None if a soft wall does not release the mass.
+        """
         wall = self._wall_on(side)
         wall_velocity = wall_state(wall, time)[1]
         v = wall_velocity + side * speed * (-wall.restitution if self.time_direction > 0 else 1.0)
@@ -90,12 +96,12 @@ class Motion:
         return np.array([wall_state(wall, time)[0], v, *self._phasors(time)]), time
 
     def _phasors(self, time):
-        """Cosine and sine of each term of the drive at a time."""
+        """Return the cosine and sine of each term of the drive at a time."""
         angles = [term.frequency * time + term.phase for term in self.drive]
         return [trig_function(angle) for angle in angles for trig_function in (np.cos, np.sin)]
 
     def next_impacts(self, impact: Impact, end_time: float, max_impacts: int) -> list[Impact]:
-        """The next impacts, `max_impacts` at most, as long as they come no later (backward: no earlier) than a time."""
+        """Return the next impacts, at most `max_impacts`, no later (backward: no earlier) than `end_time`."""
         impacts: list[Impact] = []
         while len(impacts) < max_impacts:
             if self.time_direction < 0 and self._wall_on(impact.side).restitution == 0:
@@ -107,8 +113,11 @@ class Motion:
         return impacts
 
     def min_clearances(self, nodes):
-        """(clearance, side, time) of each flight between nodes that are impacts where it turns back nearest to a wall,
-        or is deepest in one, inf where it does neither; what can have been missed is taken off."""
+        """Return (clearance, side, time) of the smallest clearance of each flight between impacts.
+
+        A negative clearance is a penetration. The clearance is inf if the flight does not turn back near a wall. The
+        interpolation error is subtracted.
+        """
         flight_starts = [
             self.flight_start(*entry)
             for entry in zip(nodes.sides[:-1], nodes.first_unknown[:-1], nodes.second_unknown[:-1], strict=True)
@@ -144,20 +153,20 @@ class Motion:
         return next(wall for wall in self.walls if wall.sign == side)
 
     def _step_matrices(self, n_steps):
-        """The matrices of so many steps, from none on."""
+        """Return the matrices of 0 to `n_steps` steps."""
         step_matrix = scipy.linalg.expm(self.matrix * self.step) if len(self.step_powers) < 2 else self.step_powers[1]
         self.step_powers = _extend_powers(self.step_powers, step_matrix, max(n_steps + 1, 2))
         return self.step_powers[: n_steps + 1]
 
     def _clearance(self, wall, path, time):
-        """(clearance, its rate along the way)."""
+        """Return the clearance and its rate along the time direction."""
         wall_position, wall_velocity = wall_state(wall, time)
         return wall.sign * (wall_position - path[..., 0]), self.time_direction * wall.sign * (
             wall_velocity - path[..., 1]
         )
 
     def _clearance_error(self, path):
-        """How far the clearance may be from its cubic, of each flight."""
+        """Bound the deviation of the clearance from its cubic, for each flight."""
         x_bound, v_bound = np.max(abs(path[..., 0]), 0), np.max(abs(path[..., 1]), 0)
         force_bounds = [sum(abs(term.amplitude) * term.frequency**k for term in self.drive) for k in range(3)]
         damping_rate = abs(self.matrix[1, 1])
@@ -168,7 +177,7 @@ class Motion:
         return 1.1 * fourth_bound * self.step**4 / 384.0
 
     def _next_impact(self, impact, end_time):
-        """The first `Impact` after one, None where there is none until a time."""
+        """Return the first `Impact` after an impact, or None if there is none until a time."""
         flight_start = self.flight_start(*impact)
         if flight_start is None:
             return None
@@ -199,8 +208,10 @@ class Motion:
         return earliest[1]
 
     def _impact_in_step(self, wall, state, time, time_in_step, step_index):
-        """The impact in a step from a state on, in which the clearance is below 0 at a place; None of one on a soft
-        wall that the mass was never outside of."""
+        """Return the impact in a step in which the clearance becomes negative.
+
+        Returns None for a soft wall that the mass never left.
+        """
         state_series = _taylor_series(self.matrix, state)
 
         def clearance_at(elapsed_time):
@@ -208,7 +219,7 @@ class Motion:
             return *self._clearance(wall, state_then, time + self.time_direction * elapsed_time), state_then
 
         lower, upper = 0.0, time_in_step
-        if step_index == 0 and clearance_at(0.0)[0] <= 1e-12:  # it leaves this wall: the root at 0 is not the next
+        if step_index == 0 and clearance_at(0.0)[0] <= 1e-12:  # the root at 0 is the start of the flight
             lower = next((upper * 0.5**k for k in range(1, 40) if clearance_at(upper * 0.5**k)[0] > 0), 0.0)
         elapsed_time = _find_root(lambda elapsed_time: clearance_at(elapsed_time)[:2], lower, upper, self.step)
         _, clearance_rate, contact_state = clearance_at(elapsed_time)
@@ -223,7 +234,7 @@ class Motion:
         return Impact(wall.sign, time, speed)
 
     def _contact_end(self, wall, time, v):
-        """(time, velocity) at the other end of a stay within a soft wall; None of one that does not end."""
+        """Return (time, velocity) at the other end of a contact phase, or None if it does not end."""
         matrix, step, step_matrices = self._contact_flow(wall)
         wall_phase, (wall_position, _) = wall.frequency * time + wall.phase, wall_state(wall, time)
         state = np.array([wall_position, v, 1.0, np.cos(wall_phase), np.sin(wall_phase), *self._phasors(time)])
@@ -245,7 +256,7 @@ class Motion:
             path, step_times = step_matrices @ state, step_times[-1] + step * np.arange(len(step_matrices))
             exit_steps, state = np.flatnonzero(penetration(path, step_times)[0][1:] <= 0.0), path[-1]
         exit_step_time, state_series = step_times[exit_steps[0]], _taylor_series(matrix, path[exit_steps[0]])
-        lower = 0.0 if exit_step_time > 0 else MIN_CONTACT_FRACTION * step  # the root at 0 is where it begins
+        lower = 0.0 if exit_step_time > 0 else MIN_CONTACT_FRACTION * step  # the root at 0 is the entry
         time_in_step = _find_root(
             lambda elapsed_time: penetration(state_series(elapsed_time), exit_step_time + elapsed_time),
             lower,
@@ -255,8 +266,10 @@ class Motion:
         return time + self.time_direction * (exit_step_time + time_in_step), float(state_series(time_in_step)[1])
 
     def _contact_flow(self, wall):
-        """(the matrix of x, v, 1, the wall's cosine and sine and the drive's within a soft wall; a step; its powers,
-        from none on)."""
+        """Return the flow inside a soft wall: the matrix, a step, and the powers of the step matrix.
+
+        The state is (x, v, 1, cosine and sine of the wall, cosines and sines of the drive).
+        """
         if wall.sign not in self.contact_flows:
             n_states, spring_stiffness = 5 + 2 * len(self.drive), wall.stiffness - 1.0
             matrix = np.zeros((n_states, n_states))
@@ -275,7 +288,7 @@ class Motion:
 
 
 def _insert_drive(matrix, drive, first_index):
-    """A matrix with the drive's terms put in, cosines and sines from a place on."""
+    """Insert the terms of the drive in a matrix, with cosines and sines from an index on."""
     for k, term in zip(range(first_index, len(matrix), 2), drive, strict=True):
         matrix[1, k] = term.amplitude
         matrix[k, k + 1], matrix[k + 1, k] = -term.frequency, term.frequency
@@ -283,7 +296,7 @@ def _insert_drive(matrix, drive, first_index):
 
 
 def make_wall_motion(scene, side, phase):
-    """The `WallMotion` of a wall, the drive at a phase at time 0."""
+    """Return the `WallMotion` of a wall for a phase of the drive at time 0."""
     wall, sign = scene.walls[side], 1.0 if side == SIDES[1] else -1.0
     amplitude = frequency = wall_phase = 0.0
     if wall.motion is not None:
@@ -298,20 +311,20 @@ def make_wall_motion(scene, side, phase):
 
 
 def wall_state(wall, time):
-    """A wall's position and velocity at a time."""
+    """Return the position and the velocity of a wall at a time."""
     angle = wall.frequency * time + wall.phase
     return wall.position + wall.amplitude * np.cos(angle), -wall.amplitude * wall.frequency * np.sin(angle)
 
 
 def _extend_powers(powers, matrix, n_powers):
-    """The powers of a matrix, so many at least, from those that are known on."""
+    """Extend the powers of a matrix to at least `n_powers`."""
     while len(powers) < n_powers:
         powers = np.concatenate([powers, powers @ (powers[-1] @ matrix)])
     return powers
 
 
 def _taylor_series(matrix, state):
-    """The state within a step, by how long it is since it began."""
+    """Return the state within a step as a function of the elapsed time."""
     terms = [state]
     for k in range(1, N_SERIES_TERMS):
         terms.append(matrix @ terms[-1] / k)
@@ -326,7 +339,7 @@ def _taylor_series(matrix, state):
 
 
 def _find_root(value_and_rate, lower, upper, step):
-    """Where a value goes from above 0 to below it."""
+    """Return the time at which a value changes from positive to negative."""
     root_time = 0.5 * (lower + upper)
     for _ in range(MAX_ROOT_STEPS):
         value, rate = value_and_rate(root_time)
@@ -340,7 +353,7 @@ def _find_root(value_and_rate, lower, upper, step):
 
 
 def _cubic_minimum(clearance, clearance_rate, step):
-    """(the least value of the cubic in each step, where in the step)."""
+    """Return the minimum of the cubic in each step, and its time within the step."""
     start_values, end_values = clearance[:-1], clearance[1:]
     start_slope, end_slope = clearance_rate[:-1] * step, clearance_rate[1:] * step
     quadratic, cubic = (
@@ -350,7 +363,7 @@ def _cubic_minimum(clearance, clearance_rate, step):
     discriminant = quadratic * quadratic - 3 * cubic * start_slope
     has_minimum = (start_slope < 0) & (end_slope > 0) & (discriminant >= 0)
     discriminant_root = np.sqrt(np.where(has_minimum, discriminant, 1.0))
-    # the root at which the cubic bends upwards, without cancellation
+    # The root with positive curvature, without cancellation.
     minimum_position = np.where(
         quadratic > 0,
         -start_slope / (quadratic + discriminant_root),

@@ -1,20 +1,22 @@
-"""Whether a record is of a settled motion, which repeats: it then holds what one round does, and no more."""
+"""Detect records of settled motions, which repeat and hold no more values than one cycle."""
 
 import numpy as np
 import scipy
 
 from .records import SampleRecord
 
-MAX_PERIODS = 8  # drive periods of a round
-PHASE_DECIMALS = 6  # of a round: as near are two times of it the same
-MIN_ROUNDS = 3  # a record of fewer is not called settled
-REJECTION_PROBABILITY = 1e-3  # of a settled record's noise: as rarely is it taken for a motion that still changes
+MAX_PERIODS = 8  # largest number of drive periods of a cycle
+PHASE_DECIMALS = 6  # decimals of the fraction of a cycle to which equal times agree
+MIN_ROUNDS = 3  # smallest number of cycles of a settled record
+REJECTION_PROBABILITY = 1e-3  # probability that noise makes a settled record appear unsettled
 
 
 def count_impact_values(data, frequency, has_free_frequency):
-    """How many numbers a settled record of impacts holds; None where it is none. has_free_frequency: whether the
-    frequency is, and with it the period is one more; the phase's origin, where it is not known, takes none away: it is
-    one of the unknowns."""
+    """Count the independent values of a settled record of impacts; None if the motion is not settled.
+
+    A free frequency adds one value, the period. An unknown origin of the phase removes none, because it is one of the
+    unknowns.
+    """
     times, sides = np.asarray(data.times), np.asarray(data.sides)
     for n_impacts in range(1, len(times) // MIN_ROUNDS + 1):
         if np.any(sides[n_impacts:] != sides[:-n_impacts]):
@@ -30,8 +32,10 @@ def count_impact_values(data, frequency, has_free_frequency):
 
 
 def count_sample_values(data: SampleRecord, frequency: float) -> int | None:
-    """How many numbers a settled record of samples holds, those of one round; None where it is none, or its times do
-    not come round."""
+    """Count the independent values of a settled record of samples, those of one cycle.
+
+    Returns None if the motion is not settled, or if its times do not repeat.
+    """
     measurements, sigma = data.measured
     for periods in range(1, MAX_PERIODS + 1):
         rounds_elapsed = np.asarray(data.times) * frequency / (2.0 * np.pi * periods)
@@ -47,7 +51,7 @@ def count_sample_values(data: SampleRecord, frequency: float) -> int | None:
 
 
 def _is_periodic(times, n_impacts, round_time, sigma):
-    """Whether times are those of the first impacts, over and over, within their errors."""
+    """Check that times repeat those of the first impacts within their errors."""
     impact_indices, round_indices = np.arange(len(times)) % n_impacts, np.arange(len(times)) // n_impacts
     design_matrix = (impact_indices[:, None] == np.arange(n_impacts)).astype(float)
     targets = times if round_time is None else times - round_indices * round_time

@@ -1,4 +1,4 @@
-"""Bifurcations moved to where they are wanted, by the least change of the scene: `place`."""
+"""Place bifurcations at given parameter values by the least change of the scene: `place`."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -20,20 +20,46 @@ from .free_parameters import allowed_changes, check_units
 from .located import located
 from .located_point import Located
 
-MAX_ITERATIONS = 30  # of Newton's steps
-DIFFERENCE_STEP = 1e-5  # units: the points of a difference
-MIN_FRACTION = 1.0 / 256.0  # of the way to the targets: a step as short that fails is the end
-MAX_STEP = 1.0  # unit and more: the longest of Newton's steps, over 1 + the change
-ROUNDING_TOLERANCE = 1e-13  # of 1 + the largest: what rounding leaves
+MAX_ITERATIONS = 30  # Newton steps
+DIFFERENCE_STEP = 1e-5  # in units: step of central differences
+MIN_FRACTION = 1.0 / 256.0  # of the path: the search ends if a shorter step fails
+MAX_STEP = 1.0  # longest Newton step, relative to 1 + the change in units
+ROUNDING_TOLERANCE = 1e-13  # relative to 1 + the largest entry: rounding
 ValueFunction = Callable[[Scene], Float[jax.Array, ""]]
 
 
 @dataclass(frozen=True, eq=False)
 class Placement:
-    """What `place` found. scene: the new one, or, where the targets cannot be met, the last on the way to them; change:
-    of each free number; distance: the root of the sum of squares of (change / unit); values: there, of what was to be
-    placed; targets; met: whether they are the targets; why: what stands in the way where not, else ""; at_bound: free
-    numbers that are at a bound; slope: the largest number left in the condition that the change is the least."""
+    """Result of `place`.
+
+    Attributes
+    ----------
+    scene : Scene
+        New scene. If the targets cannot be attained, the last scene on the path towards them.
+    change : dict of str to float
+        Change of each free parameter.
+    distance : float
+        Root of the sum of squares of change / unit.
+    values : numpy.ndarray
+        Values that were placed, in the new scene. Array of shape (targets,).
+    targets : numpy.ndarray
+        Target values. Array of shape (targets,).
+    met : bool
+        True if the values attain the targets.
+    why : str
+        Reason why the targets are not attained, or an empty string.
+    at_bound : tuple of str
+        Names of the free parameters that are at a bound.
+    slope : float
+        Largest residual of the condition that the change is minimal.
+
+    Examples
+    --------
+    >>> special = branch.points("SN")[0]
+    >>> placed = jv.place(special, None, 0.55, {"damping": 0.01})
+    >>> placed.met, {name: round(change, 6) for name, change in placed.change.items()}
+    (True, {'damping': 0.010462})
+    """
 
     scene: Scene = field(repr=False)
     change: dict[str, float]
@@ -46,22 +72,43 @@ class Placement:
     slope: float
 
     def table(self) -> str:
-        """The free numbers, before and after, and the values."""
-        rows = [("number", "was", "is")]
+        """Format the free parameters before and after, and the values, as text.
+
+        Returns
+        -------
+        str
+            Table with one line per free parameter, one line per value, and the reason if the targets are not attained.
+        """
+        rows = [("parameter", "before", "after")]
         for name, change in self.change.items():
             new_value = float(self.scene.parameter(name))
             rows.append(
                 (name, f"{new_value - change:.9g}", f"{new_value:.9g}" + (" (bound)" if name in self.at_bound else ""))
             )
         value_lines = [
-            f"value {value:.9g}, wanted {target:.9g}" for value, target in zip(self.values, self.targets, strict=True)
+            f"value {value:.9g}, target {target:.9g}" for value, target in zip(self.values, self.targets, strict=True)
         ]
         return "\n".join([align_columns(rows), *value_lines, *([self.why] if self.why else [])])
 
 
 class _PlacementProblem(NamedTuple):
-    """names, units of free numbers; start_values: their values; lower, upper: bounds, in units from there; evaluate:
-    (places, free) -> (values, slopes); virtual_kinds: (free,) -> the kinds of the points that are virtual there."""
+    """Free parameters and functions of a placement.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Names of the free parameters.
+    units : numpy.ndarray
+        Unit of each free parameter.
+    start_values : numpy.ndarray
+        Initial values of the free parameters.
+    lower, upper : numpy.ndarray
+        Bounds of the change, in units.
+    evaluate : callable
+        Function of changes of shape (points, free) that returns values and Jacobians.
+    virtual_kinds : callable
+        Function of a change of shape (free,) that returns the kinds of the points whose orbit is inadmissible.
+    """
 
     names: tuple[str, ...]
     units: Float[np.ndarray, " free"]
@@ -76,9 +123,23 @@ class _PlacementProblem(NamedTuple):
 
 
 class _PathPoint(NamedTuple):
-    """A point on the way to the targets. fraction: of the way; change: in units; multipliers: multipliers; at_bound:
-    which free numbers are at a bound; slope: what is left of the condition; is_expired: whether the time was over
-    there."""
+    """Point on the path to the targets.
+
+    Attributes
+    ----------
+    fraction : float
+        Fraction of the path.
+    change : numpy.ndarray
+        Change of the free parameters, in units.
+    multipliers : numpy.ndarray
+        Lagrange multipliers of the targets.
+    at_bound : numpy.ndarray
+        Mask of the free parameters at a bound.
+    slope : float
+        Residual of the optimality condition.
+    is_expired : bool
+        True if the time expired at this point.
+    """
 
     fraction: float
     change: Float[np.ndarray, " free"]
@@ -99,21 +160,54 @@ def place(
     *,
     max_seconds: float | None = None,
 ) -> Placement:
-    """The least change of some numbers of a scene that gives special points the values wanted: a `Placement`.
+    """Place special points at given values by the least change of several parameters.
 
-    what: a `Special`, or a JAX function of a scene (`located`, the difference of two of them, ...), or several. name:
-    of the parameter whose value is to be the target, for every `Special`; None takes each one's own. target: a number
-    for each. free: {name: unit}, numbers that may change; what is least is the sum of squares of (change / unit).
-    bounds: {name: (low, high)} of them, by default their domains. scene: to begin with, by default the first point's.
+    Parameters
+    ----------
+    what : Special, callable, or sequence of these
+        Special points, or JAX functions of a scene, for example a `Located` or the difference of two.
+    name : str or None
+        Parameter whose value is placed, for every `Special`. None selects the parameter of each point.
+    target : float or sequence of float
+        Target value of each entry of `what`.
+    free : dict of str to float
+        Free parameters, each with its unit. The sum of squares of change / unit is minimised.
+    bounds : dict of str to sequence of float, optional
+        Lower and upper bound of free parameters, by name. By default their domains.
+    scene : Scene, optional
+        Initial scene. By default the scene of the first `Special`.
+    max_seconds : float, optional
+        Wall-clock time in s after which the search stops, which ``why`` then states. By default the time is unlimited.
 
-    The targets are approached on the straight way from the present values, each place on it by Newton's method on the
-    condition of Karush, Kuhn and Tucker. Where the way ends before, or an orbit at the targets passes through a wall (a
-    virtual orbit), `met` is False, `why` tells what ended it, and the scene, change and values are those of the last
-    point on the way whose orbits are all admissible, to 1/256 of the way. max_seconds: wall-clock time, s, after which
-    no further place on the way is looked for, which `why` then tells; None is no limit.
+    Returns
+    -------
+    Placement
+        The new scene, the change and the values.
 
-    Raises ArgumentError for arguments that cannot be: a free number that is the parameter, one without a unit, more
-    targets than free numbers.
+    Raises
+    ------
+    ArgumentError
+        If a free parameter is the placed parameter, if a unit is missing or not positive, if there are more targets
+        than free parameters, or if another argument is invalid.
+
+    See Also
+    --------
+    located : Special points as functions of scenes.
+    sensitivity : Derivatives of the value of a special point.
+
+    Notes
+    -----
+    The targets are approached along the straight path from the present values. Newton's method solves the
+    Karush-Kuhn-Tucker conditions at each point of the path. If the path ends before the targets, or if an orbit at the
+    targets is inadmissible, ``met`` is False, ``why`` states the reason, and the scene, change and values are those of
+    the last point on the path whose orbits are all admissible, to 1/256 of the path.
+
+    Examples
+    --------
+    >>> special = branch.points("SN")[0]
+    >>> placed = jv.place(special, None, 0.55, {"damping": 0.01})
+    >>> round(float(placed.scene.damping), 6)
+    0.060462
     """
     limits = limits_of(None, max_seconds, None, check.ArgumentError)
     sources = tuple(what) if isinstance(what, list | tuple) else (what,)
@@ -122,21 +216,21 @@ def place(
     first_special = next((source for source in sources if isinstance(source, Special)), None)
     start_scene = scene if scene is not None else getattr(first_special, "scene", None)
     if not isinstance(start_scene, Scene):
-        raise check.ArgumentError("scene", "must be a Scene, where no Special is given", scene)
+        raise check.ArgumentError("scene", "must be a Scene if no Special is given", scene)
     if not all(callable(function) for function in value_functions):
-        raise check.ArgumentError("what", "must be a Special, or a function of a scene", what)
+        raise check.ArgumentError("what", "must be a Special or a function of a scene", what)
     free = check_units(start_scene, free)
     target_names = {function.name for function in value_functions if isinstance(function, Located)}
     for key in target_names & set(free):
-        raise check.ArgumentError(f"free.{key}", "must be none of the parameters that have the target", free[key])
+        raise check.ArgumentError(f"free.{key}", "must not be a parameter that is placed", free[key])
     if (
         target_values.shape != (len(value_functions),)
         or not np.isfinite(target_values).all()
         or len(target_values) > len(free)
     ):
         rule = (
-            f"must be a finite number for each of {len(value_functions)} values, and no more than free numbers,"
-            f" {len(free)}"
+            f"must be a finite number for each of {len(value_functions)} values, and at most as many as free"
+            f" parameters, {len(free)}"
         )
         raise check.ArgumentError("target", rule, target)
     problem = _make_problem(start_scene, free, bounds or {}, value_functions)
@@ -153,9 +247,8 @@ def _make_problem(scene, free, bounds, value_functions):
         return values, values
 
     jacobian_function = jax.vmap(jax.jacrev(evaluate_values, has_aux=True))
-    if not all(
-        isinstance(function, Located) for function in value_functions
-    ):  # what a special point calls is compiled once for all
+    # The functions that a special point calls are compiled already.
+    if not all(isinstance(function, Located) for function in value_functions):
         jacobian_function = jax.jit(jacobian_function)
 
     def evaluate(changes):
@@ -175,15 +268,18 @@ def _make_problem(scene, free, bounds, value_functions):
 
 
 def _approach_targets(problem, target_values, limits=UNLIMITED):
-    """(the last admissible `_PathPoint`, which numbers are at a bound there, or stop it, the kinds of points that are
-    virtual beyond it). limits: no further place is looked for once their time is over."""
+    """Follow the path to the targets within the time limits.
+
+    Returns the last admissible `_PathPoint`, a mask of the parameters that are at a bound there or block the path, and
+    the kinds of the points that are inadmissible beyond it.
+    """
     n_params = len(problem.names)
     path_point = last_admissible = _PathPoint(
         0.0, np.zeros(n_params), np.zeros(len(target_values)), np.zeros(n_params, bool), 0.0
     )
     start_values = problem.evaluate(_difference_points(path_point.change))[0][0]
     if not np.isfinite(start_values).all():
-        raise check.ArgumentError("scene", "must have the points that are to be placed", start_values)
+        raise check.ArgumentError("scene", "must have all points that are to be placed", start_values)
 
     def solve_at(path_point, fraction):
         solution, blocking_bounds = _solve_within_bounds(
@@ -223,8 +319,11 @@ def _approach_targets(problem, target_values, limits=UNLIMITED):
 
 
 def _solve_within_bounds(problem, change, multipliers, at_bound, target_values):
-    """((change, multipliers, which numbers are at a bound, slope) of the least change with these values, within the
-    bounds, None where Newton's method leads to none; which numbers were at a bound last)."""
+    """Find the least change within the bounds that attains the target values, by an active-set method.
+
+    Returns the solution (change, multipliers, mask of the parameters at a bound, slope) and the last mask. The solution
+    is None if Newton's method fails.
+    """
     for _ in range(2 * len(change) + 1):
         solution = _solve_kkt(problem, change, multipliers, at_bound, target_values)
         if solution is None:
@@ -232,7 +331,7 @@ def _solve_within_bounds(problem, change, multipliers, at_bound, target_values):
         change, multipliers, gradient, slope = solution
         excess = np.where(at_bound, 0.0, np.maximum(change - problem.upper, problem.lower - change))
         release_rates = np.where(change >= problem.upper, -gradient, gradient)
-        release_excess = np.where(at_bound, release_rates, 0.0)  # a bound that holds what would leave it
+        release_excess = np.where(at_bound, release_rates, 0.0)  # positive if a parameter would leave its bound inwards
         if excess.max() > ROUNDING_TOLERANCE:
             worst_index = int(np.argmax(excess))
             at_bound = at_bound | (np.arange(len(at_bound)) == worst_index)
@@ -245,13 +344,16 @@ def _solve_within_bounds(problem, change, multipliers, at_bound, target_values):
 
 
 def _difference_points(change):
-    """Places about one, itself first."""
+    """Return the points of central differences about a change; the first is the change itself."""
     steps = DIFFERENCE_STEP * np.eye(len(change))
     return np.concatenate([change[None], change + steps, change - steps])
 
 
 def _solve_kkt(problem, change, multipliers, at_bound, target_values):
-    """(change, multipliers, what pulls each number, the largest of it that is left) by Newton's method; None."""
+    """Solve the Karush-Kuhn-Tucker conditions by Newton's method.
+
+    Returns (change, multipliers, negative gradient of the Lagrangian, largest free component of the gradient), or None.
+    """
     n_params, n_targets, step_length, is_free = len(change), len(target_values), np.inf, ~at_bound
     for _ in range(MAX_ITERATIONS):
         values, jacobians = problem.evaluate(_difference_points(change))
@@ -313,15 +415,18 @@ def _make_placement(scene, problem, target_values, path_point, at_bound, virtual
 
 
 def _failure_reason(fraction, virtual_kinds, names, is_expired=False):
-    """What stands in the way to the targets; "" where they are met. virtual_kinds: kinds of points whose orbits pass
-    through a wall beyond; names: of numbers at a bound; is_expired: whether the time was over."""
+    """State why the path to the targets ends, or return an empty string if they are attained.
+
+    `virtual_kinds` are the kinds of points whose orbits are inadmissible beyond the end, `names` the parameters at a
+    bound.
+    """
     if fraction == 1.0:
         return ""
-    cause = "the point cannot be followed on (it meets another, or the value has an extreme there)"
+    cause = "the point cannot be continued (it meets another point, or its value has an extremum)"
     if is_expired:
         cause = EXPIRED_REASON
     elif virtual_kinds:
-        cause = f"beyond, the {virtual_kinds[0]}'s orbit passes through a wall"
+        cause = f"the orbit of the {virtual_kinds[0]} passes through a wall beyond it"
     elif names:
         cause = f"{', '.join(names)} {'are' if len(names) > 1 else 'is'} at a bound"
-    return f"the way ends after {fraction:.3g} of it: {cause}"
+    return f"the path to the targets ends after {fraction:.3g} of its length: {cause}"

@@ -1,12 +1,12 @@
-"""The defining equations of a special point: a regular root, as smooth as the orbit's own equations are.
+"""Define the equations of a special point as a regular root problem, as smooth as the equations of the orbit.
 
-Unknowns are the impacts' times and speeds, and how far the point is from a scene along a direction in the space of all
-its numbers: along one of its parameters, or any other. At a GR one speed is zero, and no unknown. At an
-SN, PD or SB a matrix J is singular, and its null vector is unknown too: F = 0, J v = 0, v v = 1 (Moore and Spence 1980,
-SIAM J. Numer. Anal. 17, 567, have l v = 1, which fails where v has turned until it is across l). J is the derivative of
-F by times and speeds, closed as the kind asks: at a PD what comes after the last impact is the opposite of what came
-before. An SB is one of half the orbit, whose other half is its mirror image; the scene is then taken by its symmetric
-part, as no other has an SB.
+Unknowns are the times and speeds of the impacts, and the distance of the point from a scene along a direction in the
+space of all its numbers: one of its parameters, or any other. At a GR one speed is zero and is not an unknown. At an
+SN, PD or SB a matrix J is singular, and its null vector v is unknown too: ``F = 0``, ``J v = 0``, ``v v = 1``. (Moore
+and Spence 1980, SIAM J. Numer. Anal. 17, 567, use ``l v = 1``, which fails once v has turned perpendicular to l.) J is
+the derivative of F with respect to times and speeds, with the closure of the kind: at a PD the perturbation after the
+last impact is the opposite of that before. At an SB the orbit is represented by one half, and the other is its mirror
+image. The scene is then replaced by its symmetric part, because no other scene has an SB.
 """
 
 from dataclasses import dataclass, field, replace
@@ -34,8 +34,11 @@ STATIC = {"static": True}
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class PointEquations:
-    """What is zero at a special point, a pytree. kind; is_grazing: whether the first impact is one without speed, as at
-    a GR; tree: of the scene's numbers; sequence: the impacts, of half the orbit at an SB."""
+    """Equations of a special point, a pytree.
+
+    `is_grazing` states whether the first impact has zero speed, as at a GR. `tree` is the tree structure of the scene.
+    `sequence` holds the impacts, at an SB of one half of the orbit.
+    """
 
     kind: str = field(metadata=STATIC)
     is_grazing: bool = field(metadata=STATIC)
@@ -44,16 +47,16 @@ class PointEquations:
 
     @property
     def n_orbit_unknowns(self) -> int:
-        """How many times and speeds are unknown: how far comes after them."""
+        """Number of unknown times and speeds; the distance follows them."""
         return 2 * len(self.sequence.sides) - self.is_grazing
 
     def scene_at(self, scene_vector: Parameters) -> Scene:
-        """The scene with these numbers, (numbers,), of which an SB takes the symmetric part."""
+        """Return the scene with these numbers, (numbers,), at an SB its symmetric part."""
         scene = self.tree.unflatten(list(scene_vector))
         return symmetrise_scene(scene) if self.kind == "SB" else scene
 
     def sequence_at(self, unknowns: Unknowns) -> ImpactSequence:
-        """The `ImpactSequence` with these unknowns."""
+        """Return the `ImpactSequence` with these unknowns."""
         n_rows = len(self.sequence.sides)
         times, speeds = unknowns[:n_rows], unknowns[n_rows : self.n_orbit_unknowns]
         if self.is_grazing:
@@ -61,22 +64,24 @@ class PointEquations:
         return self.sequence._replace(times=times, speeds=speeds)
 
     def residual(self, unknowns: Unknowns, scene_vector: Parameters, direction: Parameters) -> Unknowns:
-        """What is to be zero: the point is to lie so far from a scene with these numbers, along a direction of them."""
+        """Return the residual of the point at its unknown distance from the scene along a direction."""
         coeffs = flow_coefficients(self.scene_at(scene_vector + unknowns[self.n_orbit_unknowns] * direction))
         residual, derivatives = impact_equations.residual_and_jacobian(coeffs, self.sequence_at(unknowns))
         if self.is_grazing:
             return residual
         null_vector = unknowns[self.n_orbit_unknowns + 1 :]
-        norm_defect = (
-            sum(component * component for component in null_vector) - 1.0
-        )  # a sum of products would be one of matrices
+        # The kernels of many lanes take no matrix products.
+        norm_defect = sum(component * component for component in null_vector) - 1.0
         return jnp.concatenate(
             [residual, _jacobian_product(derivatives, null_vector, CLOSURE_MULTIPLIER[self.kind]), norm_defect[None]]
         )
 
 
 def _jacobian_product(derivatives, null_vector, multiplier):
-    """J times a change of times and speeds, row by row: the kernels of many lanes take no products of matrices."""
+    """Return J times a change of times and speeds, row by row.
+
+    The kernels of many lanes take no matrix products.
+    """
     ((a, b), (c, d)), (e, f) = derivatives.diagonal, derivatives.coupling
     times, speeds = jnp.split(null_vector, 2)
     next_times, next_speeds = (
@@ -88,8 +93,11 @@ def _jacobian_product(derivatives, null_vector, multiplier):
 
 
 def equations_at_point(kind, problem, z):
-    """(`PointEquations`, times and speeds, how far from a scene whose parameter is zero, null vector) at a point of a
-    curve, as a locus begins with it (`loci.first_point`), in one row."""
+    """Return the `PointEquations` and their unknowns at the start of a locus (`locus_start.locus_problems`).
+
+    The unknowns are times and speeds, the distance from a scene whose parameter is zero, and the null vector, in one
+    row.
+    """
     n_rows, n_impacts = len(problem.sequence.sides), int(np.sum(problem.sequence.sides != 0))
     times, speeds, sides = z[:n_impacts], z[n_rows : n_rows + n_impacts], problem.sequence.sides[:n_impacts]
     row_data = {
@@ -108,7 +116,7 @@ def equations_at_point(kind, problem, z):
 
 
 def grazing_equations(treedef, sequence, grazing_row, value, frequency):
-    """(`PointEquations`, unknowns) of a GR at which the impact in a row has no speed: it becomes the first."""
+    """Return the `PointEquations` and unknowns of a GR; the impact with zero speed becomes the first."""
     period_shift = np.where(
         np.arange(len(sequence.sides)) < grazing_row, float(sequence.periods) * 2.0 * np.pi / frequency, 0.0
     )
@@ -122,18 +130,18 @@ def grazing_equations(treedef, sequence, grazing_row, value, frequency):
 
 
 def _select_rows(row_data, rows):
-    """Some rows of what a cycle marks them by, None: of nothing."""
+    """Select rows of an optional per-row array of a sequence."""
     return None if row_data is None else row_data[rows]
 
 
 def null_vector_at(equations, scene_vector):
-    """The null vector of J, or what comes nearest to one, where its own impacts are in a scene with these numbers."""
+    """Return the null vector of J, or the closest to one, in a scene with these numbers."""
     return augmented_systems.null_vector(np.asarray(closed_jacobian(equations, jnp.asarray(scene_vector))))
 
 
 @jax.jit
 def closed_jacobian(equations, scene_vector):
-    """J, where the point's own impacts are in a scene with these numbers."""
+    """Return J for the impacts of the equations in a scene with these numbers."""
     derivatives = impact_equations.residual_and_jacobian(
         flow_coefficients(equations.scene_at(scene_vector)), equations.sequence
     )[1]
@@ -141,8 +149,10 @@ def closed_jacobian(equations, scene_vector):
 
 
 def complete_scene(scene):
-    """The scene with all numbers of its walls their own, and a hardness of soft walls to be added: a tree of arrays
-    that is the same for all scenes with walls of these kinds."""
+    """Return the scene with explicit numbers for all walls, and a hardness for soft walls.
+
+    The tree of arrays is the same for all scenes with walls of these kinds.
+    """
     wall_values = {f"{side}.{name}": scene.parameter(name) for side, wall in scene.walls.items() for name in wall.taken}
     scene = replace_unchecked(scene, wall_values)
     if scene.hardens and scene.harder is None:
@@ -151,8 +161,10 @@ def complete_scene(scene):
 
 
 def parameter_mask(scene, name):
-    """1 at the numbers of the `complete_scene` scene that a parameter stands for, walls that take it from the scene
-    among them, else 0: (numbers,)."""
+    """Return 1 at the numbers of the complete scene that a parameter sets, else 0; (numbers,).
+
+    Walls that inherit the parameter from the scene are included.
+    """
     inherited_names = [f"{side}.{name}" for side, wall in scene.walls.items() if name in wall.taken]
     zero_scene = jax.tree.map(lambda leaf: 0.0, complete_scene(scene))
     if name == "hardness":

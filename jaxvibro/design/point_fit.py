@@ -1,4 +1,4 @@
-"""Numbers of scenes fitted to values of special points, by Gauss and Newton, through `located`."""
+"""Fit parameters of scenes to values of special points by the Gauss-Newton method, with `located`."""
 
 from typing import NamedTuple
 
@@ -12,21 +12,35 @@ from ..scene.scene import replace_unchecked
 from .located import located
 from .located_point import Located
 
-MAX_ITERATIONS, STEP_TOLERANCE = 60, 1e-12  # of Newton's steps; one as short, in scales, is the last
-ROUNDING_STEP = (
-    1e-8  # scales: of steps that are shorter, one that is no shorter than the one before is the last: rounding
-)
-MAX_STEP = 2.0  # scales: the longest step
-BOUND_FRACTION = 0.25  # of the way to a bound is kept
-MIN_FRACTION = 1.0 / 64.0  # of a step
-COST_TOLERANCE = 1e-12  # of the squares' sum
+MAX_ITERATIONS, STEP_TOLERANCE = 60, 1e-12  # Gauss-Newton steps; a shorter step, in scales, is the last
+# In scales: a shorter step that is no shorter than its predecessor is rounding, and is the last.
+ROUNDING_STEP = 1e-8
+MAX_STEP = 2.0  # longest step, in scales
+BOUND_FRACTION = 0.25  # fraction of the distance to a bound that a step keeps
+MIN_FRACTION = 1.0 / 64.0  # smallest fraction of a step
+COST_TOLERANCE = 1e-12  # relative tolerance of the cost
 TINY = 1e-300
-RANK_TOLERANCE = 1e-9  # of the strongest combination: a weaker one is not felt by the points, and held
+RANK_TOLERANCE = 1e-9  # relative to the strongest combination: a weaker one is undetermined and held
 
 
 class PointFunctions(NamedTuple):
-    """Values of special points as functions of numbers: the functions, what was published, its errors, the names of
-    each number, of several that are one, and their scales."""
+    """Values of special points as functions of parameters.
+
+    Attributes
+    ----------
+    functions : tuple of Located
+        Functions of the points.
+    values : ndarray
+        Published values, array of shape (points,).
+    sigma : ndarray
+        Standard errors of the published values, array of shape (points,).
+    name_groups : tuple of tuple of str
+        Names of each parameter.
+    scales : ndarray
+        Scales of the parameters, array of shape (numbers,).
+    lower, upper : ndarray
+        Bounds of the parameters, arrays of shape (numbers,).
+    """
 
     functions: tuple[Located, ...]
     values: Float[np.ndarray, " points"]
@@ -38,8 +52,20 @@ class PointFunctions(NamedTuple):
 
 
 class PointFit(NamedTuple):
-    """numbers; residuals: values less published ones, in errors; jacobian: their derivatives by numbers in scales; met:
-    whether the last step was a short one."""
+    """Fitted parameters.
+
+    Attributes
+    ----------
+    parameters : ndarray
+        Values of the parameters, array of shape (numbers,).
+    residuals : ndarray
+        Computed minus published values, in standard errors. Array of shape (points,).
+    jacobian : ndarray
+        Derivatives of `residuals` with respect to the parameters in units of their scales. Array of shape (points,
+        numbers).
+    converged : bool
+        True if the iteration has converged.
+    """
 
     parameters: Float[np.ndarray, " numbers"]
     residuals: Float[np.ndarray, " points"]
@@ -48,21 +74,24 @@ class PointFit(NamedTuple):
 
 
 def make_point_functions(record, name_groups, scales, lower, upper):
-    """The `PointFunctions` of a `PointRecord`."""
+    """Make the `PointFunctions` of a `PointRecord`."""
     functions = tuple(located(point, None, wall) for point, wall in zip(record.points, record.walls, strict=True))
     for point in functions:
         for name in (group_name for name_group in name_groups for group_name in name_group):
             check.require_parameter(name, point.special.scene.names, name)
             if name == point.name:
-                raise check.ArgumentError(f"free.{name}", "must not be what a point's value is of", name)
+                raise check.ArgumentError(f"free.{name}", "must not be the parameter of a point", name)
     return PointFunctions(
         functions, record.values, np.full(len(functions), record.sigma), name_groups, scales, lower, upper
     )
 
 
 def fit_points(points, parameters):
-    """The least squares from numbers on: `PointFit`; None where a point exists at none of the numbers on the way
-    there."""
+    """Solve the least-squares problem from initial parameters.
+
+    The iteration starts at `parameters`, or at the nearest tested parameters at which all points exist, on the line
+    from the parameters of the points. Returns None if there are none.
+    """
     own_values = np.array(
         [
             [float(function.special.scene.parameter(name_group[0])) for name_group in points.name_groups]
@@ -87,7 +116,10 @@ def fit_points(points, parameters):
 
 
 def _nearest_solvable_fit(points, own_values, parameters):
-    """The `PointFit` at numbers, or as near on the way from the points' own as all of them exist."""
+    """Return the `PointFit` at parameters, or at the nearest tested parameters at which all points exist.
+
+    The tested parameters lie on the line from the parameters of the points.
+    """
     fraction = 1.0
     while fraction >= MIN_FRACTION:
         point_fit = _evaluate(points, own_values + fraction * (parameters - own_values))
@@ -98,7 +130,7 @@ def _nearest_solvable_fit(points, own_values, parameters):
 
 
 def _take_step(points, point_fit, step):
-    """The `PointFit` after as much of a step as makes it no worse; None where none does."""
+    """Return the `PointFit` after the largest tried fraction of a step that does not increase the cost, or None."""
     fraction, max_cost = 1.0, (1.0 + COST_TOLERANCE) * (point_fit.residuals @ point_fit.residuals)
     while fraction >= MIN_FRACTION:
         next_fit = _evaluate(points, point_fit.parameters + fraction * step * points.scales)
@@ -111,7 +143,7 @@ def _take_step(points, point_fit, step):
 
 
 def _max_step_fraction(points, parameters, step):
-    """How much of a step is taken at most."""
+    """Return the largest admissible fraction of a step."""
     fractions = [1.0, MAX_STEP / max(float(abs(step).max()), TINY)]
     for parameter, change, lower, upper in zip(
         parameters, step * points.scales, points.lower, points.upper, strict=True
@@ -123,7 +155,7 @@ def _max_step_fraction(points, parameters, step):
 
 
 def _evaluate(points, parameters):
-    """The `PointFit` at numbers, None where a point is not reached."""
+    """Return the `PointFit` at parameters, or None if a point does not exist."""
     residuals, jacobian = [], []
     for function, value, sigma in zip(points.functions, points.values, points.sigma, strict=True):
         scene = function.special.scene

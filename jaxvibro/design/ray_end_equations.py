@@ -1,4 +1,4 @@
-"""From what ended a ray to the equations of the special point there."""
+"""Set up the equations of the special point that ends a ray."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -9,12 +9,15 @@ from ..scene.symmetry import is_symmetric
 from .point_equations import PointEquations, grazing_equations, null_vector_at
 from .rays import RayEnd
 
-SAME_IMPACT_TOLERANCE = 1e-6  # of the largest speed: two impacts as near are one
+SAME_IMPACT_TOLERANCE = 1e-6  # relative to the largest speed: impacts closer than this coincide
 
 
 def equations_at_ray_end(treedef, sequence, scene_vector, ray_result):
-    """(kind, `PointEquations`, unknowns) near the end of a ray, of the scene with these numbers. ray_result: the `Ray`;
-    cycle: of the orbit that was followed. How far along a direction the point lies is left to the caller, 0."""
+    """Return (kind, `PointEquations`, unknowns) near the end of a `Ray` in the scene with these numbers.
+
+    `sequence` is that of the orbit that was followed. The distance along a direction is set to 0 and is left to the
+    caller.
+    """
     unknowns, n_impacts = np.asarray(ray_result.unknowns), len(sequence.sides)
     columns = [*np.split(unknowns, 2), np.asarray(sequence.sides)] if n_impacts else [np.zeros(0)] * 3
     sequence = sequence._replace(**dict(zip(("times", "speeds", "sides"), map(jnp.asarray, columns), strict=True)))
@@ -23,7 +26,7 @@ def equations_at_ray_end(treedef, sequence, scene_vector, ray_result):
     kind = "SN" if ray_result.end == RayEnd.FOLD else "PD"
     if kind == "SN" and _is_symmetric_orbit(treedef, sequence, scene_vector):
         null_vector = null_vector_at(PointEquations("SN", False, treedef, sequence), scene_vector)
-        halves = null_vector.reshape(2, 2, -1)  # times and speeds, of the first half and of the second
+        halves = null_vector.reshape(2, 2, -1)  # axes: times or speeds, first or second half, impact
         if np.sum(halves[:, 0] * halves[:, 1]) < 0:
             kind, half_count = "SB", n_impacts // 2
             half_columns = {
@@ -39,7 +42,7 @@ def equations_at_ray_end(treedef, sequence, scene_vector, ray_result):
 
 
 def _is_symmetric_orbit(treedef, sequence, scene_vector):
-    """Whether the orbit is its own mirror image."""
+    """Check that the orbit is its own mirror image."""
     scene = treedef.unflatten([np.asarray(number) for number in scene_vector])
     if len(sequence.sides) % 2 or not is_symmetric(scene):
         return False
@@ -51,7 +54,7 @@ def _is_symmetric_orbit(treedef, sequence, scene_vector):
 
 
 def _grazing_point(treedef, sequence, scene_vector, ray_result):
-    """The touch as an impact without speed."""
+    """Return the GR with the grazing contact as an impact with zero speed."""
     scene = treedef.unflatten([np.asarray(array) for array in scene_vector])
     times, speeds, sides = (np.asarray(array) for array in (sequence.times, sequence.speeds, sequence.sides))
     if ray_result.end == RayEnd.ZERO_SPEED:

@@ -1,9 +1,8 @@
-"""Straight ways from an orbit's scene to others: how far an orbit can be followed, and what ends it.
+"""Follow an orbit along straight paths in parameter space and find what ends each path.
 
-The orbit is followed by Newton's method on its impacts in steps along each way. After each it is asked whether its
-equations have become singular (fold), whether its period doubles (flip), whether a flight meets a wall (touch) or an
-impact has lost its speed (slow); a step that comes to none of its orbits is halved, and where it becomes too short the
-orbit has ended in a fold.
+Newton's method follows the impacts of the orbit in steps along each path. After each step, four test functions are
+evaluated: the equations become singular (fold), the period doubles (flip), a flight grazes a wall (touch), or an impact
+loses its speed (zero speed). A step that fails is halved. If it becomes too short, the orbit has ended in a fold.
 """
 
 from enum import IntEnum
@@ -26,13 +25,13 @@ from ..flight.coefficients import flow_coefficients
 from ..orbits import cyclic_system, flight_clearance, impact_equations
 from ..orbits.impact_equations import MAX_TIME_CHANGE
 
-MIN_STEPS = 32.0  # at least, to the end of a way
-END_TOLERANCE = 2.0**-10  # of the way: so near is the end known
-MAX_CHANGE = 0.1  # of 1 + the largest unknown: the most that a step changes
+MIN_STEPS = 32.0  # smallest number of steps of a path
+END_TOLERANCE = 2.0**-10  # accuracy of the end, relative to the path
+MAX_CHANGE = 0.1  # relative to 1 + the largest unknown: largest change in a step
 
 
 class RayEnd(IntEnum):
-    """What ends a way: NONE: the orbit was followed all along it."""
+    """Event that ends a path; NONE if the orbit was followed along all of it."""
 
     NONE = 0
     FOLD = 1
@@ -42,9 +41,12 @@ class RayEnd(IntEnum):
 
 
 class Ray(NamedTuple):
-    """fraction: of the way, the last place where the orbit is known; unknowns: times, then speeds, there; end: a
-    `RayEnd` just beyond; row, wall, time: of a touch: the flight after that impact, the wall's place among the walls,
-    the time since the section's phase; of an impact without speed its row."""
+    """Result of following a path.
+
+    `fraction` of the path up to which the orbit is known, with its `unknowns` (times, then speeds). `end` is the
+    `RayEnd` just beyond. For a grazing (TOUCH), `row` is the impact before the flight, `wall` the index of the wall,
+    and `time` the time since the phase of the section. For an impact with zero speed, `row` is its row.
+    """
 
     fraction: Float[ArrayLike, "*ways"]
     unknowns: Float[ArrayLike, "*ways unknowns"]
@@ -55,6 +57,8 @@ class Ray(NamedTuple):
 
 
 class _OrbitTests(NamedTuple):
+    """Test functions of an orbit, and the event that ends it."""
+
     fold: Float[Array, ""]
     flip: Float[Array, ""]
     min_clearance: Float[Array, ""]
@@ -66,16 +70,19 @@ class _OrbitTests(NamedTuple):
 
 @partial(jax.jit, static_argnums=0)
 def follow_rays(treedef, sequence, scene_vector, displacements):
-    """The `Ray`s from an orbit, a `Cycle` without empty rows, of the scene with these numbers, (numbers,), along ways,
-    (ways, numbers): what is added to them at the end. Or each from an orbit of its own: cycle and numbers have the
-    ways' axis first."""
+    """Return the `Ray` of each path from an orbit.
+
+    `sequence` is an `ImpactSequence` without empty rows, in the scene with the numbers `scene_vector`, (numbers,).
+    `displacements` are added to these at the end of each path, (paths, numbers). If each path has its own orbit,
+    `sequence` and `scene_vector` have the axis of the paths first.
+    """
     follow = loop_over_lanes(partial(_follow_ray, treedef), call_as_kernel)
     batch_axis = 0 if jnp.ndim(scene_vector) > 1 else None
     return jax.vmap(follow, in_axes=(batch_axis, batch_axis, 0))(sequence, scene_vector, displacements)
 
 
 def _follow_ray(treedef, sequence, scene_vector, displacement):
-    """The `Ray`; of an orbit without impacts the unknowns are x and v at the section."""
+    """Return the `Ray` of one path; without impacts the unknowns are x and v at the section."""
     has_impacts = bool(len(sequence.sides))
     start_unknowns = jnp.concatenate([sequence.times, sequence.speeds])
     max_changes = jnp.where(jnp.arange(len(start_unknowns)) < len(sequence.sides), MAX_TIME_CHANGE, jnp.inf)
@@ -140,13 +147,16 @@ def _follow_ray(treedef, sequence, scene_vector, displacement):
 
 
 def sequence_at(sequence, unknowns):
-    """The `Cycle` with these times and speeds."""
+    """Return the `ImpactSequence` with these times and speeds."""
     return sequence._replace(times=unknowns[: len(sequence.sides)], speeds=unknowns[len(sequence.sides) :])
 
 
 def bifurcation_tests(coeffs, sequence, unknowns):
-    """The determinants that vanish at a fold and at a period doubling, the least clearance, the least speed, in a row:
-    of an orbit without impacts 1, 1, the clearance and infinity."""
+    """Return four test functions.
+
+    They are the determinants that vanish at a fold and at a period doubling, the smallest clearance, and the smallest
+    speed. Without impacts they are 1, 1, the clearance and infinity.
+    """
     if len(sequence.sides):
         orbit_tests, min_speed = _impact_tests(coeffs, sequence, unknowns), jnp.min(sequence.speeds)
     else:
@@ -157,7 +167,7 @@ def bifurcation_tests(coeffs, sequence, unknowns):
 
 
 def free_response(coeffs, sequence):
-    """x and v at the section of the motion that meets no wall."""
+    """Return x and v at the section of the motion without impacts."""
     return _solve_free_orbit(coeffs, sequence).unknowns
 
 
@@ -186,7 +196,7 @@ def _impact_tests(coeffs, sequence, _):
 
 
 def _closest_approach(coeffs, flights, start_times):
-    """(the least distance at a turning point, inf: none; the flight's row, the wall's place, the time)."""
+    """Return (smallest clearance at a turning point or inf, row of the flight, index of the wall, time)."""
     min_clearances, turning_time = flight_clearance.turning_clearances(
         coeffs, flights, flight_clearance.sample_count(coeffs, flights)
     )
@@ -206,7 +216,7 @@ def _closest_approach(coeffs, flights, start_times):
 
 
 def _solve_free_orbit(coeffs, sequence):
-    """`newton.Solved` of the motion that meets no wall."""
+    """Return the `NewtonSolution` of the motion without impacts."""
     duration = sequence.periods * coeffs.period
     (p00, p01, p11), forced_response = flow.flight_responses(coeffs.frequency, coeffs.damping, duration)
     phasor = jnp.cos(sequence.phase), jnp.sin(sequence.phase)

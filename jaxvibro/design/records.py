@@ -1,4 +1,4 @@
-"""What was measured: small frozen records, checked as they are made."""
+"""Define records of measurements: impacts, samples and special points. Each record is checked when it is made."""
 
 from dataclasses import dataclass, replace
 
@@ -13,11 +13,36 @@ from ..scene.scene import SIDES, Scene
 
 @dataclass(frozen=True, eq=False)
 class ImpactRecord:
-    """Impacts of one motion, in order. times: in t, since the drive was at `phase`, (impacts,); sides: -1 left, 1
-    right; sigma: the error of a time, one for all; phase: rad, None where it is not known; flawed: whether impacts may
-    be missing from the record, or be in it that are none.
+    """Record of the impacts of one motion.
 
-    Raises ArgumentError for what is not finite, not in order, or of different lengths.
+    Parameters
+    ----------
+    times : array_like
+        Times of the impacts in order, since the drive was at `phase`. Array of shape (impacts,).
+    sides : array_like
+        Side of each impact, -1 left, 1 right. Array of shape (impacts,).
+    sigma : float
+        Standard error of a time, the same for all.
+    phase : float or None, optional
+        Phase of the drive at time 0, in rad. None if it is unknown.
+    flawed : bool, optional
+        Whether impacts may be missing from the record or spurious.
+
+    Raises
+    ------
+    ArgumentError
+        If an array is not finite, if the times are not in order, or if the lengths differ.
+
+    See Also
+    --------
+    fit : Fit parameters of a scene to a record.
+    record_from_physical : Convert a record from physical units.
+
+    Examples
+    --------
+    >>> record = jv.ImpactRecord(times=[0.16, 1.66, 3.16], sides=[1, -1, 1], sigma=0.01)
+    >>> record.times.shape, record.flawed
+    ((3,), True)
     """
 
     times: Float[np.ndarray, " impacts"] | Real[ArrayLike, " impacts"]
@@ -42,12 +67,40 @@ class ImpactRecord:
 
 @dataclass(frozen=True, eq=False)
 class SampleRecord:
-    """Samples of one motion, in order: a record of x(t), or a section. times: in t, since the drive was at `phase`,
-    (samples,); x: positions; sigma: the error of a position, one for all; v: velocities, None where they are not
-    measured; sigma_v: the error of a velocity, sigma where it is not given; phase: rad, None where it is not known. A
-    section has v, and times that are a period apart.
+    """Record of samples of one motion: a time series of x(t), or a Poincaré section.
 
-    Raises ArgumentError for what is not finite, not in order, or of different lengths.
+    A section has `v`, and times that are one period apart.
+
+    Parameters
+    ----------
+    times : array_like
+        Increasing times of the samples, since the drive was at `phase`. Array of shape (samples,).
+    x : array_like
+        Positions in lengths of the scene. Array of shape (samples,).
+    sigma : float
+        Standard error of a position, the same for all.
+    v : array_like, optional
+        Velocities. Array of shape (samples,). None if they are not measured.
+    sigma_v : float, optional
+        Standard error of a velocity. By default `sigma`.
+    phase : float or None, optional
+        Phase of the drive at time 0, in rad. None if it is unknown.
+
+    Raises
+    ------
+    ArgumentError
+        If an array is not finite, if the times are not in order, or if the lengths differ.
+
+    See Also
+    --------
+    fit : Fit parameters of a scene to a record.
+    record_from_physical : Convert a record from physical units.
+
+    Examples
+    --------
+    >>> record = jv.SampleRecord(times=[0.0, 0.1, 0.2], x=[0.9, 0.79, 0.68], sigma=0.01)
+    >>> record.measured[0].shape
+    (3, 1)
     """
 
     times: Float[np.ndarray, " samples"] | Real[ArrayLike, " samples"]
@@ -66,7 +119,7 @@ class SampleRecord:
             if column is not None:
                 object.__setattr__(self, key, _parse_matching_row(key, column, times))
         if self.v is None and self.sigma_v is not None:
-            raise check.ArgumentError("sigma_v", "must be left out where there is no v", self.sigma_v)
+            raise check.ArgumentError("sigma_v", "must be omitted if v is not given", self.sigma_v)
         object.__setattr__(self, "sigma", positive_number("sigma", self.sigma))
         if self.sigma_v is not None:
             object.__setattr__(self, "sigma_v", positive_number("sigma_v", self.sigma_v))
@@ -74,7 +127,10 @@ class SampleRecord:
 
     @property
     def measured(self) -> tuple[Float[np.ndarray, "samples channels"], Float[np.ndarray, " channels"]]:
-        """(what was measured, x first, (samples, 1) or (samples, 2); the errors of both)."""
+        """Measured values and their errors.
+
+        A tuple of the values, ``x`` first, of shape (samples, 1) or (samples, 2), and the standard errors of both.
+        """
         if self.v is None:
             return np.asarray(self.x)[:, None], np.array([self.sigma])
         return np.stack([self.x, self.v], 1), np.array([self.sigma, self.sigma_v or self.sigma])
@@ -82,10 +138,37 @@ class SampleRecord:
 
 @check.host_only("multiply by what `scene.scales` says")
 def record_from_physical(record: ImpactRecord | SampleRecord, scene: Scene) -> ImpactRecord | SampleRecord:
-    """A record in seconds, metres and m/s, errors included, as a scene with scales measures it: another record of its
-    kind, for `fit`.
+    """Convert a record in seconds, metres and metres per second to the units of a scene.
 
-    Raises ArgumentError for what is no such record, and where the scene has no scales.
+    Parameters
+    ----------
+    record : ImpactRecord or SampleRecord
+        Record in s, m and m/s. The errors have the same units.
+    scene : Scene
+        Scene with scales.
+
+    Returns
+    -------
+    ImpactRecord or SampleRecord
+        Record of the same kind, in units of the scene, for `fit`.
+
+    Raises
+    ------
+    ArgumentError
+        If `record` is of another type, or if the scene has no scales.
+
+    See Also
+    --------
+    scene_from_physical : Make a scene with scales.
+
+    Examples
+    --------
+    >>> rig = jv.scene_from_physical(
+    ...     mass=1.0, stiffness=100.0, damping=1.0, force=2.0, frequency_hz=3.0, restitution=0.7, walls=(-0.01, 0.01)
+    ... )
+    >>> record = jv.ImpactRecord(times=[0.1, 0.25, 0.4], sides=[1, -1, 1], sigma=0.001)
+    >>> jv.record_from_physical(record, rig).times
+    array([1. , 2.5, 4. ])
     """
     if not isinstance(record, ImpactRecord | SampleRecord):
         raise check.ArgumentError("record", "must be an ImpactRecord or a SampleRecord", record)
@@ -107,7 +190,25 @@ def record_from_physical(record: ImpactRecord | SampleRecord, scene: Scene) -> I
 
 
 def positive_number(key, value):
-    """A value as a plain number, refused where it is not finite and greater than 0."""
+    """Convert a value to a positive float.
+
+    Parameters
+    ----------
+    key : str
+        Name of the argument, for the error message.
+    value : float
+        Value to convert.
+
+    Returns
+    -------
+    float
+        The value.
+
+    Raises
+    ------
+    ArgumentError
+        If the value is not a finite number greater than 0.
+    """
     number = check.finite_array(key, value, np.float64)
     if number.ndim or number <= 0:
         raise check.ArgumentError(key, "must be a number greater than 0", value)
@@ -117,7 +218,7 @@ def positive_number(key, value):
 def _parse_matching_row(key, value, times):
     array = _parse_row(key, value)
     if len(array) != len(times):
-        raise check.ArgumentError(key, f"must be one for each time, {len(times)}", len(array))
+        raise check.ArgumentError(key, f"must have one entry for each time, {len(times)}", len(array))
     return array
 
 
@@ -134,17 +235,41 @@ def _parse_phase(value):
 def _parse_row(key, value):
     array = check.finite_array(key, value, np.float64)
     if array.ndim != 1 or not len(array):
-        raise check.ArgumentError(key, "must be a row of numbers, one at least", value)
+        raise check.ArgumentError(key, "must be a one-dimensional array with at least one number", value)
     return array
 
 
 @dataclass(frozen=True, eq=False)
 class PointRecord:
-    """Values of special points, as published. points: `Special`s of branches, SN, PD, SB or GR, each of the scene that
-    it is in but for the free numbers; values: of their parameters, (points,); sigma: their error; walls: "left" or
-    "right" of a GR that touches both at once, None of others, by default of all.
+    """Record of published values of special points.
 
-    Raises ArgumentError for what is not finite or of different lengths.
+    Parameters
+    ----------
+    points : tuple of Special
+        Special points of branches, of kind SN, PD, SB or GR. The scene of each is the scene of the measurement, except
+        for the free parameters.
+    values : array_like
+        Published parameter values. Array of shape (points,).
+    sigma : float
+        Standard error of the values, the same for all.
+    walls : tuple of str or None, optional
+        ``"left"`` or ``"right"`` for a GR that touches both walls at once, None for other points. By default None for
+        all.
+
+    Raises
+    ------
+    ArgumentError
+        If an array is not finite, or if the lengths differ.
+
+    See Also
+    --------
+    fit : Fit parameters of a scene to a record.
+
+    Examples
+    --------
+    >>> record = jv.PointRecord(branch.points("SN"), [0.52], sigma=0.01)
+    >>> record.walls
+    (None,)
     """
 
     points: tuple[Special, ...]
@@ -155,10 +280,10 @@ class PointRecord:
     def __post_init__(self) -> None:
         points, values = tuple(self.points), _parse_row("values", self.values)
         if len(points) != len(values):
-            raise check.ArgumentError("values", f"must be one for each point, {len(points)}", len(values))
+            raise check.ArgumentError("values", f"must have one entry for each point, {len(points)}", len(values))
         for point in points:
             if not isinstance(point, Special):
-                raise check.ArgumentError("points", "must be Specials", point)
+                raise check.ArgumentError("points", "must be special points of branches", point)
         walls = tuple(self.walls) or (None,) * len(points)
         if len(walls) != len(points) or not set(walls) <= {None, *SIDES}:
             raise check.ArgumentError("walls", 'must be "left", "right" or None for each point', self.walls)

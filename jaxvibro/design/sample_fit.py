@@ -1,8 +1,9 @@
-"""Numbers of a scene from samples of a motion: least squares of what is measured under shots that join.
+"""Fit parameters of a scene to samples of a motion: least squares under continuity of consecutive shots.
 
-A record is gone along from its beginning, as a frequency that is little off is much off in the phase of a late sample:
-the motion found is flown on as far as its errors let it be known, and solved for anew. Where it leaves the record, and
-at the beginning, many states and numbers that may be are tried, and those gone on with that go best along what follows.
+A record is processed from its beginning, because a small error of the frequency is a large error of the phase of a late
+sample. The motion is predicted as far as its errors allow, and solved again. At the beginning, and where the motion
+leaves the record, many states and parameters are tried. The candidates that agree best with the next samples are
+continued.
 """
 
 from functools import partial
@@ -19,29 +20,25 @@ from .next_impact import make_wall_motion, wall_state
 from .records import SampleRecord
 from .shooting import Shots, fly_shots, lay_out_shots, sample_motions, wall_clearances
 
-MAX_ITERATIONS, ROUGH_TOLERANCE = (
-    20,
-    1e-2,
-)  # of Newton's steps; of errors and scales: so short is the last while a record is gone along
-N_VELOCITIES, N_LOOKAHEAD = 128, 6  # velocities that are tried; samples that choose among them
-MAX_CANDIDATES, MAX_OPENINGS = 16, 4  # how many are begun with; how many are gone on with
-N_DRAWS, N_PHASES = 256, 32  # numbers within their scales; phases
-MATCH_ERRORS, SURE_ERRORS = (
-    5.0,
-    10.0,
-)  # errors: so near a motion goes along a record; the record's: a state as sure is known
-ERROR_FACTOR = 3.0  # than told: errors that a record may have, while it is gone along
-MAX_DEVIATIONS = 2.0  # standard deviations of a chi2: more than as much above its mean is looked at again
-SPEED_FACTOR = 2.0  # of what the motion measured, and the drive, would have as a harmonic one
-CONSTRAINT_FRACTION = 0.1  # of the smallest error: as little may be left open
-MISFIT_WIDTH = 0.1  # of the range of x: as far from a sample is not near
-MIN_CLEARANCE_FRACTION = 0.25  # of a node's clearance is kept by a step
+# Newton steps; tolerance of the step while the record is followed, in standard errors and scales
+MAX_ITERATIONS, ROUGH_TOLERANCE = 20, 1e-2
+N_VELOCITIES, N_LOOKAHEAD = 128, 6  # trial velocities; samples that rank them
+MAX_CANDIDATES, MAX_OPENINGS = 16, 4  # candidates at the beginning; candidates that are continued
+N_DRAWS, N_PHASES = 256, 32  # random parameters within their scales; phases
+# Largest deviation of a motion that follows the record, in standard errors; largest error of a certain state, in errors
+# of the record.
+MATCH_ERRORS, SURE_ERRORS = 5.0, 10.0
+ERROR_FACTOR = 3.0  # ratio of the true errors to the given errors that is tolerated while the record is followed
+MAX_DEVIATIONS = 2.0  # in standard deviations: a chi2 farther above its mean is examined again
+SPEED_FACTOR = 2.0  # relative to the speed of a harmonic motion with the measured range and the drive
+CONSTRAINT_FRACTION = 0.1  # relative to the smallest error: tolerated violation of the constraints
+MISFIT_WIDTH = 0.1  # relative to the range of x: deviation that counts as a full misfit
+MIN_CLEARANCE_FRACTION = 0.25  # fraction of the clearance of a node that a step keeps
 MAX_HALVINGS = 30
 
 
 class Samples(NamedTuple):
-    """What is fitted: the scene, the phase; the shots; what was measured, (record, 1) or (record, 2), the errors of
-    both; what is free."""
+    """Problem of a fit: scene, phase, shots, measured values (record, channels), their errors, free parameters."""
 
     scene: Scene
     phase: float
@@ -51,12 +48,12 @@ class Samples(NamedTuple):
     free_params: FreeParameters
 
     def scene_and_phase(self, parameters: Float[np.ndarray, " free"]) -> tuple[Scene, float]:
-        """(the scene with free numbers, the phase)."""
+        """Return the scene with the given parameters, and the phase."""
         return self.free_params.scene_and_phase(self.scene, self.phase, parameters)
 
 
 def make_samples(scene: Scene, data: SampleRecord, free_params: FreeParameters) -> Samples:
-    """The `Samples` of a record."""
+    """Make the `Samples` of a record."""
     (measurements, sigma), phase = data.measured, data.phase or 0.0
     return Samples(
         scene, phase, lay_out_shots(scene, phase, data.times, measurements[:, 0]), measurements, sigma, free_params
@@ -64,7 +61,7 @@ def make_samples(scene: Scene, data: SampleRecord, free_params: FreeParameters) 
 
 
 def follow_record(samples: Samples) -> LeastSquaresSolution | None:
-    """The `LeastSquaresSolution` of a whole record; None where no motion goes along it."""
+    """Return the `LeastSquaresSolution` of a whole record, or None if no motion follows it."""
     for state, parameters in _start_candidates(samples):
         solution = _grow_solution(
             samples._replace(free_params=samples.free_params.with_start_phase(parameters)), state, parameters
@@ -75,8 +72,10 @@ def follow_record(samples: Samples) -> LeastSquaresSolution | None:
 
 
 def _grow_solution(samples, state, parameters):
-    """The `LeastSquaresSolution` of all shots, from the first one's state on: it is flown on from the last as far as it
-    goes along the record, and then solved for anew. None where it breaks off."""
+    """Extend the solution from the first shot to all shots, or return None if it breaks off.
+
+    The motion is predicted from the last node as long as it follows the record, and then solved again.
+    """
     solution = _solve_nodes(samples, state[None], samples.free_params, parameters, MAX_ITERATIONS, ROUGH_TOLERANCE)
     while _is_acceptable(samples, solution) and len(solution.nodes) < len(samples.shots.start_indices):
         next_states = _predict_states(samples, solution)
@@ -97,21 +96,23 @@ def _grow_solution(samples, state, parameters):
 
 
 def _is_acceptable(samples, solution):
-    """Whether noise, of errors that may be larger than told, may have made the record of what was found; at a grazing,
-    where steps need not become short, it is as good as the last one."""
+    """Check that noise may have made the record from the solution, with an allowance for underestimated errors.
+
+    At a grazing, where steps need not become short, the last step is accepted.
+    """
     chi2_limit = ERROR_FACTOR**2 * largest_chi2(len(solution.residuals) - 2)
     is_closed = solution.converged or solution.max_constraint <= CONSTRAINT_FRACTION * np.min(samples.sigma)
     return bool(is_closed and solution.chi2 + solution.prior_chi2 <= chi2_limit)
 
 
 def _is_expensive(solution, new_solution):
-    """Whether what came to a record cost more than noise does in nearly all."""
+    """Check whether additional samples cost more than noise nearly always does."""
     n_new = len(new_solution.residuals) - len(solution.residuals)
     return _total_cost(new_solution) - _total_cost(solution) > n_new + MAX_DEVIATIONS * np.sqrt(2.0 * n_new)
 
 
 def _draw_parameters(free_params, solution):
-    """Numbers that may be, those found first."""
+    """Draw plausible parameters; the first are those of the solution."""
     remaining_range, deviations = (
         free_params.remaining_range(solution.parameters),
         np.random.default_rng(0).normal(size=(N_DRAWS, len(free_params.names))),
@@ -129,13 +130,13 @@ def _total_cost(solution):
 
 
 def _add_nodes(samples, solution, new_states):
-    """The `LeastSquaresSolution` with nodes more."""
+    """Return the `LeastSquaresSolution` with additional nodes."""
     states = np.concatenate([solution.nodes, new_states])
     return _solve_nodes(samples, states, samples.free_params, solution.parameters, MAX_ITERATIONS, ROUGH_TOLERANCE)
 
 
 def _predict_states(samples, solution):
-    """States of the next nodes, as the last one flies on to them, up to where it leaves the record."""
+    """Predict the states of the next nodes from the last one, up to the point at which the motion leaves the record."""
     n_nodes, n_channels, n_params = len(solution.nodes), len(samples.sigma), len(solution.parameters)
     names, phase = samples.free_params.split_phase(solution.parameters, samples.phase)
     covariance, state, sensitivity = (
@@ -170,14 +171,15 @@ def _predict_states(samples, solution):
 def solve_samples(
     samples: Samples, solution: LeastSquaresSolution, free_params: FreeParameters
 ) -> LeastSquaresSolution:
-    """The `LeastSquaresSolution` least squares of the whole record, with other free numbers, from what was found of
-    it."""
+    """Solve the least squares of the whole record with other free parameters, from an earlier solution."""
     return _solve_nodes(samples, solution.nodes, free_params, solution.parameters)
 
 
 def _solve_nodes(samples, states, free_params, parameters, *stop_settings):
-    """The `LeastSquaresSolution` least squares from the first nodes' states and numbers near it; stop_settings: as of
-    `least_squares.solved`."""
+    """Solve the least squares of the first shots from approximate states and parameters.
+
+    `stop_settings` are those of `solve_least_squares`.
+    """
     shots = samples.shots.first_shots(len(states))
     problem = LeastSquaresProblem(
         partial(_linearise, samples, shots), _shift_nodes, partial(_max_step_fraction, samples, shots)
@@ -186,6 +188,7 @@ def _solve_nodes(samples, states, free_params, parameters, *stop_settings):
 
 
 def _linearise(samples, shots, states, parameters):
+    """Return the `Linearisation` of the shots at states and parameters."""
     names, phase = samples.free_params.split_phase(parameters, samples.phase)
     shot_results = fly_shots(samples.scene, names, shots, states, parameters[: len(names)], phase)
     n_nodes, n_times, n_params, n_channels = (
@@ -210,7 +213,7 @@ def _linearise(samples, shots, states, parameters):
     )
     is_used = np.arange(n_times) < shots.n_samples[:, None] - (np.arange(n_nodes) < n_nodes - 1)[:, None]
     sample_indices = np.concatenate([shots.start_indices, shots.sample_indices[is_used]])
-    order = np.argsort(sample_indices)  # that of the record
+    order = np.argsort(sample_indices)  # order of the record
     values = np.concatenate([states, shot_results.values[is_used]])[order, :n_channels]
     rows = np.concatenate([np.arange(n_nodes), n_nodes + np.flatnonzero(is_used)])[order]
     value_jacobian = scipy.sparse.vstack([identity, derivatives], format="csr")[_channel_rows(rows, n_channels)]
@@ -220,7 +223,7 @@ def _linearise(samples, shots, states, parameters):
 
 
 def _channel_rows(state_indices, n_channels=2):
-    """Rows of the x and v of places, or of x alone."""
+    """Return the rows of x and v, or of x alone, of states."""
     return (2 * state_indices[:, None] + np.arange(n_channels)).ravel()
 
 
@@ -229,7 +232,7 @@ def _shift_nodes(states, change):
 
 
 def _max_step_fraction(samples, shots, states, parameters, state_change, parameter_change):
-    """How much of a step leaves all nodes between the walls."""
+    """Return the largest tried fraction of a step that keeps all nodes between the walls."""
     times, fraction = shots.times[shots.start_indices], 1.0
     clearances_before = wall_clearances(*samples.scene_and_phase(parameters), times, states[:, 0])
     for _ in range(MAX_HALVINGS):
@@ -244,8 +247,10 @@ def _max_step_fraction(samples, shots, states, parameters, state_change, paramet
 
 
 def _start_candidates(samples):
-    """(first state, numbers), likely ones first: with the numbers as they are, then with others within their scales; at
-    all phases where it is not known."""
+    """Yield (first state, parameters) in order of plausibility.
+
+    The initial parameters come first, then others within their scales; all phases if the phase is unknown.
+    """
     free_params, times = samples.free_params, samples.shots.times
     if free_params.names[-1] == "phase":
         angles = 2.0 * np.pi * np.arange(N_PHASES) / N_PHASES
@@ -264,9 +269,11 @@ def _start_candidates(samples):
 
 
 def _state_candidates(samples, parameters, node_index, check_indices=None):
-    """[(state of a node, numbers)] that go along what follows it, likely ones first: the state as measured, or with
-    each of many velocities; in each of some numbers, (several, free). check_indices: places of samples that choose
-    among them, by default the next ones."""
+    """Return [(state of a node, parameters)] that agree with the following samples, in order of plausibility.
+
+    The state is as measured, or has one of many velocities. `parameters` has shape (candidates, free). `check_indices`
+    are the samples that rank the candidates, by default the next ones.
+    """
     sample_index, times, measurements = (
         samples.shots.start_indices[node_index],
         samples.shots.times,
@@ -300,7 +307,7 @@ def _state_candidates(samples, parameters, node_index, check_indices=None):
 
 
 def _clip_to_walls(scene, phase, times, x, sigma):
-    """Positions; those that noise put beyond a rigid wall, or nearly, are an error before it."""
+    """Move positions that noise puts beyond a rigid wall, or close to it, to one standard error before it."""
     for side, wall in scene.walls.items():
         if not wall.soft:
             wall_motion = make_wall_motion(scene, side, phase)

@@ -1,9 +1,10 @@
-"""Bifurcations looked for in a box of scenes, without an orbit to begin with: `search`.
+"""Find bifurcations in a box of scenes without an initial orbit: `search`.
 
-Random scenes of the box are settled from random states. What comes back is an orbit; each is taken towards where the
-tests of the kinds asked for vanish, along their gradients by the free numbers (`differentiate_tests`): a step of
-Newton's method and a half more, followed as a ray. A ray that ends has met a boundary; otherwise the next step begins
-where it came to. Of each boundary met the places nearest to the scene are handed to `follow`, which locates the point.
+Random scenes of the box are iterated from random states. Each orbit on which a motion settles is moved towards zeros of
+the test functions of the requested kinds, along their gradients with respect to the free parameters
+(`differentiate_tests`). A ray is 1.5 times the step of Newton's method. A ray that ends has met a boundary; otherwise
+the next ray starts at its end. The points of each boundary that are nearest to the scene are passed to `follow`, which
+locates the special point.
 """
 
 from collections.abc import Mapping, Sequence
@@ -33,21 +34,47 @@ from .rays import RayEnd, follow_rays
 
 TESTS_OF_KIND = {"SN": (FOLD,), "SB": (FOLD,), "PD": (FLIP,), "GR": (TOUCH, ZERO_SPEED)}
 KINDS_OF_RAY_END = {RayEnd.FOLD: ("SN", "SB"), RayEnd.FLIP: ("PD",), RayEnd.TOUCH: ("GR",), RayEnd.ZERO_SPEED: ("GR",)}
-LANES = 32  # of a compiled call
-MAX_PER_ITINERARY = 16  # orbits of one itinerary that are taken on
-MAX_STEPS = 4  # of steps
-STEP_FACTOR = 1.5  # times the step of Newton's method, that a ray goes
-MAX_IMPACTS = 16  # of an orbit
-MAX_ATTEMPTS = 3  # places of a boundary that are handed to `follow`
+LANES = 32  # orbits per compiled call
+MAX_PER_ITINERARY = 16  # largest number of orbits of one itinerary
+MAX_STEPS = 4  # largest number of rays in sequence
+STEP_FACTOR = 1.5  # length of a ray relative to a Newton step
+MAX_IMPACTS = 16  # largest number of impacts of an orbit
+MAX_ATTEMPTS = 3  # points of a boundary that are passed to `follow`
 STEP_SETTINGS = {"first_step": 0.01, "largest_step": 0.05, "tolerance": 1e-10, "monitors": ()}
 
 
 @dataclass(frozen=True, eq=False)
 class Search:
-    """What `search` found. scene; free: the unit of each number; points: a `Special` of each boundary, along the free
-    number that moves the orbit most towards it, the nearest to the scene first; distances: of their scenes from the
-    scene, in units; met: how many rays ended on each boundary; starts: random scenes; settled: how many of them came
-    back within max_period periods; followed: rays; stopped: why the search ended before it was complete, else ""."""
+    """Result of `search`.
+
+    Attributes
+    ----------
+    scene : Scene
+        Scene from which distances are measured.
+    free : dict of str to float
+        Unit of each free parameter.
+    points : tuple of Special
+        Special point of each boundary, sorted by distance. Its parameter is the free parameter that moves the orbit
+        most towards the boundary.
+    distances : tuple of float
+        Distance of each point from the scene, in units of the free parameters.
+    met : tuple of int
+        Number of rays that ended on each boundary.
+    starts : int
+        Number of random scenes.
+    settled : int
+        Number of random scenes whose motion settled within `max_period` periods.
+    followed : int
+        Number of rays.
+    stopped : str
+        Reason why the search is incomplete, or an empty string.
+
+    Examples
+    --------
+    >>> result = jv.search(scene, ("SN", "SB"), {"amplitude": 1.0}, {"amplitude": (0.5, 5.0)}, starts=32, max_period=1)
+    >>> result.starts, result.stopped
+    (32, '')
+    """
 
     scene: Scene = field(repr=False)
     free: dict[str, float]
@@ -60,7 +87,13 @@ class Search:
     stopped: str = ""
 
     def table(self) -> str:
-        """A line each, and how far it was looked."""
+        """Format the points and the extent of the search as text.
+
+        Returns
+        -------
+        str
+            Table with one line per point, followed by the number of scenes and rays.
+        """
         rows = [("kind", "orbit", "itinerary", "distance", *self.free, "met")]
         for special_point, distance, n_rays in zip(self.points, self.distances, self.met, strict=True):
             itinerary_text = " ".join(word or "." for word in special_point.itinerary)
@@ -74,7 +107,7 @@ class Search:
 
 
 class _OrbitSeed(NamedTuple):
-    """An orbit that a start settled on. offset: of its scene, in units; periods; impacts: times, speeds, sides."""
+    """Orbit on which a random start settled: offset of its scene in units, periods, (times, speeds, sides)."""
 
     offset: Float[np.ndarray, " free"]
     periods: int
@@ -82,7 +115,7 @@ class _OrbitSeed(NamedTuple):
 
 
 class _BoundaryHit(NamedTuple):
-    """Where a ray ended. kinds: that it may be; seed: the orbit just before; displacement: the way, in units."""
+    """End of a ray: possible kinds, orbit just before the end, displacement of the ray in units."""
 
     kinds: tuple[str, ...]
     seed: _OrbitSeed
@@ -101,29 +134,69 @@ def search(
     *,
     max_seconds: float | None = None,
 ) -> Search:
-    """Bifurcations of the attractors in a box of scenes: a `Search`, a point of each boundary that was met.
+    """Find bifurcations of the attractors in a box of scenes.
 
-    scene: a single one; kinds: of SN, SB, PD, GR, one or more; free: {name: unit}; bounds: {name: (low, high)} of free
-    numbers about the scene, due for all whose domain has no ends. starts: random scenes of the box, each with a random
-    state, drawn from `seed`; max_period: drive periods of the longest orbits. max_seconds: wall-clock time, s, after
-    which no further rays are followed and no further boundaries are located; None is no limit.
+    Parameters
+    ----------
+    scene : Scene
+        A single scene in the box.
+    kinds : str or sequence of str
+        Kinds of bifurcation: ``"SN"``, ``"SB"``, ``"PD"``, ``"GR"``.
+    free : dict of str to float
+        Free parameters, each with its unit.
+    bounds : dict of str to sequence of float
+        Lower and upper bound of free parameters, by name, which must contain the scene. Required for parameters whose
+        domain is unbounded.
+    starts : int, optional
+        Number of random scenes of the box, each with a random state.
+    max_period : int, optional
+        Number of drive periods of the longest orbits.
+    seed : int, optional
+        Seed of the random scenes and states.
+    max_seconds : float, optional
+        Wall-clock time in s after which no further rays are followed and no further boundaries are located. By default
+        the time is unlimited.
 
-    A point is a `Special`: `located`, `locus` and `switch` take it on. Boundaries are told apart by kind, periods and
-    itinerary. What no start settles near is not found, and where nothing is found the table says how far it was looked.
+    Returns
+    -------
+    Search
+        One special point for each boundary that was met.
 
-    Raises ArgumentError for kinds, numbers and bounds that cannot be.
+    Raises
+    ------
+    ArgumentError
+        If `kinds`, `free`, `bounds` or a number is invalid.
+
+    See Also
+    --------
+    margin : Find the nearest bifurcations of an orbit.
+    locus : Continue a special point in two parameters.
+
+    Notes
+    -----
+    The points can be passed to `located`, `locus` and `switch`. Boundaries are distinguished by kind, number of periods
+    and itinerary. Boundaries of motions on which no start settles are missed. If no boundary is met, the table states
+    the extent of the search.
+
+    Examples
+    --------
+    >>> result = jv.search(scene, ("SN", "SB"), {"amplitude": 1.0}, {"amplitude": (0.5, 5.0)}, starts=32, max_period=1)
+    >>> result.settled <= result.starts
+    True
     """
     limits = limits_of(None, max_seconds, None, check.ArgumentError)
     check.require_single(scene)
     check.require_spring(scene, "search")
     kinds = check.name_tuple("kinds", kinds)
     if not kinds or not set(kinds) <= set(TESTS_OF_KIND):
-        raise check.ArgumentError("kinds", f"must be some of {', '.join(TESTS_OF_KIND)}", kinds)
+        raise check.ArgumentError("kinds", f"must be one or more of {', '.join(TESTS_OF_KIND)}", kinds)
     units = check_units(scene, free)
     change_bounds = allowed_changes(scene, units, bounds)
     for name, lower, upper in zip(units, *change_bounds, strict=True):
         if not np.isfinite([lower, upper]).all():
-            raise check.ArgumentError(f"bounds.{name}", "must be given, as the number's domain has no end", None)
+            raise check.ArgumentError(
+                f"bounds.{name}", "must be given because the domain of the parameter is unbounded", None
+            )
     starts, max_period = check.whole_number("starts", starts, 1), check.whole_number("max_period", max_period, 1)
     if max_period > check.MAX_ORBIT_PERIODS:
         raise check.ArgumentError("max_period", f"must be at most {check.MAX_ORBIT_PERIODS}", max_period)
@@ -141,14 +214,14 @@ def search(
 
 
 def _shift_scene(scene, units, offset):
-    """The scene moved by so many units of each free number, a row each for many."""
+    """Shift the free parameters of a scene by an offset in units; rows of offsets give a batch."""
     values = np.asarray(offset).T
     unit_values = zip(units.items(), values, strict=True)
     return scene.replace(**{name: float(scene.parameter(name)) + unit * value for (name, unit), value in unit_values})
 
 
 def _settle_starts(scene, units, change_bounds, n_starts, max_period, seed):
-    """The `_OrbitSeed`s of random starts in random scenes."""
+    """Iterate random states in random scenes; return an `_OrbitSeed` for each that settles."""
     lower, upper = change_bounds
     offsets = lower + (upper - lower) * np.random.default_rng(seed).random((n_starts, len(units)))
     scenes = _shift_scene(scene, units, offsets)
@@ -161,7 +234,7 @@ def _settle_starts(scene, units, change_bounds, n_starts, max_period, seed):
 
 
 def _thin_seeds(seeds):
-    """At most so many of each itinerary, and none with more impacts than are followed."""
+    """Keep at most `MAX_PER_ITINERARY` orbits of each itinerary, and none with more than `MAX_IMPACTS` impacts."""
     counts, thinned_seeds = {}, []
     for seed in seeds:
         key = _itinerary_key(seed)
@@ -172,14 +245,13 @@ def _thin_seeds(seeds):
 
 
 def _itinerary_key(seed):
-    """The periods of an orbit and the sides of its impacts, begun where they are least, so that any start is alike."""
+    """Return the periods of an orbit and the smallest rotation of its sides, independent of the first impact."""
     sides = tuple(int(side) for side in seed.impacts[2])
     return seed.periods, min((sides[k:] + sides[:k] for k in range(len(sides))), default=())
 
 
 def _follow_seeds(scene, units, change_bounds, seeds, kinds, limits=UNLIMITED):
-    """(the `_BoundaryHit`s where rays from some orbits end in one of the kinds, how many rays there were, whether the
-    time was enough for all)."""
+    """Follow rays from orbits; return the `_BoundaryHit` records, the number of rays, and the completeness."""
     tests = sorted({test for kind in kinds for test in TESTS_OF_KIND[kind]})
     seed_groups, boundary_hits, n_rays = {}, [], 0
     for entry in seeds:
@@ -196,8 +268,11 @@ def _follow_seeds(scene, units, change_bounds, seeds, kinds, limits=UNLIMITED):
 
 
 def _step_lanes(scene, units, change_bounds, lanes, limits):
-    """(what is to go on, the `_BoundaryHit`s of rays that have ended, how many rays there were, whether the time was
-    enough for all) of (`_OrbitSeed`, test)s; the orbits have as many impacts."""
+    """Follow one ray from each (`_OrbitSeed`, test); all orbits have the same number of impacts.
+
+    Returns the lanes that continue, the `_BoundaryHit` of each ray that ended, the number of rays, and whether all
+    lanes were followed in time.
+    """
     next_lanes, boundary_hits, n_rays = [], [], 0
     for block_start in range(0, len(lanes), LANES):
         if limits.expired:
@@ -226,7 +301,7 @@ def _step_lanes(scene, units, change_bounds, lanes, limits):
 
 
 def _follow_block(scene, units, change_bounds, lanes):
-    """(the ways of a block of lanes, in units, the `Ray`s along them)."""
+    """Follow a block of lanes; return the displacements in units and the `Ray` records."""
     treedef, base_vector, unit_vectors = _flatten_scene(scene, units)
     offsets = np.stack([seed.offset for seed, _ in lanes])
     impact_columns = [np.stack([seed.impacts[k] for seed, _ in lanes]) for k in range(3)]
@@ -245,7 +320,7 @@ def _follow_block(scene, units, change_bounds, lanes):
 
 
 def _flatten_scene(scene, units):
-    """(the tree of a scene's numbers, these, what a unit of each free number is of them)."""
+    """Return the tree structure of a scene, its numbers, and their change for one unit of each free parameter."""
     full_scene = complete_scene(scene)
     unit_vectors = np.stack([parameter_mask(scene, name) * unit for name, unit in units.items()])
     return (
@@ -256,8 +331,7 @@ def _flatten_scene(scene, units):
 
 
 def _newton_displacements(values, gradients, offsets, change_bounds):
-    """A step of Newton's method and a half more towards where each test vanishes, cut where it leaves the box; 0 where
-    there is no such step."""
+    """Return 1.5 Newton steps towards the zero of each test, truncated at the box; 0 where a step is not finite."""
     with np.errstate(all="ignore"):
         displacements = -STEP_FACTOR * values[:, None] * gradients / np.sum(gradients**2, axis=1, keepdims=True)
         displacements = np.where(np.isfinite(displacements).all(axis=1, keepdims=True), displacements, 0.0)
@@ -269,8 +343,11 @@ def _newton_displacements(values, gradients, offsets, change_bounds):
 
 
 def _locate_boundaries(scene, units, change_bounds, boundary_hits, kinds, limits=UNLIMITED):
-    """(`Special`s, distances, how many rays met each), the nearest first; how many boundaries the time was not enough
-    for."""
+    """Locate the boundaries that rays met.
+
+    Returns the `Special` points sorted by distance, their distances, the number of rays on each, and the number of
+    boundaries that were not located in time.
+    """
     hits_by_boundary = {}
     for hit in sorted(boundary_hits, key=lambda hit: np.linalg.norm(hit.seed.offset)):
         hits_by_boundary.setdefault((hit.kinds, *_itinerary_key(hit.seed)), []).append(hit)
@@ -303,7 +380,7 @@ def _locate_boundaries(scene, units, change_bounds, boundary_hits, kinds, limits
 
 
 def _locate_special(scene, units, change_bounds, hit, kinds):
-    """The `Special` of one of the kinds next to a `_BoundaryHit`, None where it is none."""
+    """Locate the `Special` of one of the kinds next to a `_BoundaryHit`, or return None."""
     parameter_index = int(np.argmax(abs(hit.displacement)))
     name, hit_scene = tuple(units)[parameter_index], _shift_scene(scene, units, hit.seed.offset)
     value = float(hit_scene.parameter(name))

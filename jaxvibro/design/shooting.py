@@ -1,7 +1,8 @@
-"""A motion in short shots, each from a node to the next: where they pass at given times, and how that changes.
+"""Compute a motion in short shots from node to node: states at given times, and their derivatives.
 
-A node is a state (x, v) at one of the times. A shot is flown as in `sample`, with all the impacts, stays and rests on
-its way; so is its derivative. As it is short, it is far from chaotic, however long the motion.
+A node is a state (x, v) at one of the times. A shot is computed as in `sample`, with all impacts, contact phases and
+sticking phases, and so is its derivative. It is short, so that chaos does not amplify errors, whatever the length of
+the motion.
 """
 
 from typing import NamedTuple
@@ -18,27 +19,27 @@ from ..scene.state import State
 from .next_impact import make_wall_motion, wall_state
 from .shape_padding import pad_to_power_of_two, scene_with_tangents
 
-MIN_TIMES = 8  # of a shot: more are filled up to a power of two
-MIN_SHOT_SAMPLES, MIN_SHOT_TIME = (
-    4,
-    0.8,
-)  # times that a shot passes, within a period, or how long it is, whichever is more
+MIN_TIMES = 8  # smallest number of samples of a shot; more are padded to a power of two times this number
+# A shot has this number of samples, if they are within a period, or this duration, whichever is longer.
+MIN_SHOT_SAMPLES, MIN_SHOT_TIME = 4, 0.8
 
 
 class Shots(NamedTuple):
-    """times: of the record; start_indices: the place in it of each shot's start; n_samples: how many times a shot
-    passes, the next node's with them."""
+    """Shots of a record: its `times`, the index of the start of each shot, and the number of samples of each.
+
+    The samples of a shot include that of the next node.
+    """
 
     times: Float[np.ndarray, " record"]
     start_indices: Int[np.ndarray, " shots"]
     n_samples: Int[np.ndarray, " shots"]
 
     def first_shots(self, n_shots: int) -> "Shots":
-        """Those of the first nodes."""
+        """Return the first shots."""
         return self._replace(start_indices=self.start_indices[:n_shots], n_samples=self.n_samples[:n_shots])
 
     def single_shot(self, shot_index: int) -> "Shots":
-        """One of them."""
+        """Return a single shot."""
         return self._replace(
             start_indices=self.start_indices[shot_index : shot_index + 1],
             n_samples=self.n_samples[shot_index : shot_index + 1],
@@ -46,22 +47,24 @@ class Shots(NamedTuple):
 
     @property
     def sample_indices(self) -> Int[np.ndarray, "shots times"]:
-        """The places in the record that shots pass, each filled up with its last."""
+        """Indices in the record of the samples of each shot, padded with its last."""
         sample_offsets = np.arange(1, 1 + max(1, int(np.max(self.n_samples))))
         return self.start_indices[:, None] + np.minimum(sample_offsets, self.n_samples[:, None])
 
 
 class ShotResults(NamedTuple):
-    """values: (x, v) at the times passed; derivatives: its derivatives by the node's x and v, by the free numbers and
-    by the phase, last."""
+    """States (x, v) at the samples, and their derivatives in the node, the free parameters and the phase."""
 
     values: Float[np.ndarray, "shots times 2"]
     derivatives: Float[np.ndarray, "shots times 2 columns"]
 
 
 def lay_out_shots(scene, phase, times, x) -> Shots:
-    """The `Shots` of a record: each of as few times, or as short, as may be, and begun where the mass is farther from
-    the walls than at the times about."""
+    """Lay out the `Shots` of a record.
+
+    Each has as few samples, or is as short, as possible. It starts where the mass is farther from the walls than at the
+    neighbouring samples.
+    """
     clearance, last_index, period = (
         wall_clearances(scene, phase, times, x),
         len(times) - 1,
@@ -80,7 +83,7 @@ def lay_out_shots(scene, phase, times, x) -> Shots:
 
 
 def wall_clearances(scene, phase, times, x):
-    """How far from the nearest rigid wall a mass is, inf where there is none."""
+    """Return the distance of the mass from the nearest rigid wall, inf if there is none."""
     min_clearance = np.full(np.shape(x), np.inf)
     for side, wall in scene.walls.items():
         if not wall.soft:
@@ -90,7 +93,7 @@ def wall_clearances(scene, phase, times, x):
 
 
 def fly_shots(scene, names, shots, states, parameters, phase) -> ShotResults:
-    """The `ShotResults` of shots from states (shots, 2), in a scene whose numbers of these names are others."""
+    """Return the `ShotResults` of shots from states (shots, 2) in a scene with changed parameters."""
     changed_scene, tangents = scene_with_tangents(scene, names, parameters)
     start_times, elapsed_times = _pad_times(shots.times[shots.start_indices], shots.times[shots.sample_indices])
     values, derivatives = (
@@ -105,8 +108,10 @@ def fly_shots(scene, names, shots, states, parameters, phase) -> ShotResults:
 
 
 def sample_motions(scenes, phases, states, start_times, times) -> Float[np.ndarray, "lanes times 2"]:
-    """(x, v) of motions in scenes (lanes,) with the drive's phases at time 0, from states (lanes, 2) at their
-    beginnings (lanes,), at times (lanes, times) from there on."""
+    """Return (x, v) of motions in scenes (lanes,) at times (lanes, times).
+
+    `phases` are those of the drive at time 0. The motions start from states (lanes, 2) at `start_times` (lanes,).
+    """
     n_lanes = len(states)
     padded_scenes = jax.tree.map(lambda leaf: pad_to_power_of_two(np.broadcast_to(leaf, n_lanes)), scenes)
     start_times, elapsed_times = _pad_times(start_times, times)
@@ -121,7 +126,7 @@ def sample_motions(scenes, phases, states, start_times, times) -> Float[np.ndarr
 
 
 def _pad_times(start_times, times):
-    """(beginnings, times since them), filled up."""
+    """Return the start times and the times since them, padded."""
     return pad_to_power_of_two(start_times), pad_to_power_of_two(
         pad_to_power_of_two(times - start_times[:, None], MIN_TIMES, -1)
     )
@@ -134,7 +139,7 @@ def _fly_shot(scene, start_state, start_time, elapsed_times, phase):
 
 @persistent_jit(compiler_options=FAST_COMPILE)
 def _differentiate_shots(scene, tangents, states, start_times, elapsed_times, phase):
-    """(values, derivatives by the node's unknowns, along the ways of the scene and by the phase) of all shots."""
+    """Return states and their derivatives in the node, along the scene tangents and in the phase, for all shots."""
     n_tangents = len(jax.tree.leaves(tangents)[0])
     identity = jnp.eye(2 + n_tangents + 1)
     scene_tangents = jax.tree.map(lambda leaf: jnp.pad(leaf, (2, 1)), tangents)

@@ -1,5 +1,6 @@
-"""The explorer: a page in a browser for one scene, served on this machine.
+"""Explore a scene in a browser page that this machine serves.
 
-In: a scene, and what a user asks on the page. Out: pictures, numbers, and all that was asked as lines of Python. Start
-with `lines`, which says what can be asked; `session` is one page's state; `server` the only file that knows of HTTP.
+The input is a scene and the actions of a user on the page. The output is figures, numbers, and all actions as Python
+code. `calls` defines the calls that a page can make, `session` is the state of one page, and `server` is the only
+module that uses HTTP.
 """

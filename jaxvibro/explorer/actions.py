@@ -1,4 +1,4 @@
-"""The lines of Python that a click, a slider or a choice from the menu means."""
+"""Translate clicks, sliders and menu entries into lines of calls."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -18,10 +18,10 @@ from .calls import SCENE_NAME, parent_name, resolve
 from .messages import RunAction
 from .page_state import PageState, slider_range
 
-MOTION_PERIODS = 64  # periods of a motion that is no orbit
-FIRST_GRID_SIZE = 16  # cells of a side of a grid that is drawn first
-MAX_BOUND = 1e100  # bound of axes and parameters: squares and sums of such numbers are still finite
-MARGIN_UNIT = 0.1  # of a number: the unit of a margin's distances
+MOTION_PERIODS = 64  # drive periods of a motion that is not periodic
+FIRST_GRID_SIZE = 16  # cells per side of the first grid
+MAX_BOUND = 1e100  # bound of axes and parameters, whose squares and sums remain finite
+MARGIN_UNIT = 0.1  # unit of distances in a margin, relative to the value
 RESULT_STEMS = {
     "find_orbit": "orbit",
     "special": "orbit",
@@ -34,23 +34,23 @@ AllocateName = Callable[[str], str]
 
 
 def name_stem(call: str) -> str:
-    """What results of a call are called."""
+    """Return the stem of the names of results of a call."""
     return RESULT_STEMS.get(call, call)
 
 
 def scene_changes(page: PageState) -> dict[str, float]:
-    """What of the scene is other than in the file."""
+    """Return the parameters that differ from the scene of the file, {name: value}."""
     return next((dict(line.arguments["changes"]) for line in page.lines if line.name == page.scene), {})
 
 
 def change_scene(
     page: PageState, results: Mapping[str, Any], changes: Mapping[str, float], name: str
 ) -> tuple[Scene, ViewTable]:
-    """(the scene with other numbers, the line that makes it). Raises SceneError for numbers that cannot be."""
+    """Return (scene with changed parameters, line that makes it). Raises SceneError for inadmissible values."""
     file_scene = results[SCENE_NAME]
     for parameter in changes:
         if parameter not in file_scene.names:
-            raise ArgumentError("name", "must be that of a parameter of the scene", parameter)
+            raise ArgumentError("name", "must be a parameter of the scene", parameter)
     total_changes = {**scene_changes(page), **{parameter: float(value) for parameter, value in changes.items()}}
     return file_scene.replace(**total_changes), ViewTable(
         name=name, call="replace", of=SCENE_NAME, arguments={"changes": total_changes}
@@ -58,7 +58,10 @@ def change_scene(
 
 
 def orbit_line(reference: str, point_index: int | None, value: Any, name: str) -> ViewTable:
-    """The line of the orbit at a special point, or at a branch's point. Raises ArgumentError for other things."""
+    """Return the line of the orbit at a special point or at a point of a branch.
+
+    Raises ArgumentError for other values.
+    """
     if isinstance(value, Special):
         return ViewTable(name=name, call="special", of=reference)
     if isinstance(value, Branch):
@@ -69,9 +72,9 @@ def orbit_line(reference: str, point_index: int | None, value: Any, name: str) -
 def action_lines(
     message: RunAction, page: PageState, results: Mapping[str, Any], allocate_name: AllocateName
 ) -> Iterator[list[ViewTable]]:
-    """The lines that a choice from the menu means, in rounds: each replaces the one before, and is finer.
+    """Yield rounds of lines of an action; each round replaces the previous one at a finer resolution.
 
-    Raises ArgumentError for a choice that what is chosen does not allow.
+    Raises ArgumentError if the selection does not permit the action.
     """
     scene, (lower, upper) = results[page.scene], page.bounds
     range_arguments = {"parameter": page.parameter, "low": lower, "high": upper}
@@ -84,7 +87,7 @@ def action_lines(
     if message.call in ("switch", "locus"):
         selection = resolve(page.chosen, results) if page.chosen else None
         if not isinstance(selection, Special):
-            raise ArgumentError(message.call, "must be asked of a special point: choose one first", page.chosen)
+            raise ArgumentError(message.call, "requires a special point. Select one first", page.chosen)
         yield [
             make_line(page.chosen)
             if message.call == "switch"
@@ -93,7 +96,9 @@ def action_lines(
     elif message.call in ("follow", "margin"):
         orbit = results.get(page.current)
         if not isinstance(orbit, Orbit):
-            raise ArgumentError(message.call, "must be asked of an orbit: this motion is none", page.current)
+            raise ArgumentError(
+                message.call, "requires a periodic orbit; the current motion is not periodic", page.current
+            )
         if message.call == "follow":
             _require_new_branch(page, results)
             lower, upper = _extend_bounds({page.parameter: page.bounds}, orbit.scene)[page.parameter]
@@ -123,14 +128,14 @@ def action_lines(
 
 
 def _require_new_branch(page, results):
-    """Refuses to follow a point of a branch along the parameter that it is along already."""
+    """Raise ArgumentError for a point of a branch that is already followed along this parameter."""
     selection = resolve(page.chosen, results) if page.chosen else None
     if isinstance(selection, Branch) and selection.name == page.parameter and selection.bounds == page.bounds:
-        raise ArgumentError("follow", "must be asked of an orbit that is on no branch yet", page.chosen)
+        raise ArgumentError("follow", "requires an orbit that is not on a branch along this parameter", page.chosen)
 
 
 def _grid_rounds(message, page, scene, make_line):
-    """Rounds of a grid, each with twice as many cells a side."""
+    """Yield rounds of a grid, each with twice as many cells per side."""
     count = min(FIRST_GRID_SIZE, message.count)
     while True:
         if message.call == "map":
@@ -145,28 +150,27 @@ def _grid_rounds(message, page, scene, make_line):
 
 
 def _extend_bounds(bounds, scene):
-    """Bounds that hold a scene's numbers, a list each, as a scene file has them."""
+    """Return bounds that contain the values of a scene, as lists, the form of scene files."""
     values = {name: float(scene.parameter(name)) for name in bounds}
     return {name: [min(lower, values[name]), max(upper, values[name])] for name, (lower, upper) in bounds.items()}
 
 
 def _distance_unit(scene, name):
-    """A unit for distances along a parameter: a part of its number, or of its slider where that is 0."""
+    """Return a unit of distances along a parameter: a fraction of its value, or of its slider range if that is 0."""
     lower, upper = slider_range(scene, name)
     return MARGIN_UNIT * (abs(float(scene.parameter(name))) or upper - lower)
 
 
 def require_increasing(key: str, bounds: Sequence[float] | None) -> None:
-    """Raises ArgumentError for bounds that do not go from a smaller number to a larger one, or are too far apart to be
-    drawn; there may be none."""
+    """Require finite, increasing bounds of a size that can be drawn, or None. Raises ArgumentError otherwise."""
     if bounds is not None and not (np.isfinite(bounds).all() and bounds[0] < bounds[1]):
-        raise ArgumentError(key, "must go from a smaller number to a larger one", bounds)
+        raise ArgumentError(key, "must be finite and increasing", bounds)
     if bounds is not None and not max(map(abs, bounds)) <= MAX_BOUND:
-        raise ArgumentError(key, f"must lie within -{MAX_BOUND:g} and {MAX_BOUND:g}", bounds)
+        raise ArgumentError(key, f"must lie between -{MAX_BOUND:g} and {MAX_BOUND:g}", bounds)
 
 
 def ancestor_lines(line: ViewTable, lines: Mapping[str, ViewTable]) -> list[ViewTable]:
-    """The lines that a line refers to, directly or not, in order."""
+    """Return the lines to which a line refers, directly or indirectly, in order."""
     ancestors: list[ViewTable] = []
     parent = parent_name(line)
     while parent in lines:
@@ -176,7 +180,7 @@ def ancestor_lines(line: ViewTable, lines: Mapping[str, ViewTable]) -> list[View
 
 
 def last_state(motion: Orbit | xr.Dataset | None) -> State:
-    """A state of what is shown, free of contact; rest before there is any."""
+    """Return a state of the current motion, free of contact; the state at rest before there is any motion."""
     if motion is None:
         return State(0.0, 0.0)
     if isinstance(motion, Orbit):
@@ -189,8 +193,11 @@ def last_state(motion: Orbit | xr.Dataset | None) -> State:
 def add_lines(
     page: PageState, lines: Sequence[ViewTable], superseded: Sequence[ViewTable], page_before: PageState
 ) -> PageState:
-    """What there is now, with lines that were asked when there was something else; superseded: lines in whose place
-    they are. What they refer to, and is no more there, is there again."""
+    """Add lines to a page that may have changed since they were requested.
+
+    `superseded` are lines that the new ones replace. Lines to which the new ones refer, and which the page has dropped,
+    are restored from `page_before`.
+    """
     present_names, earlier_lines = {line.name for line in page.lines}, {line.name: line for line in page_before.lines}
     missing_lines = {
         ancestor.name: ancestor

@@ -1,4 +1,4 @@
-"""Long work: a thread for each piece of it, which tells how far it is and can be stopped."""
+"""Run long tasks in threads that report progress and can be stopped."""
 
 import ctypes
 import itertools
@@ -12,31 +12,42 @@ import jax
 from ..scene.check import ArgumentError
 from ..stores.filling import Progress
 
-PROGRESS_INTERVAL = 0.1  # s between two tellings
-MAX_TASKS = 4  # at a time
+PROGRESS_INTERVAL = 0.1  # s between two reports
+MAX_TASKS = 4  # simultaneous tasks
 
 ProgressCallback = Callable[[Any], object]
 Schedule = Callable[[Callable[[], None]], object]
 
 
 def progress_text(progress: Any) -> str:
-    """How far work is, as a text."""
+    """Return progress as text."""
     if isinstance(progress, Progress):
         return f"{progress.done} of {progress.total}"
     return "" if progress is None else str(progress)
 
 
 class TaskStopped(SystemExit):
-    """Work was stopped by the user. No Exception, so that nothing on the way takes it for an error of its own; a thread
-    that ends by it tells nobody."""
+    """Signal that the user stopped a task.
+
+    It is not an Exception, so that no code in between handles it as an error. A thread that ends with it prints
+    nothing.
+    """
 
 
 class BackgroundTask(threading.Thread):
-    """Work in a thread of its own, begun at once.
+    """Task in its own thread, which starts at once.
 
-    run: is given what tells how far it is; done: called with (value, None), or (None, error), at the end, from this
-    thread; not after `stop`. tell: called with how far it is, at most ten times a second. double: whether numbers are
-    of double precision.
+    Parameters
+    ----------
+    job : callable
+        Function to run. Its argument is a function that reports progress.
+    on_end : callable
+        Function of ``(value, None)`` or ``(None, error)``, called from this thread at the end unless the task was
+        stopped.
+    report : callable
+        Function that receives progress at most ten times per second.
+    double_precision : bool
+        Use double precision in the thread.
     """
 
     def __init__(
@@ -52,7 +63,7 @@ class BackgroundTask(threading.Thread):
         self.start()
 
     def run(self) -> None:
-        """What the thread does."""
+        """Run the task."""
         value, error = None, None
         try:
             with jax.enable_x64(self._double_precision):
@@ -68,7 +79,7 @@ class BackgroundTask(threading.Thread):
             self._on_end(value, error)
 
     def stop(self) -> None:
-        """Ends the work: at its next telling, or between two steps of Python, whichever comes first."""
+        """Stop the task at its next report or between two Python instructions, whichever comes first."""
         with self._lock:
             self._stop_requested = True
             if self._is_running and self.ident is not None:
@@ -83,9 +94,16 @@ class BackgroundTask(threading.Thread):
 
 
 class BackgroundTasks:
-    """What one page has under way.
+    """Running tasks of one page.
 
-    tell: called with (number, how far), from any thread; later: called with what the page's own thread is to do.
+    Parameters
+    ----------
+    report : callable
+        Function of (number, progress), called from any thread.
+    schedule : callable
+        Function that runs a callback in the thread of the page.
+    double_precision : bool
+        Use double precision in the threads.
     """
 
     def __init__(
@@ -99,7 +117,7 @@ class BackgroundTasks:
 
     @property
     def labels(self) -> dict[int, str]:
-        """{number: what it is} of all that is under way."""
+        """Labels of the running tasks, {number: label}."""
         return {number: label for number, (label, _) in self._tasks.items()}
 
     def start(
@@ -108,11 +126,16 @@ class BackgroundTasks:
         job: Callable[[ProgressCallback, Schedule], Any],
         on_end: Callable[[Any, Exception | None], None],
     ) -> None:
-        """Begins work. job: is given what tells how far it is, and a `later` that does nothing once this is stopped;
-        on_end: called by the page's thread with (value, error), unless it was stopped. Raises ArgumentError where there
-        is too much already."""
+        """Start a task.
+
+        `job` receives a function that reports progress and a `schedule` that does nothing once the task is stopped.
+        `on_end` is called in the thread of the page with (value, error), unless the task was stopped. Raises
+        ArgumentError if too many tasks are running.
+        """
         if len(self._tasks) >= MAX_TASKS:
-            raise ArgumentError("work", f"must be at most {MAX_TASKS} things at a time: stop what is under way", label)
+            raise ArgumentError(
+                "work", f"must be at most {MAX_TASKS} simultaneous tasks. Stop the running ones first", label
+            )
         number = next(self._task_numbers)
 
         def schedule(callback):
@@ -131,7 +154,7 @@ class BackgroundTasks:
         self._tasks[number] = label, task
 
     def stop(self) -> None:
-        """Ends all that is under way."""
+        """Stop all running tasks."""
         for _, task in self._tasks.values():
             task.stop()
         self._tasks.clear()

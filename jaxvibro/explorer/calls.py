@@ -1,7 +1,7 @@
-"""What can be asked on the page: each a public call, with the line of Python that does the same.
+"""Define the calls that a page can make: public functions with the equivalent Python code.
 
-What was asked is a list of `ViewTable`s, as a scene file keeps it. A line may refer to the results of those before it,
-`branch_1.special[2]`, and to nothing else: it is read here, and never evaluated as Python.
+The calls are a list of `ViewTable` records, as in a scene file. A line may refer only to results of earlier lines, such
+as `branch_1.special[2]`. References are parsed here and never evaluated as Python.
 """
 
 import re
@@ -32,9 +32,9 @@ from ..surveys.map import map_parameters
 from .background_tasks import ProgressCallback
 from .scene_code import scales_code, scene_code
 
-SCENE_NAME = "scene_1"  # that of the file
-SETTLE_PERIODS = 300  # drive periods after which a motion is shown
-MOTION_CALLS = ("find_orbit", "moved", "motion", "orbit", "special")  # calls whose result the portrait shows
+SCENE_NAME = "scene_1"  # scene of the file
+SETTLE_PERIODS = 300  # drive periods of the transient
+MOTION_CALLS = ("find_orbit", "moved", "motion", "orbit", "special")  # calls whose results the portrait shows
 NAME_PATTERN = re.compile(r"[a-z]+_[1-9]\d{0,5}")
 REFERENCE_PATTERN = re.compile(rf"({NAME_PATTERN.pattern})((?:(?:\.branches|\.special)?\[\d{{1,6}}\])*)")
 ACCESS_PATTERN = re.compile(r"(?:\.(branches|special))?\[(\d+)\]")
@@ -42,21 +42,21 @@ TYPE_WORDS: dict[type, str] = {Scene: "a Scene", Orbit: "an Orbit", Branch: "a B
 
 
 class Call(NamedTuple):
-    """A call. text: as Python; run: does it; what it is given is called with how far it is, if the call tells that."""
+    """Call as Python code, `text`, and as a function, `run`, of a progress callback."""
 
     text: str
     run: Callable[[ProgressCallback], Any]
 
 
 class CallType(NamedTuple):
-    """What calls of a name are of, and what makes one, of what it is of and its arguments."""
+    """Type of the receiver of a call, and the function that builds the call from receiver and arguments."""
 
     kind: type
     make: Callable[..., Call]
 
 
 class Expression(NamedTuple):
-    """What a line refers to, and the Python that gives it."""
+    """Value of a reference, and the Python code of the reference."""
 
     value: Any
     text: str
@@ -75,7 +75,7 @@ def _find_orbit(receiver, x, v, phase=0.0):
 
 
 def _find_orbit_quickly(receiver, x, v, phase=0.0):
-    """The same while a slider moves: settled in one compiled run, which takes a fortieth of the time."""
+    """Find an orbit while a slider moves: the transient is one compiled run, about forty times faster."""
     start = _settle(receiver, x, v, phase)
     return Call(
         f"jv.find_orbit({receiver.text}, {start.text}, settle=1)",
@@ -189,13 +189,13 @@ CALLS: dict[str, CallType] = {
 
 
 def build_call(line: ViewTable, results: Mapping[str, Any]) -> Call:
-    """The `Call` of a line. Raises ArgumentError for what no page can have asked."""
+    """Return the `Call` of a line. Raises ArgumentError for a line that no page can have written."""
     if line.call not in CALLS:
         raise ArgumentError(
             "view.call", f"must be one of {', '.join(CALLS)}{describe_choices(line.call, CALLS)}", line.call
         )
     if not NAME_PATTERN.fullmatch(line.name):
-        raise ArgumentError("view.name", "must be a word and a number, as branch_1", shorten(line.name))
+        raise ArgumentError("view.name", "must be a word and a number, such as branch_1", shorten(line.name))
     receiver = Expression(resolve(line.of, results), line.of)
     receiver_type, build = CALLS[line.call]
     if not isinstance(receiver.value, receiver_type):
@@ -205,16 +205,21 @@ def build_call(line: ViewTable, results: Mapping[str, Any]) -> Call:
     except ArgumentError:
         raise
     except (TypeError, ValueError, AttributeError) as error:
-        raise ArgumentError("view.arguments", f"must be those of {line.call} ({shorten(error)})", line.name) from None
+        raise ArgumentError(
+            "view.arguments", f"must match those of {line.call} ({shorten(error)})", line.name
+        ) from None
 
 
 def evaluate(line: ViewTable, results: Mapping[str, Any], report: ProgressCallback = lambda progress: None) -> Any:
-    """The result of a line. Raises ArgumentError for one that no page can have asked, and what the call raises."""
+    """Return the result of a line.
+
+    Raises ArgumentError for a line that no page can have written, and the errors of the call.
+    """
     return build_call(line, results).run(report)
 
 
 def resolve(reference: str, results: Mapping[str, Any]) -> Any:
-    """What a reference means, as "branch_1.special[2]". Raises ArgumentError where there is no such thing."""
+    """Return the value of a reference such as "branch_1.special[2]". Raises ArgumentError if there is none."""
     match = REFERENCE_PATTERN.fullmatch(reference)
     try:
         if match is None:
@@ -224,17 +229,17 @@ def resolve(reference: str, results: Mapping[str, Any]) -> Any:
             value = (getattr(value, name) if name else value)[int(index)]
         return value
     except (LookupError, AttributeError, TypeError):
-        raise ArgumentError("view.of", "must be the result of a line before", shorten(reference)) from None
+        raise ArgumentError("view.of", "must refer to the result of an earlier line", shorten(reference)) from None
 
 
 def parent_name(line: ViewTable) -> str:
-    """The name of the line that a line refers to."""
+    """Return the name of the line to which a line refers."""
     match = REFERENCE_PATTERN.fullmatch(line.of)
     return match[1] if match else ""
 
 
 def prune_lines(lines: Sequence[ViewTable], names_in_use: Sequence[str]) -> tuple[ViewTable, ...]:
-    """The lines without those scenes and looks that are not kept and that nothing refers to."""
+    """Return the lines without scenes and orbits that are not in use and to which no line refers."""
     remaining: list[ViewTable] = []
     needed_names = set(names_in_use)
     for line in reversed(lines):
@@ -245,14 +250,14 @@ def prune_lines(lines: Sequence[ViewTable], names_in_use: Sequence[str]) -> tupl
 
 
 def python_program(table: SceneTable | None, lines: Sequence[ViewTable], results: Mapping[str, Any]) -> str:
-    """All that was asked as a program that prints what the page shows.
+    """Return all calls as a program that prints the tables of the page.
 
-    table: of the scene, None where it has none, as one with a force of the user's own.
+    `table` is that of the scene; None if it has none, as with a user-defined force without a name.
     """
     earlier_results = {SCENE_NAME: results[SCENE_NAME]}
     statements, print_statements = [], []
     if table is None:
-        statements.append(f"{SCENE_NAME} = ...  # the scene that was given to jv.view")
+        statements.append(f"{SCENE_NAME} = ...  # the scene passed to jv.view")
     else:
         statements.append(f"{SCENE_NAME} = {scene_code(table)}")
         if scales_expression := scales_code(table):

@@ -1,4 +1,4 @@
-"""What the page tells in words: of the orbit or motion, of special points, of what can be done with what is chosen."""
+"""Describe the current motion, special points and available actions in words."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -14,7 +14,7 @@ from ..orbits.orbit import Orbit
 from .calls import resolve
 from .page_state import PageState, branches
 
-SCENE_ACTIONS = {  # of the scene, and so always there
+SCENE_ACTIONS = {  # actions on the scene, always available
     "explore": "all branches",
     "sweep": "sweep up and down",
     "attractors": "attractors from 200 starts",
@@ -24,7 +24,7 @@ SCENE_ACTIONS = {  # of the scene, and so always there
 
 
 def page_facts(page: PageState, results: Mapping[str, Any]) -> str:
-    """What is known of the orbit, or motion, that the portrait shows, and of the special point that was chosen."""
+    """Describe the current orbit or motion, the selected special point, and the last result."""
     paragraphs = []
     selection = resolve(page.chosen, results) if page.chosen else None
     if isinstance(selection, Special):
@@ -54,7 +54,7 @@ def page_facts(page: PageState, results: Mapping[str, Any]) -> str:
 
 
 def portrait_title(page: PageState, results: Mapping[str, Any]) -> str:
-    """What the portrait shows, in a few words."""
+    """Return the title of the portrait."""
     motion = results.get(page.current)
     if isinstance(motion, Orbit):
         return f"{motion.label}, {'stable' if motion.stable else 'unstable'}"
@@ -62,7 +62,7 @@ def portrait_title(page: PageState, results: Mapping[str, Any]) -> str:
 
 
 def action_label(call: str, page: PageState, results: Mapping[str, Any]) -> str:
-    """What an action is called."""
+    """Return the label of an action."""
     return next((action["label"] for action in available_actions(page, results) if action["call"] == call), call)
 
 
@@ -71,18 +71,18 @@ def _describe_motion(motion):
     n_impacts = motion.sizes["impact"]
     n_periods = (motion["phase"].values[-1] - motion["phase"].values[0]) / (2.0 * np.pi)
     return (
-        f"no periodic orbit of up to 32 periods was settled on: {n_periods:.0f} periods are shown, with"
+        f"no periodic orbit of up to 32 periods found; the portrait shows {n_periods:.0f} periods with"
         f" {n_impacts} impacts;\n"
         f"x from {x.min():.6g} to {x.max():.6g}, v from {v.min():.6g} to {v.max():.6g}"
     )
 
 
 def available_actions(page: PageState, results: Mapping[str, Any]) -> list[dict[str, str]]:
-    """What can be asked now: {"call", "label"} each, what concerns the clicked point first."""
+    """Return the available actions as {"call", "label"}, those of the selection first."""
     selection, choices = resolve(page.chosen, results) if page.chosen else None, []
     if isinstance(selection, Special):
         if selection.kind in LEAVING:
-            choices.append(("switch", f"branches that leave {selection.kind}"))
+            choices.append(("switch", f"branches from {selection.kind}"))
         if selection.kind in (*KINDS, *STICKING_KINDS):
             choices.append(("locus", f"locus of {selection.kind}"))
     motion = results.get(page.current)
@@ -93,7 +93,10 @@ def available_actions(page: PageState, results: Mapping[str, Any]) -> list[dict[
 
 
 def special_points(page: PageState, results: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """The special points of the diagram's branches, by value: reference, kind, value, label, what it means."""
+    """Return records of the special points of the branches in the diagram, sorted by value.
+
+    Each has the reference, kind, value, label and meaning. Points that several branches share are listed once.
+    """
     records: list[dict[str, Any]] = []
     for reference, branch in branches(page, results):
         for k, special in enumerate(branch.special):

@@ -1,4 +1,4 @@
-"""What can be taken from the page: its pictures, and the data of all results."""
+"""Write the files that a page offers: figures, and the data of all results."""
 
 import io
 import zipfile
@@ -21,7 +21,10 @@ PICTURE_FORMATS = ("png", "svg", "pdf")
 
 
 def panel_picture(panel: str, file_format: str, page: PageState, results: Mapping[str, Any], screen: Screen) -> bytes:
-    """A panel as a file. Raises ArgumentError for another panel or kind, and where there is nothing to draw."""
+    """Return the figure of a panel as a file.
+
+    Raises ArgumentError for another panel or format, and if there is nothing to draw.
+    """
     if panel not in DRAW_FUNCTIONS or file_format not in PICTURE_FORMATS:
         raise ArgumentError(
             "picture",
@@ -30,13 +33,13 @@ def panel_picture(panel: str, file_format: str, page: PageState, results: Mappin
         )
     arguments = draw_arguments(panel, page, results)
     if arguments is None:
-        raise ArgumentError("picture", "must be of something: there is no orbit yet", panel)
+        raise ArgumentError("picture", "requires a motion. Select an orbit first", panel)
     limits = screen.limits.get(panel, panels.Limits())
     return panels.export_picture(lambda ax: DRAW_FUNCTIONS[panel](ax, *arguments), limits, file_format)
 
 
 def data_archive(page: PageState, results: Mapping[str, Any]) -> bytes:
-    """The data of all results as one ZIP: NetCDF of curves, grids and motions, tables as texts."""
+    """Return a ZIP of the data of all results: NetCDF of curves, grids and motions, and tables as text."""
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as zip_file:
         for line in page.lines:
@@ -46,7 +49,7 @@ def data_archive(page: PageState, results: Mapping[str, Any]) -> bytes:
 
 
 def data_files(name: str, value: Any) -> Iterator[tuple[str, bytes]]:
-    """(file name, content) of a result's data."""
+    """Yield (file name, content) of the data of a result."""
     if isinstance(value, Branch | Locus):
         yield f"{name}.nc", value.content
     elif isinstance(value, xr.Dataset):

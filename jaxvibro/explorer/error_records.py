@@ -1,4 +1,4 @@
-"""Describe any error in one line, for a page of the explorer."""
+"""Describe any error in one line for a page."""
 
 import traceback
 from typing import Any
@@ -10,12 +10,12 @@ EXPECTED_ERRORS = (ArgumentError, OrbitError, ArithmeticError, MemoryError, OSEr
 
 
 def error_record(error: BaseException) -> dict[str, Any]:
-    """The record of an error for the page. One that nobody expects is printed too, with where it was raised."""
+    """Return the record of an error for the page; an unexpected error is also printed with its traceback."""
     if not isinstance(error, EXPECTED_ERRORS):
         traceback.print_exception(error)
     return message_record(str(error) or type(error).__name__)
 
 
 def message_record(text: str) -> dict[str, Any]:
-    """The record of a text that says what is wrong."""
+    """Return the record of an error text."""
     return {"kind": "told", "text": shorten(text, 300), "bad": True}

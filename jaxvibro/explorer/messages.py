@@ -1,4 +1,4 @@
-"""What a page may send, each message a record, read strictly; and how what it is told is written."""
+"""Parse the messages of a page strictly, and encode the records for it."""
 
 import json
 import math
@@ -16,24 +16,24 @@ Count = Annotated[int, Meta(ge=1, le=100_000)]
 
 
 class Message(Struct, tag_field="do", forbid_unknown_fields=True, kw_only=True):
-    """A message; number: its own, told back once it has been seen to."""
+    """Message of a page; `number` is returned in its answer."""
 
     number: int = 0
 
     @property
     def replacement_key(self) -> tuple[Any, ...] | None:
-        """Of two messages in a row with one key the later one alone counts; None: each counts."""
+        """Key of messages that replace each other: of two consecutive ones with the same key only the later counts."""
         return None
 
 
 class Hello(Message, tag="hello"):
-    """The page is there; text: the scene file that it had of a server before, if any."""
+    """Start of a page; `text` is the scene file that the page had from an earlier server, if any."""
 
     text: str = ""
 
 
 class Resize(Message, tag="size"):
-    """A panel has another size, pixels of the page; ratio: pixels of the screen to one of them."""
+    """New size of a panel in page pixels; `ratio` is the number of screen pixels per page pixel."""
 
     panel: Panel
     width: float
@@ -46,7 +46,7 @@ class Resize(Message, tag="size"):
 
 
 class Zoom(Message, tag="zoom"):
-    """Other limits of a panel's axes, None: all of it."""
+    """New limits of the axes of a panel; None restores the full range."""
 
     panel: Panel
     x: Interval | None = None
@@ -58,7 +58,7 @@ class Zoom(Message, tag="zoom"):
 
 
 class Click(Message, tag="pick"):
-    """A click into the diagram, or into the plane of two parameters: the nearest point there."""
+    """Click into the diagram or the plane, which selects the nearest point."""
 
     panel: Literal["diagram", "plane"]
     x: float
@@ -70,7 +70,7 @@ class Click(Message, tag="pick"):
 
 
 class SetStart(Message, tag="start"):
-    """A new start: position and velocity at phase 0."""
+    """New initial state: position and velocity at phase 0."""
 
     x: float
     v: float
@@ -81,7 +81,7 @@ class SetStart(Message, tag="start"):
 
 
 class SetParameter(Message, tag="set"):
-    """A number of the scene; last: the slider has been let go of."""
+    """New value of a parameter of the scene; `last` is True once the slider is released."""
 
     name: ShortText
     value: float
@@ -93,20 +93,20 @@ class SetParameter(Message, tag="set"):
 
 
 class Select(Message, tag="choose"):
-    """A special point, an orbit or a line, by its reference."""
+    """Selection of a special point, an orbit or a line, by its reference."""
 
     of: ShortText
 
 
 class MoveOnBranch(Message, tag="move"):
-    """Along the branch by so many points; branch: to another branch, so many on."""
+    """Move by a number of points along the branch, or by a number of branches."""
 
     by: int = 0
     branch: int = 0
 
 
 class SetAxes(Message, tag="along"):
-    """The parameter of the diagram and its range, and the second one of the plane; variable: what is drawn."""
+    """New parameter and range of the diagram, second parameter of the plane, and variable of the diagram."""
 
     parameter: ShortText
     bounds: Interval
@@ -116,7 +116,10 @@ class SetAxes(Message, tag="along"):
 
 
 class RunAction(Message, tag="ask"):
-    """A call on what is chosen. count: of a grid's side, or of a sweep's values; max_period: of `explore`."""
+    """Call on the selection.
+
+    `count` is the number of cells per side of a grid, or of values of a sweep. `max_period` belongs to `explore`.
+    """
 
     call: Literal["follow", "switch", "explore", "locus", "margin", "basins", "map", "sweep", "attractors"]
     count: Count = 128
@@ -124,15 +127,15 @@ class RunAction(Message, tag="ask"):
 
 
 class Stop(Message, tag="stop"):
-    """Ends the long work."""
+    """Request to stop the running tasks."""
 
 
 class Undo(Message, tag="undo"):
-    """Takes the last thing that was asked back."""
+    """Request to undo the last step."""
 
 
 class Load(Message, tag="load"):
-    """A scene file's text in place of all that is there."""
+    """Text of a scene file that replaces the content of the page."""
 
     text: str
 
@@ -163,15 +166,15 @@ _number_decoder = msgspec.json.Decoder(_NumberedMessage)
 
 
 def decode(text: str | bytes) -> PageMessage:
-    """The message of a text. Raises ArgumentError for what is none."""
+    """Decode a message. Raises ArgumentError for invalid text."""
     try:
         return _message_decoder.decode(text)
     except (msgspec.MsgspecError, ValueError, RecursionError) as error:
-        raise ArgumentError("message", f"must be one that the page knows ({shorten(error)})", shorten(text)) from None
+        raise ArgumentError("message", f"must be a known message ({shorten(error)})", shorten(text)) from None
 
 
 def message_number(text: str | bytes) -> int:
-    """The number of a message that may be none the page knows, 0 without."""
+    """Return the number of a text that is not a valid message, 0 if it has none."""
     try:
         return _number_decoder.decode(text).number
     except (msgspec.MsgspecError, ValueError, RecursionError):
@@ -179,7 +182,7 @@ def message_number(text: str | bytes) -> int:
 
 
 def encode(record: dict[str, Any]) -> str:
-    """A record as JSON that browsers read: numbers that are not finite become null."""
+    """Encode a record as JSON that browsers read, with null for numbers that are not finite."""
     try:
         return json.dumps(record, allow_nan=False)
     except ValueError:

@@ -1,4 +1,4 @@
-"""Which point of the branches in a diagram is the nearest to a click."""
+"""Find the point of the branches in a diagram that is nearest to a click."""
 
 from collections.abc import Iterable, Sequence
 
@@ -7,17 +7,17 @@ import numpy as np
 from ..branches.branch import Branch
 from ..branches.curves import variable_columns
 
-SPECIAL_RADIUS = 0.02  # of the panel's width and height: so near to a special point that is meant
-MAX_DISTANCE = 0.08  # the same: beyond it no point is meant
+SPECIAL_RADIUS = 0.02  # relative to the panel: a special point within this distance is selected
+MAX_DISTANCE = 0.08  # relative to the panel: no point beyond this distance is selected
 
 
 def nearest_point(
     curves: Iterable[tuple[str, Branch]], variable: str, click: Sequence[float], axis_limits: Sequence[Sequence[float]]
 ) -> tuple[str, int | None] | None:
-    """(reference, place) of the nearest point of branches; of a special point that is near its own and None; None where
-    nothing is near.
+    """Return (reference, index) of the nearest point of branches; None if no point is near.
 
-    click: (across, up); axis_limits: the limits of the axes, of (across, up).
+    The index of a special point is None, and a special point that is near takes precedence. `click` is (x, y), and
+    `axis_limits` are the limits of the x and y axes.
     """
     candidates: list[tuple[float, str, int | None]] = []
     for reference, branch in curves:

@@ -1,4 +1,4 @@
-"""What a page shows: a frozen record, so that undoing is going back to an earlier one."""
+"""Represent the content of a page as a frozen record, so that undo restores an earlier record."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -16,15 +16,37 @@ from ..scene.scene import Scene
 from ..studies.schema import SceneFile, ViewTable
 from .calls import SCENE_NAME, prune_lines
 
-RELATIVE_ROUNDING = 1e-12  # of a number: as near is rounding
-SLIDER_FACTOR = 2.0  # times a number: as far its slider goes
+RELATIVE_ROUNDING = 1e-12  # relative difference of values that are equal up to rounding
+SLIDER_FACTOR = 2.0  # upper end of a slider, relative to the value
 
 
 @dataclass(frozen=True)
 class PageState:
-    """lines: what was asked; scene, current: names of the results that are the scene, and the orbit or motion, ""
-    before there is one; chosen: the reference of what was clicked; place: of the point on the branch that was, else
-    None; parameter, bounds: of the diagram; second, second_bounds: of the plane; variable: of the diagram."""
+    """Content of a page.
+
+    Attributes
+    ----------
+    parameter : str
+        Parameter of the diagram, on the x axis.
+    bounds : tuple of float
+        Bounds of `parameter`.
+    second : str
+        Second parameter of the plane, on its y axis.
+    second_bounds : tuple of float
+        Bounds of `second`.
+    lines : tuple of ViewTable
+        Calls in order.
+    scene : str
+        Name of the current scene.
+    current : str
+        Name of the current orbit or motion; "" before there is any.
+    chosen : str
+        Reference of the selection.
+    place : int or None
+        Index of the selected point on its branch, else None.
+    variable : str
+        Variable of the diagram, on the y axis.
+    """
 
     parameter: str
     bounds: tuple[float, float]
@@ -38,19 +60,19 @@ class PageState:
     variable: str = "x"
 
     def with_lines(self, *lines: ViewTable, **changes: Any) -> "PageState":
-        """With lines and other changes; scenes and looks that nothing needs any more are left out."""
+        """Return the page with further lines and changes, without scenes and orbits that nothing uses."""
         page = replace(self, **changes)
         names_in_use = (page.scene, page.current, page.chosen.split(".")[0].split("[")[0])
         return replace(page, lines=prune_lines((*self.lines, *lines), names_in_use))
 
     @property
     def plane_bounds(self) -> dict[str, tuple[float, float]]:
-        """The bounds of the plane's two parameters."""
+        """Bounds of the two parameters of the plane."""
         return {self.parameter: self.bounds, self.second: self.second_bounds}
 
 
 def first_page(scene: Scene, file: SceneFile | None) -> PageState:
-    """What a page shows at first: the parameters and bounds that the file's tables have, else those of the drive."""
+    """Return the first content of a page, with parameters and bounds from the file, else those of the drive."""
     names = [name for name in scene.names if name != "hardness"]
     name, bounds = (file and _file_diagram(file)) or ("amplitude", slider_range(scene, "amplitude"))
     table = file and (file.locus or file.map)
@@ -63,7 +85,7 @@ def first_page(scene: Scene, file: SceneFile | None) -> PageState:
 
 
 def _file_diagram(file):
-    """(name, bounds) of the diagram that a file asks for."""
+    """Return (name, bounds) of the diagram that a file defines; None without one."""
     if file.branch_table is not None:
         return file.branch_table.parameter, file.branch_table.bounds
     if file.sweep is not None:
@@ -75,7 +97,7 @@ def _file_diagram(file):
 
 
 def slider_range(scene: Scene, name: str) -> tuple[float, float]:
-    """The range of a parameter's slider: about its value, within its domain."""
+    """Return the range of the slider of a parameter: around its value, inside its domain."""
     value = float(scene.parameter(name))
     lower, upper = parameter_domain(scene, name)
     if name.endswith("restitution"):
@@ -89,14 +111,14 @@ def slider_range(scene: Scene, name: str) -> tuple[float, float]:
     half_range = max(abs(value), 0.5)
     preferred = (min(0.0, value), max(SLIDER_FACTOR * value, 0.5)) if name in ("amplitude", "damping") else None
     start, stop = preferred or (value - half_range, value + half_range)
-    wall_gap = 0.01 * half_range  # walls may come near to each other, but not meet
+    wall_gap = 0.01 * half_range  # walls must not meet
     return max(start, lower + wall_gap if lower > start else start), min(
         stop, upper - wall_gap if upper < stop else stop
     )
 
 
 def is_same_scene(scene: Scene, other_scene: Scene, *except_names: str) -> bool:
-    """Whether two scenes are the same but for some parameters."""
+    """Return True if two scenes agree in all parameters except some."""
     if scene.names != other_scene.names:
         return False
     names = [name for name in scene.names if name not in except_names and not (name == "hardness" and except_names)]
@@ -108,7 +130,10 @@ def is_same_scene(scene: Scene, other_scene: Scene, *except_names: str) -> bool:
 
 
 def branches(page: PageState, results: Mapping[str, Any]) -> Iterator[tuple[str, Branch]]:
-    """(reference, `Branch`) of all that belong to the diagram: of its parameter, and of the scene in all else."""
+    """Yield (reference, `Branch`) of the branches of the diagram.
+
+    These vary the parameter of the diagram and agree with the scene in all others.
+    """
     scene = results[page.scene]
     for line in page.lines:
         value = results[line.name]
@@ -118,7 +143,7 @@ def branches(page: PageState, results: Mapping[str, Any]) -> Iterator[tuple[str,
 
 
 def loci(page: PageState, results: Mapping[str, Any]) -> Iterator[tuple[str, Locus]]:
-    """(reference, `Locus`) of all that belong to the plane."""
+    """Yield (reference, `Locus`) of the loci of the plane."""
     scene, names = results[page.scene], (page.parameter, page.second)
     for line in page.lines:
         for reference, locus in _curves(line.name, results[line.name], Locus):
@@ -136,7 +161,7 @@ def _curves(name, value, curve_type):
 
 
 def latest_result(page: PageState, results: Mapping[str, Any], call: str, *except_names: str) -> Any:
-    """The result of the last line of a call whose scene is the one shown but for some parameters, None without."""
+    """Return the last result of a call whose scene is the current one except for some parameters; None without one."""
     scene = results[page.scene]
     for line in reversed(page.lines):
         if line.call == call and is_same_scene(_receiver_scene(results[line.of]), scene, *except_names):
@@ -149,7 +174,7 @@ def _receiver_scene(value):
 
 
 def current_sweeps(page: PageState, results: Mapping[str, Any]) -> list[xr.Dataset]:
-    """The sweeps that belong to the diagram."""
+    """Return the sweeps of the diagram."""
     scene = results[page.scene]
     sweep_lines = [
         line for line in page.lines if line.call == "sweep" and line.arguments["parameter"] == page.parameter
@@ -158,13 +183,13 @@ def current_sweeps(page: PageState, results: Mapping[str, Any]) -> list[xr.Datas
 
 
 def current_map(page: PageState, results: Mapping[str, Any]) -> xr.Dataset | None:
-    """The map that belongs to the plane: the second parameter up, the first across."""
+    """Return the map of the plane, with the second parameter on the y axis; None without one."""
     names = (page.second, page.parameter)
     map_data = latest_result(page, results, "map", *names)
     return map_data if map_data is not None and tuple(map_data["label"].dims) == names else None
 
 
 def current_margin(page: PageState, results: Mapping[str, Any]) -> Margin | None:
-    """The margin that belongs to the plane."""
+    """Return the margin of the plane; None without one."""
     margin = latest_result(page, results, "margin")
     return margin if margin is not None and tuple(margin.free) == (page.parameter, page.second) else None

@@ -1,4 +1,7 @@
-"""What the page is told besides pictures: a record of plain values, of which those that changed are sent."""
+"""Collect the fields of a page besides its figures, as records of plain values.
+
+The session sends those that changed.
+"""
 
 from collections.abc import Mapping
 from typing import Any
@@ -15,7 +18,7 @@ from .page_state import PageState
 def live_fields(
     page: PageState, results: Mapping[str, Any], can_undo: bool, task_labels: Mapping[int, str]
 ) -> dict[str, Any]:
-    """What of a page changes as a slider moves: facts, numbers, marks."""
+    """Return the fields that change while a slider moves: facts, numbers and markers."""
     scene = results[page.scene]
     parameter_values = {name: float(scene.parameter(name)) for name in scene.names}
     return {
@@ -30,7 +33,7 @@ def live_fields(
 
 
 def static_fields(page: PageState, results: Mapping[str, Any], file: SceneFile | None) -> dict[str, Any]:
-    """The rest: sliders, what is along the axes, special points, lines of Python, and the page as a scene file."""
+    """Return the other fields: sliders, axes, special points, Python code, and the page as a scene file."""
     scene = results[SCENE_NAME]
     return {
         "sliders": [_slider_record(scene, name) for name in scene.names],
@@ -50,10 +53,10 @@ def _slider_record(scene, name):
 
 
 def program_text(page: PageState, results: Mapping[str, Any], file: SceneFile | None) -> str:
-    """What was asked, as Python."""
+    """Return the calls of the page as a Python program."""
     return python_program(None if file is None else file.scene, page.lines, results)
 
 
 def scene_file_text(page: PageState, file: SceneFile) -> str:
-    """The page as a scene file: the file's own tables, and what was asked as [[view]]."""
+    """Return the page as a scene file: the tables of the file, and the calls as [[view]] tables."""
     return msgspec.toml.encode(msgspec.structs.replace(file, view=list(page.lines))).decode()

@@ -1,4 +1,4 @@
-"""The pictures of the page, by `jv.plot`: each a PNG, and where its axes lie in it."""
+"""Draw the figures of a page with `jv.plot` as PNG images, with the position of their axes."""
 
 import base64
 import io
@@ -25,15 +25,15 @@ from ..scene.scene import Scene
 
 DPI = 100
 MIN_SIDE, MAX_SIDE = 120, 4000  # pixels of a side
-SAMPLES_PER_PERIOD = 200  # of a drive period
-MAX_LEGEND_ENTRIES = 12  # entries of a legend
+SAMPLES_PER_PERIOD = 200  # samples per drive period
+MAX_LEGEND_ENTRIES = 12  # entries in a legend
 MARGINS = {"left": 74, "right": 12, "bottom": 52, "top": 24}  # pixels at a ratio of 1
 DrawFunction = Callable[[Axes], object]
-_drawing_lock = threading.Lock()  # matplotlib reads formulas in one thread at a time
+_drawing_lock = threading.Lock()  # matplotlib parses formulas in one thread at a time
 
 
 class Size(NamedTuple):
-    """Of a panel: width and height in pixels of the page, and how many pixels of the screen one of them is."""
+    """Size of a panel in page pixels, and the number of screen pixels per page pixel."""
 
     width: float
     height: float
@@ -41,14 +41,14 @@ class Size(NamedTuple):
 
 
 class Limits(NamedTuple):
-    """Of the axes of a panel, None: as the picture has them."""
+    """Limits of the axes of a panel; None keeps those of the figure."""
 
     x: tuple[float, float] | None = None
     y: tuple[float, float] | None = None
 
 
 class Panel:
-    """The figure of one panel, kept from picture to render: making axes anew takes longer than all that is in them."""
+    """Figure of one panel, reused for each drawing because making axes takes longer than drawing their content."""
 
     def __init__(self, size: Size) -> None:
         self.size = size
@@ -59,12 +59,26 @@ class Panel:
         left, right = MARGINS["left"] / width, 1.0 - MARGINS["right"] / width
         bottom, top = MARGINS["bottom"] / height, 1.0 - MARGINS["top"] / height
         self._ax = self._figure.add_axes((left, bottom, right - left, top - bottom))
-        self._background: Any = None  # the axes' picture without what is in them, and their limits
+        self._background: Any = None  # image of the empty axes, and their limits
 
     def render(self, draw: DrawFunction, limits: Limits, is_dragging: bool = False) -> dict[str, Any]:
-        """What the page is told: png, a text; box, the axes' left, top, width and height as parts of the picture's; x,
-        y: their limits. draw: is given the Axes. is_dragging: with the axes of the last picture, if all keeps within
-        them."""
+        """Draw the panel and return its record for the page.
+
+        Parameters
+        ----------
+        draw : callable
+            Function that draws into Axes.
+        limits : Limits
+            Limits of the axes.
+        is_dragging : bool, optional
+            Reuse the axes of the last figure if the content lies inside them.
+
+        Returns
+        -------
+        dict
+            ``png``: the encoded image; ``box``: left, top, width and height of the axes relative to the image; ``x``
+            and ``y``: limits of the axes.
+        """
         with _drawing_lock:
             self._clear()
             draw(self._ax)
@@ -85,7 +99,7 @@ class Panel:
             }
 
     def _draw_over_background(self, limits):
-        """Draws what is in the axes over their picture without it, which is kept as long as all keeps within them."""
+        """Draw the content over an image of the empty axes, which is reused while the content lies inside them."""
         if self._background is None or not self._fits_within(self._background):
             _apply_limits(self._ax, limits)
             artists = self._artists()
@@ -106,7 +120,7 @@ class Panel:
             self._ax.draw_artist(artist)
 
     def _clear(self):
-        """Takes all out of the axes, and lets their limits follow what comes."""
+        """Remove the content of the axes and restore automatic limits."""
         ax = self._ax
         legend = ax.get_legend()
         for artist in (*self._artists(), *([legend] if legend else ())):
@@ -141,7 +155,7 @@ def _apply_limits(ax, limits):
 
 
 def export_picture(draw: DrawFunction, limits: Limits, file_format: str) -> bytes:
-    """The picture as a file of a file_format: "png", "svg" or "pdf"."""
+    """Return a figure as a file of format "png", "svg" or "pdf"."""
     with _drawing_lock:
         figure = Figure(figsize=(7.0, 5.0), dpi=200, layout="constrained")
         FigureCanvasAgg(figure)
@@ -163,7 +177,7 @@ def diagram(
     bounds: Sequence[float],
     variable: str,
 ) -> None:
-    """Branches along a parameter, over what was swept, and attractors at its value."""
+    """Draw branches along a parameter over sweeps, and attractors at its current value."""
     for sweep in sweeps if variable in ("x", "v") else ():
         plot.diagram(sweep, variable, ax, faint=bool(branches))
     for branch in branches:
@@ -173,7 +187,7 @@ def diagram(
     if not branches:
         ax.set(xlabel=parameter_label(parameter), ylabel=VARIABLE_LABELS[variable])
     if not branches and not sweeps:
-        ax.text(0.5, 0.5, "no branch of this scene yet", transform=ax.transAxes, ha="center", color="0.4")
+        ax.text(0.5, 0.5, "no branch computed yet", transform=ax.transAxes, ha="center", color="0.4")
     ax.set_xlim(*bounds)
     _add_legend(ax)
 
@@ -186,7 +200,7 @@ def plane(
     parameters: Sequence[str],
     bounds: Sequence[Sequence[float]],
 ) -> None:
-    """Loci in two parameters, over a map."""
+    """Draw loci in two parameters over a map, with a margin."""
     if map_data is not None:
         plot.map(map_data, ax)
     map_entries = _legend_entries(ax)
@@ -202,7 +216,7 @@ def plane(
 
 
 def portrait(ax: Axes, motion: Orbit | xr.Dataset, scene: Scene, stable: bool, basins: xr.Dataset | None) -> None:
-    """An orbit, or a motion that is none, in the phase plane, over basins."""
+    """Draw an orbit or another motion in the phase plane, over basins."""
     if basins is not None:
         plot.basins(basins, ax)
     basin_entries = _legend_entries(ax)
@@ -212,12 +226,12 @@ def portrait(ax: Axes, motion: Orbit | xr.Dataset, scene: Scene, stable: bool, b
 
 
 def trace(ax: Axes, motion: Orbit | xr.Dataset, scene: Scene) -> None:
-    """The same against time."""
+    """Draw an orbit or another motion against time."""
     plot.trace(trajectory_of(motion), scene, ax)
 
 
 def trajectory_of(motion: Orbit | xr.Dataset) -> xr.Dataset:
-    """The trajectory that is drawn."""
+    """Return the trajectory of an orbit, or the motion itself."""
     return (
         simulate(motion.scene, motion.state, motion.periods, SAMPLES_PER_PERIOD)
         if isinstance(motion, Orbit)
@@ -226,7 +240,7 @@ def trajectory_of(motion: Orbit | xr.Dataset) -> xr.Dataset:
 
 
 def _legend_entries(ax):
-    """(handles, labels) of the legend that a picture has made below its axes, where the page has no room for it."""
+    """Return (handles, labels) of the legend below the axes, for which the page has no room."""
     legend = ax.get_legend()
     return ([], []) if legend is None else (legend.legend_handles, [text.get_text() for text in legend.get_texts()])
 

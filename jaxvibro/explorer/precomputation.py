@@ -1,4 +1,4 @@
-"""What a page will ask, done before it asks: a thread that lasts as long as the server does."""
+"""Compute the first results of a page in advance, in a thread that lives as long as the server."""
 
 import threading
 from collections.abc import Callable
@@ -20,20 +20,17 @@ from ..scene.state import State
 from .calls import SETTLE_PERIODS
 from .panels import SAMPLES_PER_PERIOD
 
-SCIPY_MODULES = (
-    "interpolate",
-    "spatial",
-    "linalg",
-    "special",
-    "sparse",
-)  # of SciPy, which loads each when it is first used
-DRAWING_TIME = 1.0  # s after the first answers: they have been drawn by then
-POLL_INTERVAL = 0.25  # s from one look for work to the next
+SCIPY_MODULES = "interpolate", "spatial", "linalg", "special", "sparse"  # SciPy imports each on first use
+DRAWING_TIME = 1.0  # s, until the first results are drawn
+POLL_INTERVAL = 0.25  # s between two checks for work
 
 
 class Precomputation(threading.Thread):
-    """Asks what a page asks first, while the browser is on its way; then compiles what NumPy evaluates, while nobody
-    waits. is_quiet: whether nobody does. ready: set once the first answers are there. stop: ends it."""
+    """Thread that computes the first results while the browser starts, then compiles functions when idle.
+
+    `is_idle` returns True if no page waits. `ready` is set once the first results exist. The functions that it compiles
+    are those that NumPy evaluates until then.
+    """
 
     def __init__(self, scene: Scene, is_idle: Callable[[], bool]) -> None:
         super().__init__(daemon=True)
@@ -42,13 +39,13 @@ class Precomputation(threading.Thread):
         self.start()
 
     def run(self) -> None:
-        """What the thread does."""
+        """Run the thread."""
         with jax.enable_x64(bool(self._scene.dtype == np.float64)):
             try:
                 orbit = find_orbit(self._scene, State(0.0, 0.0))
                 simulate(self._scene, orbit.state, orbit.periods, SAMPLES_PER_PERIOD)
             except (ArgumentError, OrbitError, ArithmeticError):
-                pass  # the page will say so
+                pass  # the page reports the error
             finally:
                 self.ready.set()
             self._stop_event.wait(DRAWING_TIME)
@@ -61,6 +58,6 @@ class Precomputation(threading.Thread):
                 next(compile_evaluated(), None)
 
     def stop(self) -> None:
-        """Ends it, after the function that is being compiled."""
+        """End the thread after the current compilation."""
         self._stop_event.set()
         self.join(10.0)

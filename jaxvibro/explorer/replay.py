@@ -1,4 +1,4 @@
-"""What a file's [[view]] asked, done again."""
+"""Repeat the calls in the [[view]] tables of a scene file."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -12,18 +12,21 @@ from .page_state import PageState
 
 
 def replay_lines(lines: Sequence[ViewTable], scene: Scene, report: ProgressCallback) -> dict[str, Any]:
-    """{name: result} of lines. Raises ArgumentError for one that no page can have asked, and what its call raises."""
+    """Return {name: result} of lines.
+
+    Raises ArgumentError for a line that no page can have written, and the errors of its call.
+    """
     results: dict[str, Any] = {SCENE_NAME: scene}
     for line_number, line in enumerate(lines, 1):
         if line.name in results:
-            raise ArgumentError("view.name", "must differ from those before", line.name)
+            raise ArgumentError("view.name", "must differ from earlier names", line.name)
         report(f"line {line_number} of {len(lines)}")
         results[line.name] = evaluate(line, results, report)
     return results
 
 
 def restore_page(first_page: PageState, lines: Sequence[ViewTable], results: Mapping[str, Any]) -> PageState:
-    """What is shown after lines: their last scene, orbit and parameters, the others as at first."""
+    """Return the page after lines: their last scene, orbit and parameters, and the rest of the first page."""
     scene_names = [line.name for line in lines if line.call == "replace"]
     motion_lines = [line for line in lines if line.call in MOTION_CALLS]
     fields: dict[str, Any] = {"scene": scene_names[-1] if scene_names else SCENE_NAME}

@@ -1,10 +1,10 @@
-"""A scene as the Python that makes it."""
+"""Write a scene as the Python code that makes it."""
 
 from ..scene.scene_table import SceneTable
 
 
 def scene_code(table: SceneTable) -> str:
-    """The expression that makes the scene of a table, scales left out."""
+    """Return the expression that makes the scene of a table, without its scales."""
     numbers = {name: getattr(table, name) for name in ("amplitude", "frequency", "damping", "restitution")}
     arguments = [f"{name}={value!r}" for name, value in numbers.items() if value is not None]
     if table.left is not None or table.right is not None:
@@ -19,7 +19,7 @@ def scene_code(table: SceneTable) -> str:
 
 
 def scales_code(table: SceneTable) -> str | None:
-    """The expression that makes its `Scales`, None where it has none."""
+    """Return the expression that makes the `Scales` of a table; None without scales."""
     scales = table.scales
     return None if scales is None else f"jv.Scales({scales.mass!r}, {scales.stiffness!r}, {scales.length!r})"
 

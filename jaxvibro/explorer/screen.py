@@ -1,4 +1,4 @@
-"""What a page has on its screen: the sizes and limits of its panels, and which pictures are there already."""
+"""Hold the sizes and limits of the panels of a page, and the figures that are already drawn."""
 
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
@@ -16,31 +16,32 @@ from .page_state import PageState
 from .panels import Limits, Panel
 
 PANEL_ORDER = ("portrait", "trace", "diagram", "plane")
-FAST_PANELS = ("portrait",)  # drawn while a slider moves
+FAST_PANELS = ("portrait",)  # redrawn while a slider moves
 
 
 class Screen:
-    """The panels of one page."""
+    """Panels of one page."""
 
     def __init__(self) -> None:
         self.panels: dict[str, Panel] = {}
         self.limits: dict[str, Limits] = {}
         self.drawn_limits: dict[str, tuple[list[float], list[float]]] = {}
-        self.picture_cache: dict[str, Any] = {}  # (key, parts) of each panel: what a key names is not to be lost
+        # (key, arguments) of each panel. Keeping the arguments keeps the ids in the key valid.
+        self.picture_cache: dict[str, Any] = {}
 
     def invalidate(self) -> None:
-        """All is to be drawn anew."""
+        """Discard limits and figures, so that all panels are redrawn."""
         self.limits.clear()
         self.picture_cache.clear()
 
     def axis_limits(self, panel: str, page: PageState) -> tuple[Any, Any]:
-        """The limits of a panel's axes, across and up; before it has been drawn what is asked for."""
+        """Return the limits of the x and y axes of a panel, or the bounds of the page before the first drawing."""
         return self.drawn_limits.get(panel, (page.bounds, page.second_bounds))
 
     def changed_pictures(
         self, page: PageState, results: Mapping[str, Any], fast_only: bool
     ) -> Iterator[dict[str, Any]]:
-        """What the page is to be told of each panel that is to look otherwise. fast_only: of the portrait alone."""
+        """Yield the record of each panel whose figure changes; `fast_only` restricts them to the portrait."""
         for panel in FAST_PANELS if fast_only else PANEL_ORDER:
             if panel not in self.panels:
                 continue
@@ -54,7 +55,7 @@ class Screen:
                     record = self.panels[panel].render(
                         partial(_call_draw, DRAW_FUNCTIONS[panel], arguments), limits, fast_only
                     )
-                except Exception as error:  # of numbers that cannot be drawn; then with other limits, or not at all
+                except Exception as error:  # values that cannot be drawn: retry without limits
                     self.panels[panel] = Panel(self.panels[panel].size)
                     self.limits.pop(panel, None)
                     yield message_record(f"the {panel} cannot be drawn: {error_record(error)['text']}")
@@ -73,7 +74,7 @@ DRAW_FUNCTIONS: dict[str, Callable[..., None]] = {
 
 
 def draw_arguments(panel: str, page: PageState, results: Mapping[str, Any]) -> tuple[Any, ...] | None:
-    """What a panel's picture is made of, None where there is nothing to draw."""
+    """Return the arguments of the draw function of a panel; None if there is nothing to draw."""
     if panel == "diagram":
         branches = tuple(result for _, result in page_state.branches(page, results))
         parameter_value, attractors = (
@@ -104,7 +105,7 @@ def draw_arguments(panel: str, page: PageState, results: Mapping[str, Any]) -> t
 
 
 def marker_positions(page: PageState, results: Mapping[str, Any]) -> dict[str, list[list[float]]]:
-    """Where in the diagram and in the plane what is shown lies: {panel: [[across, up], ...]}."""
+    """Return the positions of the current motion in the diagram and the plane, {panel: [[x, y], ...]}."""
     scene, motion = results[page.scene], results.get(page.current)
     coordinates = [float(scene.parameter(name)) for name in (page.parameter, page.second)]
     selection = resolve(page.chosen, results) if page.chosen else None
@@ -124,7 +125,7 @@ def _call_draw(draw, arguments, ax):
 
 
 def _identity_key(argument):
-    """Equal where a part would be drawn alike: results are never changed."""
+    """Return a key that is equal for the same figure; results never change, so their identity suffices."""
     if isinstance(argument, tuple):
         return tuple(map(_identity_key, argument))
     return argument if isinstance(argument, str | float | int | bool | None) else id(argument)

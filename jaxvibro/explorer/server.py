@@ -1,4 +1,4 @@
-"""The page's server: HTTP and a socket on this machine alone, for whoever has the token."""
+"""Serve pages over HTTP and a WebSocket, on this machine only and with a token."""
 
 import asyncio
 import hmac
@@ -31,9 +31,9 @@ from .session import Session
 
 PAGE_FOLDER = Path(__file__).with_name("page")
 PORTS = range(8420, 8440)
-MAX_QUEUED = 500  # messages of a page
+MAX_QUEUED = 500  # queued messages per page
 MAX_PAGES = 16
-IDLE_TIME = 3.0  # s after a message: as long nothing is compiled that no page waits for
+IDLE_TIME = 3.0  # s after the last message before idle compilation starts
 HEADERS = {
     "Content-Security-Policy": "default-src 'self'; img-src 'self' data:; object-src 'none'; base-uri 'none'; "
     "frame-ancestors 'self' http://localhost:* http://127.0.0.1:*",
@@ -44,7 +44,7 @@ HEADERS = {
 
 
 def is_loopback(host: str) -> bool:
-    """Whether a host's name or address is this machine's own."""
+    """Return True if a host name or address is a loopback address."""
     try:
         return host == "localhost" or ipaddress.ip_address(host.strip("[]")).is_loopback
     except ValueError:
@@ -52,8 +52,7 @@ def is_loopback(host: str) -> bool:
 
 
 class PageThread:
-    """A thread of a page's own, which sees to its messages in turn: of several in a row that replace each other to the
-    last alone."""
+    """Thread that handles the messages of a page in order, and only the last of those that replace each other."""
 
     def __init__(self, double_precision: bool) -> None:
         self._closed = False
@@ -62,7 +61,7 @@ class PageThread:
         threading.Thread(target=self._run, daemon=True).start()
 
     def add(self, job: Callable[[], object] | None, replacement_key: Any = None) -> bool:
-        """Sees to something when its turn comes; None: ends. Whether there was room for it, and it has not ended."""
+        """Queue a job, or None to end the thread; return False if the queue is full or the thread has ended."""
         with self._condition:
             if self._closed:
                 return False
@@ -80,7 +79,7 @@ class PageThread:
             while (job := self._next_job()) is not None:
                 try:
                     job()
-                except Exception:  # of the program's own: the page goes on
+                except Exception:  # an internal error must not end the page
                     traceback.print_exc()
 
     def _next_job(self):
@@ -90,17 +89,34 @@ class PageThread:
 
 
 class Explorer:
-    """A server of pages about one scene.
+    """Server of pages of one scene.
 
-    scene: that of the file, or one that has none. address: of this machine's own; port: None for the first free one of
-    8420 to 8439, 0 for any. Raises ArgumentError for an address that is not loopback, OSError where no port is free.
+    Parameters
+    ----------
+    scene : Scene
+        Scene of the file, or a scene without a file.
+    file : SceneFile or None
+        Scene file.
+    address : str
+        Loopback address.
+    port : int or None
+        Port; None takes the first free one from 8420 to 8439, 0 any free one.
+    token : str, optional
+        Secret in the address; None makes a new one.
+
+    Raises
+    ------
+    ArgumentError
+        If `address` is not a loopback address.
+    OSError
+        If no port is free.
     """
 
     def __init__(
         self, scene: Scene, file: SceneFile | None, address: str, port: int | None, token: str | None = None
     ) -> None:
         if not is_loopback(address):
-            raise ArgumentError("address", "must be this machine's own, as 127.0.0.1", address)
+            raise ArgumentError("address", "must be a loopback address, such as 127.0.0.1", address)
         self.scene, self.file, self.token = scene, file, token or secrets.token_urlsafe(32)
         self.pages: dict[str, PageSocket] = {}
         self._listening_sockets = _bind_sockets(address, port)
@@ -108,11 +124,11 @@ class Explorer:
         host = f"[{address}]" if ":" in address else address
         self.url = f"http://{host}:{self.port}/?token={self.token}"
         self._started = threading.Event()
-        self.last_request_time = 0.0  # s: when a page last asked anything
+        self.last_request_time = 0.0  # s, time of the last message of any page
         self.precomputation = Precomputation(scene, self._is_idle)
 
     async def serve(self) -> None:
-        """Serves until `stop`."""
+        """Serve until `stop` is called."""
         self._loop, self._stop_requested = asyncio.get_running_loop(), asyncio.Event()
         self._started.set()
         handler_arguments = {"explorer": self}
@@ -134,7 +150,7 @@ class Explorer:
             server.stop()
 
     def stop(self) -> None:
-        """Ends serving, from any thread; pages see that the server has gone."""
+        """Stop the server, from any thread."""
         self._started.wait()
         self._loop.call_soon_threadsafe(self._stop_requested.set)
         self.precomputation.stop()
@@ -143,18 +159,18 @@ class Explorer:
         return time.monotonic() - self.last_request_time > IDLE_TIME
 
     def allows(self, request: Any) -> bool:
-        """Return True if a request has the token, and comes from this machine under its own name."""
+        """Return True if a request has the token and names this machine as its host."""
         token = request.query_arguments.get("token", [b""])[-1]
         return hmac.compare_digest(token, self.token.encode()) and is_loopback(host_name(f"//{request.host}"))
 
 
 def host_name(url: str) -> str:
-    """The host that a text from outside names as a URL does, without its port; "" if it names none."""
+    """Return the host in a URL from outside, without its port; "" if there is none."""
     return (urlsplit(url).hostname or "") if is_url(url) else ""
 
 
 def is_url(text: str) -> bool:
-    """Return True if a text from outside can be read as a URL: Python raises for some, as for half a bracket."""
+    """Return True if a text from outside parses as a URL; Python raises for some, such as half a bracket."""
     try:
         return bool(urlsplit(text))
     except ValueError:
@@ -171,7 +187,7 @@ def _bind_sockets(address, port):
 
 
 class GuardedHandler(web.RequestHandler):
-    """Refuses what has no token, or comes under another name than this machine's."""
+    """Handler that refuses requests without the token or with a foreign host name."""
 
     def initialize(self, explorer: Explorer) -> None:
         self.explorer = explorer
@@ -186,12 +202,12 @@ class GuardedHandler(web.RequestHandler):
 
     def write_error(self, status_code: int, **kwargs: Any) -> None:
         self.set_header("Content-Type", "text/plain; charset=utf-8")
-        explanations = {403: "this page needs the address with its token, which jaxvibro view prints"}
+        explanations = {403: "open the address with its token, which jaxvibro view prints"}
         self.finish(f"{status_code}: {explanations.get(status_code, self._reason)}\n")
 
 
 class NotFoundHandler(GuardedHandler):
-    """An address at which there is nothing."""
+    """Handler of unknown addresses."""
 
     def prepare(self) -> None:
         super().prepare()
@@ -199,7 +215,7 @@ class NotFoundHandler(GuardedHandler):
 
 
 class PageHandler(GuardedHandler):
-    """The page itself."""
+    """Handler of the page."""
 
     def get(self) -> None:
         self.set_header("Content-Type", "text/html; charset=utf-8")
@@ -207,7 +223,7 @@ class PageHandler(GuardedHandler):
 
 
 class AssetHandler(GuardedHandler):
-    """What the page is made of."""
+    """Handler of the scripts and the style sheet of the page."""
 
     def get(self, name: str) -> None:
         kind = "text/css" if name.endswith("css") else "text/javascript"
@@ -216,7 +232,7 @@ class AssetHandler(GuardedHandler):
 
 
 class DownloadHandler(GuardedHandler):
-    """A file of what a page shows: scene.toml, lines.py, data.zip, or a panel's picture."""
+    """Handler of downloads: scene.toml, lines.py, data.zip, or the figure of a panel."""
 
     async def get(self, page_name: str, file_name: str) -> None:
         socket = self.explorer.pages.get(page_name)
@@ -228,7 +244,7 @@ class DownloadHandler(GuardedHandler):
         def produce():
             try:
                 outcome = download_content(file_name, session), None
-            except Exception as error:  # whatever it was, the request is answered
+            except Exception as error:  # answer the request after any error
                 outcome = None, error
             with suppress(RuntimeError):  # the loop has ended
                 loop.call_soon_threadsafe(future.set_result, outcome)
@@ -246,11 +262,13 @@ class DownloadHandler(GuardedHandler):
 
 
 def download_content(name: str, session: Session) -> bytes:
-    """The content of a file that can be taken. Raises ArgumentError for others."""
+    """Return the content of a download. Raises ArgumentError for unknown names."""
     page, results = session.page, session.results
     if name == "scene.toml":
         if session.file is None:
-            raise ArgumentError("scene.toml", "must be of a scene that can be written: its force has no name", name)
+            raise ArgumentError(
+                "scene.toml", "requires a scene that can be written; a force without a name cannot", name
+            )
         return scene_file_text(page, session.file).encode()
     if name == "lines.py":
         return program_text(page, results, session.file).encode()
@@ -261,7 +279,7 @@ def download_content(name: str, session: Session) -> bytes:
 
 
 class PageSocket(websocket.WebSocketHandler):
-    """A page's socket: JSON both ways. When it closes, the page's work ends."""
+    """WebSocket of a page, JSON in both directions; closing it stops the tasks of the page."""
 
     def initialize(self, explorer: Explorer) -> None:
         self.explorer, self.name = explorer, secrets.token_urlsafe(9)
@@ -269,13 +287,13 @@ class PageSocket(websocket.WebSocketHandler):
 
     def prepare(self) -> None:
         origins = (self.request.headers.get(name, "") for name in ("Origin", "Sec-Websocket-Origin"))
-        if not (self.explorer.allows(self.request) and all(map(is_url, origins))):  # tornado reads them as URLs
+        if not (self.explorer.allows(self.request) and all(map(is_url, origins))):  # tornado parses them as URLs
             raise web.HTTPError(403)
         if len(self.explorer.pages) >= MAX_PAGES:
             raise web.HTTPError(503)
 
     def check_origin(self, origin: str) -> bool:
-        """A page of this server alone."""
+        """Accept only pages of this server."""
         return urlsplit(origin).netloc == self.request.host
 
     def open(self) -> None:
@@ -305,7 +323,7 @@ class PageSocket(websocket.WebSocketHandler):
             return
         session, self.explorer.last_request_time = self.session, time.monotonic()
         if session is not None and not self.page_thread.add(lambda: session.receive(message), message.replacement_key):
-            self._send(json.dumps(message_record("too much at once: the last was left out")))
+            self._send(json.dumps(message_record("too many messages are queued; the last one was ignored")))
             self._send(json.dumps({"kind": "answer", "number": message.number}))
 
     def on_close(self) -> None:

@@ -1,4 +1,4 @@
-"""One page: what it shows, and what each message changes. Knows of no server: it is given what tells the page."""
+"""Hold the state of one page and apply its messages, independently of the server."""
 
 from collections.abc import Callable, Sequence
 from functools import singledispatchmethod
@@ -26,19 +26,29 @@ from .page_text import live_fields, static_fields
 from .panels import Limits, Panel, Size
 from .replay import replay_lines, restore_page
 
-MAX_UNDO = 200  # steps that can be taken back
-DRAG_PERIODS = 16  # periods of a motion that is shown while a slider moves
+MAX_UNDO = 200  # steps of undo
+DRAG_PERIODS = 16  # drive periods shown while a slider moves
 
 Send = Callable[[dict[str, Any]], object]
 Wait = Callable[[], object]
 
 
 class Session:
-    """What one page is about. Its methods are called by one thread.
+    """State of one page; one thread calls its methods.
 
-    file: of the scene, its tables say what is looked at first; None of a scene that has no text. send: called with each
-    record that the page is to be told, from any thread; schedule: called with what this session's thread is to do;
-    wait: called once the page knows what there is to ask, before anything is."""
+    Parameters
+    ----------
+    file : SceneFile or None
+        Scene file, whose tables select the first results. None if the scene cannot be written as text.
+    scene : Scene
+        Scene of the page.
+    send : callable
+        Function that sends a record to the page, from any thread.
+    schedule : callable
+        Function that runs a callback in the thread of this session.
+    wait : callable, optional
+        Function that is called after the first fields are sent and before the first computation.
+    """
 
     def __init__(
         self, file: SceneFile | None, scene: Scene, send: Send, schedule: Schedule, wait: Wait = lambda: None
@@ -47,20 +57,21 @@ class Session:
         self._open(file, scene)
 
     def _open(self, file: SceneFile | None, scene: Scene) -> None:
-        """Begins with a scene."""
+        """Start with a scene."""
         self.file = file
         self.results: dict[str, Any] = {SCENE_NAME: scene}
-        self.name_counters = {"scene": 2}  # the next number of each kind of name
+        self.name_counters = {"scene": 2}  # next number of each name stem
         self.history: list[PageState] = []
-        self.drag_start: tuple[PageState, tuple[str, str, str]] | None = None  # what there was when a slider was taken
+        # Page and names at the start of a slider motion.
+        self.drag_start: tuple[PageState, tuple[str, str, str]] | None = None
         self.page = page_state.first_page(scene, file)
         self.screen.invalidate()
         self.tasks = BackgroundTasks(self._send_progress, self.schedule, bool(scene.dtype == np.float64))
-        self.sent_fields: dict[str, Any] = {}  # what the page knows
-        self.static_page: PageState | None = None  # of which it knows the rest
+        self.sent_fields: dict[str, Any] = {}  # fields that the page has
+        self.static_page: PageState | None = None  # page whose static fields were sent
 
     def _end_replay(self, results: dict[str, Any] | None, error: Exception | None) -> None:
-        """Shows what the file's [[view]] asked, once that is done."""
+        """Show the results of the [[view]] tables of the file."""
         if results is None or self.file is None:
             self._finish_action(error)
             return
@@ -74,24 +85,24 @@ class Session:
         self.update_page()
 
     def close(self) -> None:
-        """Ends all work: the page has gone, or has asked for it."""
+        """Stop all tasks, because the page is closed or requests it."""
         self.tasks.stop()
 
     def receive(self, message: messages.PageMessage) -> None:
-        """Does what a message asks, and tells the page; a complaint is one line."""
+        """Apply a message and update the page; an error is sent as one line."""
         self.connected |= not isinstance(message, messages.Resize)
         try:
             if self.drag_start is not None and not isinstance(message, messages.SetParameter | messages.Resize):
                 self._end_drag()
             self._handle(message)
-        except Exception as error:  # whatever it was, the page is answered and goes on
+        except Exception as error:  # answer the page after any error
             self._send_error(error)
         self.update_page()
         self.send({"kind": "answer", "number": message.number})
 
     @singledispatchmethod
     def _handle(self, message: Any) -> None:
-        raise ArgumentError("message", "must be one that the page knows", type(message).__name__)
+        raise ArgumentError("message", "must be a known message", type(message).__name__)
 
     @_handle.register
     def _(self, message: messages.Hello) -> None:
@@ -150,7 +161,7 @@ class Session:
     def _(self, message: messages.MoveOnBranch) -> None:
         branches = dict(page_state.branches(self.page, self.results))
         if not branches:
-            raise ArgumentError("move", "must be along a branch: there is none yet, follow one", message.by)
+            raise ArgumentError("move", "requires a branch in the diagram. Follow an orbit first", message.by)
         names, reference = list(branches), self.page.chosen.partition(".special")[0]
         row = self.page.place
         if reference in branches and row is None:
@@ -167,7 +178,7 @@ class Session:
             check.require_parameter(name, names, name)
             actions.require_increasing("bounds", interval)
         if message.parameter == message.second:
-            raise ArgumentError("second", "must be another parameter than the diagram's", message.second)
+            raise ArgumentError("second", "must differ from the parameter of the diagram", message.second)
         if message.variable not in VARIABLES:
             raise ArgumentError("variable", f"must be one of {', '.join(VARIABLES)}", message.variable)
         keys = ("parameter", "bounds", "second", "second_bounds", "variable")
@@ -186,7 +197,7 @@ class Session:
     @_handle.register
     def _(self, message: messages.Undo) -> None:
         if not self.history:
-            raise ArgumentError("undo", "must have something to take back", "nothing was asked before")
+            raise ArgumentError("undo", "requires an earlier step", "no earlier step")
         self.page = self.history.pop()
         self._drop_unused_results()
 
@@ -200,16 +211,16 @@ class Session:
         self._open(file, scene)
         self._run_first_actions()
 
-    # What these are made of.
-
     def _run_first_actions(self) -> None:
-        """Does again what the file's [[view]] asked; else what it asks for first: its orbit, then its branches."""
+        """Repeat the [[view]] tables of the file, or else compute its orbit and then its branches."""
         self._send_fields()
         self.wait()
         if self.file is not None and self.file.view:
             lines, scene = tuple(self.file.view), self.results[SCENE_NAME]
             self.tasks.start(
-                "what was asked before", lambda report, schedule: replay_lines(lines, scene, report), self._end_replay
+                "restoring the earlier calls",
+                lambda report, schedule: replay_lines(lines, scene, report),
+                self._end_replay,
             )
             return
         table = self.file and self.file.branch
@@ -226,7 +237,7 @@ class Session:
             self._handle(messages.RunAction(call="follow"))
 
     def update_page(self) -> None:
-        """Tells the page what is other than it knows, once it has said more than how large its panels are."""
+        """Send the changes to the page, after its first message other than a panel size."""
         if not self.connected:
             return
         is_dragging = self.drag_start is not None
@@ -238,8 +249,7 @@ class Session:
             self._send_error(error)
 
     def _send_fields(self, is_dragging: bool = False) -> None:
-        """Tells what is other than the page knows besides pictures. is_dragging: what changes as a slider moves
-        alone."""
+        """Send the changed fields besides figures; `is_dragging` restricts them to those that follow a slider."""
         fields = live_fields(self.page, self.results, bool(self.history), self.tasks.labels)
         if not is_dragging and self.page is not self.static_page:
             fields |= static_fields(self.page, self.results, self.file)
@@ -264,19 +274,19 @@ class Session:
         return self._new_name("scene"), self._new_name("orbit"), self._new_name("motion")
 
     def _show(self, page: PageState) -> None:
-        """Shows something else, which can be taken back."""
+        """Show another content, as a step that can be undone."""
         if page != self.page:
             self.history = [*self.history[1 - MAX_UNDO :], self.page]
             self.page = page
             self._drop_unused_results()
 
     def _drop_unused_results(self) -> None:
-        """Leaves out the results that no step needs any more."""
+        """Drop the results that no step needs."""
         needed_names = {line.name for page in (*self.history, self.page) for line in page.lines} | {SCENE_NAME}
         self.results = {name: value for name, value in self.results.items() if name in needed_names}
 
     def _end_drag(self) -> None:
-        """A slider has been let go of: the whole way is one step."""
+        """End the motion of a slider, which counts as one step."""
         if self.drag_start is not None:
             (page_before, _), self.drag_start = self.drag_start, None
             page, self.page = self.page, page_before
@@ -287,7 +297,7 @@ class Session:
         self._show(self.page.with_lines(line, current=line.name, chosen="", place=None))
 
     def _settle(self, scene: str, state: State, names: Sequence[str], periods: int | None) -> ViewTable:
-        """The line of the orbit, or motion, that a start settles on; its result is kept."""
+        """Return the line of the orbit or motion that a state approaches, and store its result."""
         x, v, phase = (float(np.asarray(coordinate)) for coordinate in (state.x, state.v, state.phase))
         start = {"x": x, "v": v} | ({"phase": phase} if phase else {})
         line = ViewTable(name=names[1], call="moved" if periods else "find_orbit", of=scene, arguments=start)
@@ -305,7 +315,7 @@ class Session:
     def _change_parameters(
         self, changes: dict[str, float], page: PageState, names: tuple[str, str, str], periods: int | None
     ) -> PageState:
-        """What there is, with numbers of the scene that are others; the motion goes on from where it is."""
+        """Return the page with changed parameters; the motion continues from its last state."""
         scene, line = actions.change_scene(page, self.results, changes, names[0])
         self.results[line.name] = scene
         motion_line = self._settle(
@@ -314,7 +324,7 @@ class Session:
         return page.with_lines(line, motion_line, scene=line.name, current=motion_line.name, chosen="", place=None)
 
     def _select(self, reference: str, point_index: int | None) -> None:
-        """Shows the orbit at a special point, or at a point of a branch."""
+        """Show the orbit at a special point or at a point of a branch."""
         page = self.page
         line = actions.orbit_line(reference, point_index, resolve(reference, self.results), self._new_name("orbit"))
         orbit = self.results[line.name] = evaluate(line, self.results)
@@ -325,7 +335,7 @@ class Session:
         self._show(page.with_lines(scene_line, line, **fields))
 
     def _run_rounds(self, label: str, rounds: list[list[ViewTable]]) -> None:
-        """Evaluates rounds of lines, each in place of the one before, and shows each as it is there."""
+        """Evaluate rounds of lines in a task and show each round in place of the previous one."""
         page_before, results = self.page, dict(self.results)
 
         def run_lines(report, schedule):
@@ -344,8 +354,10 @@ class Session:
     def _show_lines(
         self, lines: list[ViewTable], superseded: list[ViewTable], page_before: PageState, results: dict[str, Any]
     ) -> None:
-        """Shows what long work has found; superseded: lines in whose place it is; page_before, results: when it was
-        begun."""
+        """Show results of a task.
+
+        `superseded` are the lines that they replace. `page_before` and `results` belong to the start of the task.
+        """
         page = actions.add_lines(self.page, lines, superseded, page_before)
         self.results |= {line.name: results[line.name] for line in page.lines if line.name not in self.results}
         if superseded:

@@ -1,4 +1,4 @@
-"""`view`: the explorer's page for a scene, served while the program or notebook goes on."""
+"""Serve the page of a scene while the program or notebook continues."""
 
 import asyncio
 import threading
@@ -13,12 +13,20 @@ from ..studies import scene_file
 from ..studies.schema import SceneFile
 from .server import Explorer
 
-HEIGHT = 900  # pixels of the page within a notebook
+HEIGHT = 900  # pixels, height of the page in a notebook
 LAST_PORT = 65535
 
 
 class View:
-    """A page that is served: url, its address with the token, for this machine alone. In a notebook it shows itself."""
+    """Running server of a page.
+
+    A notebook displays the page in place of this object.
+
+    Attributes
+    ----------
+    url : str
+        Address of the page with its token. Only this machine can open it.
+    """
 
     def __init__(self, explorer: Explorer) -> None:
         self.url = explorer.url
@@ -27,12 +35,12 @@ class View:
         self._thread.start()
 
     def wait(self) -> None:
-        """Waits until the server has ended."""
+        """Wait until the server ends."""
         while self._thread.is_alive():
             self._thread.join(0.2)
 
     def stop(self) -> None:
-        """Ends the server, and with it the work of its pages."""
+        """Stop the server and the tasks of its pages."""
         self._explorer.stop()
         self._thread.join(5.0)
 
@@ -51,15 +59,49 @@ def view(
     changes: Sequence[str] = (),
     token: str | None = None,
 ) -> View:
-    """A page in the browser on which a scene can be explored, served by this process: a `View`.
+    """Serve a browser page on which a scene can be explored.
 
-    scene: a single `Scene`, or the path of a scene file, whose tables say what is looked at first, and whose [[view]]
-    what was asked on a page before; changes: "key=value" each, as in `run`, of a file. port: None for the first free
-    one of 8420 to 8439; address: of this machine's own. token: what the page's address must hold, None for a new one.
-    The server ends with `View.stop`, or with the process; a page that is closed ends its own work.
+    This process serves the page. The server runs until `View.stop` is called or the process ends. Closing a page stops
+    the tasks of that page.
 
-    Raises SceneError and OSError as `load_scene` does, ArgumentError for a batch of scenes, for an address that is not
-    loopback and a port that cannot be, OSError where no port is free.
+    Parameters
+    ----------
+    scene : Scene or str or path-like
+        Single scene, or path of a scene file. The tables of a file select the first results, and its ``[[view]]``
+        tables restore the calls of an earlier page.
+    port : int, optional
+        Port. None takes the first free one from 8420 to 8439.
+    address : str, optional
+        Loopback address of this machine.
+    changes : sequence of str, optional
+        Changes to the scene file, each ``"key=value"``, as in `jaxvibro.run`.
+    token : str, optional
+        Secret in the address of the page. None makes a new one.
+
+    Returns
+    -------
+    View
+        Running server, with the address of the page as `url`.
+
+    Raises
+    ------
+    SceneError
+        If the scene file or one of the `changes` breaks a rule.
+    OSError
+        If the scene file cannot be read, or no port is free.
+    ArgumentError
+        If `scene` is a batch of scenes, `address` is not a loopback address, or `port` is not a valid port.
+
+    See Also
+    --------
+    jaxvibro.run : Run the analyses in a scene file.
+
+    Examples
+    --------
+    >>> page = jv.view(scene)
+    >>> page.url.partition("/?")[0][:17]
+    'http://127.0.0.1:'
+    >>> page.stop()
     """
     if port is not None and check.whole_number("port", port, 0) > LAST_PORT:
         raise check.ArgumentError("port", f"must be at most {LAST_PORT}", port)

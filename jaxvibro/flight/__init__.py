@@ -1,7 +1,7 @@
-"""The flight of a mass between its walls, certified from event to event.
+"""Fly a mass between its walls, with certified detection of every event.
 
-In: a scene's `coefficients`, a state (`entry`), a time to go. Out: the path at the end of that time, and a log of
-the impacts on the way. A step goes to the next event or as far as surely none is (`event`), the exact flow carries
-it (`flow`), an impact law acts (`impact`); soft walls are another oscillator (`soft_contact`). Start with
-`integrate`, then `step`.
+The input is the coefficients of a scene (`coefficients`), a state (`entry`) and a duration. The output is the path at
+the end of the duration and a log of the impacts. A step extends to the next event, or as far as certainly no event
+occurs (`event`). The exact flow advances the state (`flow`) and an impact law acts (`impact`). Inside a soft wall the
+mass is another oscillator (`soft_contact`). Start with `integrate`, then `step`.
 """

@@ -1,4 +1,4 @@
-"""What a flight needs of a scene, worked out once."""
+"""Compute the coefficients of the flight from a scene, once per scene."""
 
 import math
 from enum import Enum
@@ -22,12 +22,21 @@ from .traced_force import is_series_of_root
 from .wall_motion import WallCoefficients, remainder_bounds, wall_coefficients, wall_extent
 
 WALL_SIGNS = (-1, 1)
-TWO_PI_LOW = 2.4492935982947064e-16  # 2 pi less its double
+TWO_PI_LOW = 2.4492935982947064e-16  # 2 pi less its double-precision value
 
 
 class ContactLaw(Enum):
-    """What stays within soft walls are: none, where all walls are rigid; of a spring and a damper on top of the
-    oscillator's; or pushed back beside a force of the user's own."""
+    """Kind of the contact phases inside soft walls.
+
+    Attributes
+    ----------
+    RIGID : ContactLaw
+        No contact phases, because all walls are rigid.
+    LINEAR : ContactLaw
+        Spring and damper of the wall in addition to those of the oscillator.
+    FORCE_LAW : ContactLaw
+        Contact phases under a user-defined force or wall law.
+    """
 
     RIGID = "none"
     LINEAR = "spring"
@@ -35,19 +44,61 @@ class ContactLaw(Enum):
 
 
 class FlowCoefficients(NamedTuple):
-    """The oscillator, its drive, its walls, and bounds for the longest step; each number a scalar or one for each lane.
+    """Coefficients of the oscillator, its drive and its walls, with bounds for the longest step.
 
-    force A, frequency omega, damping gamma; drive_terms: of the drive, beside A cos(omega t); walls: those that exist,
-    left first; period 2 pi / omega and its low part; swift_amplitude: see `path`; series: of the flow; max_step: the
-    longest step (t), inverse_max_step: 1 / max_step, taylor_weights: reach^k / k!; length_scale: a length of the scene,
-    the walls' distances and the drive's amplitudes together, to measure rounding by, `smallest_length` where these are
-    all 0; jet_bound, jet_bound_slope: abs x^(8) is at most curb + slope (abs x^(6) + abs x^(7)) over a step, these at
-    its start; force_remainders, wall_remainders: see `wall.tail`, for each wall; rushes: bounds on the change of the
-    press on each; min_wall_gap: the walls are never nearer to each other; soft_flows: the `soft_contact.SoftFlow`
-    within each wall, under a force of the user's own its `WallCoefficients` (`pushed_flow`), None for rigid ones.
+    Each number is a scalar or an array with one value per lane.
 
-    stiffness and its root are 1, and None, but where they are what a lane feels (`soft_contact.felt`). force_law: a
-    force of the user's own; then damping and swift are 0, and what bounds the linear flow is None."""
+    Attributes
+    ----------
+    amplitude : array
+        Drive amplitude A.
+    frequency : array
+        Drive frequency omega.
+    damping : array
+        Damping ratio gamma. Zero under a user-defined force.
+    walls : tuple of WallCoefficients
+        Existing walls, left wall first.
+    period : array
+        Drive period 2 pi / omega.
+    period_low : array
+        Low part of `period`: the exact period less its rounded value.
+    swift_amplitude : array
+        Amplitude of the swift part of the motion, see `flight_state`. Zero under a user-defined force.
+    series : FlowSeries or None
+        Taylor series of the flow. None under a user-defined force.
+    max_step : array
+        Longest step, in units of t.
+    inverse_max_step : array
+        Reciprocal of `max_step`.
+    taylor_weights : tuple of array
+        Weights max_step^k / k! of the derivatives in a Taylor polynomial.
+    length_scale : array
+        Length scale of the scene, used to measure rounding: the sum of the wall distances and the drive amplitudes, or
+        `event.smallest_length` if all of these are 0.
+    jet_bound : array or None
+        Constant part of the bound on ``|x^(8)|`` over a step. None under a user-defined force.
+    jet_bound_slope : array or None
+        Factor of ``|x^(6)| + |x^(7)|`` at the start of a step in that bound. None under a user-defined force.
+    force_remainders : tuple of array
+        Bound on the remainder of the contact force, for each wall, see `wall_motion.remainder_bounds`.
+    wall_remainders : tuple of array
+        Bound on the remainder of the position, for each wall, see `wall_motion.remainder_bounds`.
+    force_rate_bounds : tuple of array
+        Bound on the rate of the contact force, for each wall.
+    min_wall_gap : array
+        Lower bound on the distance between the walls; infinite if there are fewer than two.
+    soft_flows : tuple
+        For each wall the `soft_contact.SoftWallFlow` inside it, under a user-defined force its `WallCoefficients`
+        (`force_law_flow`), and None if it is rigid.
+    stiffness : array or None
+        Stiffness of the oscillator. None stands for 1. Set per lane by `soft_contact.lane_coefficients`.
+    root_stiffness : array or None
+        Square root of `stiffness`. None stands for 1.
+    force_law : Force or None
+        User-defined force.
+    drive_terms : tuple of DriveTerm
+        Terms of the drive in addition to A cos(omega t).
+    """
 
     amplitude: Float[jax.Array, "..."]
     frequency: Float[jax.Array, "..."]
@@ -75,14 +126,34 @@ class FlowCoefficients(NamedTuple):
 
     @property
     def contact_law(self) -> ContactLaw:
-        """What its stays within soft walls are: asked for here alone."""
+        """Kind of the contact phases inside soft walls."""
         if all(soft_flow is None for soft_flow in self.soft_flows):
             return ContactLaw.RIGID
         return ContactLaw.LINEAR if self.force_law is None else ContactLaw.FORCE_LAW
 
 
 def compute_coefficients(scene):
-    """The `FlowCoefficients` of a scene."""
+    """Compute the coefficients of the flight from a scene.
+
+    Parameters
+    ----------
+    scene : Scene
+        Scene with parameters that are scalars or lanes.
+
+    Returns
+    -------
+    FlowCoefficients
+        Coefficients in the floating-point type of the scene.
+
+    Raises
+    ------
+    SceneError
+        If the law of a soft wall has no Taylor series, or is not a power series in the root of the depth.
+
+    See Also
+    --------
+    check_validity : Check the rules for a scene inside traced code.
+    """
     if scene.force is not None:
         return _force_law_coefficients(scene)
     dtype = scene.dtype
@@ -96,7 +167,7 @@ def compute_coefficients(scene):
     if drive_terms:
         max_rate = jnp.maximum(max_rate, frequency * float(drive.highest_harmonic(drive_terms)))
     max_step = flow.MAX_SCALED_STEP / max_rate
-    # energy of x^(6): abs x^(6), abs x^(7) <= abs x^(6)(0) + abs x^(7)(0) + A omega^6 t, damping only helps
+    # energy of x^(6): abs x^(6), abs x^(7) <= abs x^(6)(0) + abs x^(7)(0) + A omega^6 t; damping lowers it
     force_bound, jet_bound_slope = (
         drive.total_derivative_bound(drive_terms, amplitude, frequency, 6),
         jnp.sqrt(1.0 + 4.0 * damping * damping),
@@ -130,7 +201,7 @@ def compute_coefficients(scene):
 
 
 def _force_law_coefficients(scene):
-    """The `FlowCoefficients` of a scene with a force of the user's own."""
+    """Return the `FlowCoefficients` of a scene with a user-defined force."""
     force_law, dtype = scene.force, scene.dtype
     for side, wall in scene.walls.items():
         if wall.law is not None:
@@ -167,28 +238,30 @@ def _force_law_coefficients(scene):
 
 
 def _require_series(key, contact_law, dtype):
-    """Refuse the law of a wall that is no power series in the root of the depth."""
+    """Raise an error if a wall law is not a power series in the root of the depth."""
     signature = contact_law.function, tuple(contact_law.numbers), np.dtype(dtype)
     unknown_operations = ops_without_series(*signature, 2)
     if unknown_operations:
-        message = f"has operations of which no Taylor series is known ({', '.join(unknown_operations)})"
+        message = f"must use operations with a known Taylor series; none is known of {', '.join(unknown_operations)}"
         raise check.SceneError(key, message, contact_law.function)
     if not is_series_of_root(*signature):
         raise check.SceneError(key, "must be a power series in the root of the depth", contact_law.function)
 
 
 def _wall_coefficients(scene):
+    """Return the coefficients of the existing walls, left wall first."""
     signed_walls = zip(WALL_SIGNS, (scene.left, scene.right), strict=True)
     return tuple(wall_coefficients(wall, scene, side, scene.dtype) for side, wall in signed_walls if wall is not None)
 
 
 def _length_scale(walls, amplitude):
-    """The length scale of a scene, never 0: `smallest_length` where all walls are at 0 and there is no drive."""
+    """Return the length scale of a scene; `smallest_length` if it has neither drive nor distance of a wall from 0."""
     length = sum((wall_extent(wall) for wall in walls), amplitude)
     return choose(length > 0, length, lax.full_like(length, smallest_length(length.dtype)))
 
 
 def _min_wall_gap(walls, amplitude):
+    """Return a lower bound on the distance between the walls."""
     if len(walls) < 2:
         return jnp.full_like(amplitude, jnp.inf)
     left_wall, right_wall = walls
@@ -198,7 +271,7 @@ def _min_wall_gap(walls, amplitude):
 
 
 def _period_remainder(frequency, period):
-    """2 pi - frequency period, the product taken exactly (Dekker) and 2 pi beyond its double."""
+    """Return 2 pi less the exact product frequency * period (Dekker), with 2 pi beyond double precision."""
     product = frequency * period
     product_error = dekker_product_error(frequency, period, product)
     two_pi = jnp.asarray(2.0 * jnp.pi, period.dtype)
@@ -207,20 +280,48 @@ def _period_remainder(frequency, period):
 
 
 def dekker_product_error(a, b, product):
-    """a b less the product rounded (Dekker)."""
+    """Compute the rounding error of a product (Dekker).
+
+    Parameters
+    ----------
+    a : array
+        First factor.
+    b : array
+        Second factor.
+    product : array
+        Rounded product.
+
+    Returns
+    -------
+    array
+        Exact product less the rounded one.
+    """
     (a_upper, a_lower), (b_upper, b_lower) = _split_digits(a), _split_digits(b)
     return ((a_upper * b_upper - product) + a_upper * b_lower + a_lower * b_upper) + a_lower * b_lower
 
 
 def _split_digits(a):
-    """a as the sum of two numbers of half its digits (Veltkamp)."""
+    """Split a number into the sum of two numbers with half of its digits each (Veltkamp)."""
     scaled = a * (2.0 ** ((jnp.finfo(a.dtype).nmant + 2) // 2) + 1.0)
     upper_half = scaled - (scaled - a)
     return upper_half, a - upper_half
 
 
 def check_validity(coeffs):
-    """Whether the scene of each lane keeps the rules that `make_scene` checks: (valid, finite)."""
+    """Check for each lane that the scene satisfies the rules of `make_scene`.
+
+    Parameters
+    ----------
+    coeffs : FlowCoefficients
+        Coefficients of the scene.
+
+    Returns
+    -------
+    valid : array of bool
+        True where the scene satisfies the rules.
+    finite : array of bool
+        True where all parameters are finite.
+    """
     term_values = [(term.amplitude, term.cosine) for term in coeffs.drive_terms]
     values = jax.tree.leaves((coeffs.amplitude, coeffs.frequency, coeffs.damping, coeffs.walls, term_values))
     finite = jnp.isfinite(coeffs.amplitude)
@@ -240,6 +341,5 @@ def check_validity(coeffs):
     return valid, finite
 
 
-flow_coefficients = jax.jit(
-    compute_coefficients
-)  # of what is traced time and again for few lanes: once a process for scenes of a kind
+# for code that is traced repeatedly for few lanes: traced once per process and kind of scene
+flow_coefficients = jax.jit(compute_coefficients)

@@ -1,7 +1,12 @@
-"""What a stay within a soft wall is to a path: each kind is a file with the same functions.
+"""Dispatch on the kind of the contact phases inside soft walls.
 
-`begin` and `going`: of a step; `facing`: the wall that it meets; `bias`: of an acceleration; `reach`: the longest step;
-`unbegun` and `paused`: of lanes that wait within a wall.
+Each kind is a module with the same functions:
+
+- `prepare_step` and `active_path` prepare a step,
+- `target_wall` describes the wall that a lane moves towards,
+- `extra_force` returns the additional force in the acceleration,
+- `max_step` is the longest step,
+- `initial_wait` and `advance_waiting` treat lanes that wait inside a wall.
 """
 
 from . import force_law_contact, linear_contact, rigid_contact
@@ -15,5 +20,5 @@ CONTACT_LAWS = {
 
 
 def contact_law_of(coeffs):
-    """The kind of a coeffs: a file with the functions above."""
+    """Return the contact law of some coefficients: a module with the functions above."""
     return CONTACT_LAWS[coeffs.contact_law]

@@ -1,6 +1,7 @@
-"""The drive's further terms, beside A cos(omega t): what each is, and what they do together.
+"""Compute the response to the terms of the drive in addition to A cos(omega t).
 
-As the flow is linear, each is flown by the `flow.Series` of its own frequency; a scene without any has none of this.
+The flow is linear. Hence each term is advanced with the `flow.FlowSeries` of its own frequency. A scene without
+further terms does none of this work.
 """
 
 from dataclasses import dataclass, field
@@ -16,8 +17,23 @@ from . import flow
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class DriveTerm:
-    """force cos(harmonic omega t + phase), numbers scalars or lanes. cosine, sine: of the phase; series: of the flow
-    under it, None under a force of the user's own."""
+    """Term of the drive: amplitude cos(harmonic omega t + phase).
+
+    Numbers are scalars or lanes.
+
+    Attributes
+    ----------
+    amplitude : array
+        Amplitude of the force.
+    cosine : array
+        Cosine of the phase.
+    sine : array
+        Sine of the phase.
+    series : FlowSeries or None
+        Series of the flow under this term. None under a user-defined force.
+    harmonic : int
+        Multiple of the drive frequency.
+    """
 
     amplitude: Float[jax.Array, "..."]
     cosine: Float[jax.Array, "..."]
@@ -27,7 +43,7 @@ class DriveTerm:
 
 
 def drive_terms(scene, frequency, damping):
-    """The further `DriveTerm`s of a scene's drive; damping: None under a force of the user's own."""
+    """Return the further `DriveTerm`s of a scene; `damping` is None under a user-defined force."""
     terms = []
     for motion in scene.drive:
         phase = jnp.asarray(motion.phase, scene.dtype)
@@ -38,29 +54,43 @@ def drive_terms(scene, frequency, damping):
 
 
 def angular_rate(term, frequency):
-    """How fast its angle grows."""
+    """Return the angular frequency of a term."""
     return frequency * float(term.harmonic)
 
 
 def highest_harmonic(terms):
-    """The highest of their harmonics, 0 of none."""
+    """Return the highest harmonic of some drive terms.
+
+    Parameters
+    ----------
+    terms : sequence of DriveTerm
+        Terms of the drive.
+
+    Returns
+    -------
+    int
+        Highest harmonic, and 0 without terms.
+    """
     return max((term.harmonic for term in terms), default=0)
 
 
 def derivative_bound(terms, frequency, order):
-    """A bound on the derivative of an order of their force."""
+    """Return a bound on a derivative of the force of some drive terms."""
     return sum(abs(term.amplitude) * angular_rate(term, frequency) ** order for term in terms)
 
 
 def total_derivative_bound(terms, amplitude, frequency, order):
-    """The same with force cos(omega t)."""
+    """Return a bound on a derivative of the whole drive, including amplitude cos(omega t)."""
     first_bound = abs(amplitude) * frequency**order if order else abs(amplitude)
     return first_bound + derivative_bound(terms, frequency, order) if terms else first_bound
 
 
 def term_forces(terms, frequency, cosine, sine):
-    """[(along, across, rate)], where the drive is at this cosine and sine: a force along cos - across sin of its own
-    angle since now."""
+    """Return the forces of some drive terms as a list of (force_cos, force_sin, rate).
+
+    At a time t from now, when the phasor of the drive is (cosine, sine), the force of a term is force_cos cos(rate t) -
+    force_sin sin(rate t).
+    """
     forces = []
     for term in terms:
         term_cosine, term_sine = harmonic_phasor(term, cosine, sine)
@@ -69,7 +99,7 @@ def term_forces(terms, frequency, cosine, sine):
 
 
 def force_derivatives(terms, frequency, cosine, sine, order):
-    """Their force together and its derivatives to an order, where the drive is at this cosine and sine."""
+    """Return the total force of some drive terms and its derivatives up to an order, at a phasor of the drive."""
     total_derivs = None
     for force_cos, force_sin, rate in term_forces(terms, frequency, cosine, sine):
         derivatives = [force_cos, -force_sin * rate]
@@ -82,8 +112,10 @@ def force_derivatives(terms, frequency, cosine, sine, order):
 
 
 def add_term_derivatives(terms, frequency, cosine, sine, derivatives, first_order=0):
-    """Derivatives of a force, from the first on, None where zero, and those of the terms: `derivatives` where there are
-    none."""
+    """Add the derivatives of the drive terms to those of a force.
+
+    `derivatives` starts at `first_order`; None stands for zero. Without drive terms it is returned unchanged.
+    """
     if not terms:
         return derivatives
     term_derivatives = force_derivatives(terms, frequency, cosine, sine, first_order + len(derivatives) - 1)[
@@ -96,7 +128,10 @@ def add_term_derivatives(terms, frequency, cosine, sine, derivatives, first_orde
 
 
 def term_increments(terms, frequency, cosine, sine, p01, responses):
-    """(dx, dv) that they make of a flight; p01: of the `flow.Gains`; responses: (lift, lag) of each."""
+    """Return the increments (dx, dv) of a flight due to the drive terms.
+
+    `p01` belongs to the `flow.Propagator`. `responses` holds (cos_response, sin_response) for each term.
+    """
     dx = dv = 0.0
     for (force_cos, force_sin, rate), (cos_response, sin_response) in zip(
         term_forces(terms, frequency, cosine, sine), responses, strict=True
@@ -107,12 +142,50 @@ def term_increments(terms, frequency, cosine, sine, p01, responses):
 
 
 def term_responses(terms, frequency, damping, time):
-    """x and v after a start from rest under the cosine, the sine of each one's angle over any time >= 0."""
+    """Compute the response to each drive term after a start from rest.
+
+    Parameters
+    ----------
+    terms : sequence of DriveTerm
+        Terms of the drive.
+    frequency : array
+        Drive frequency.
+    damping : array
+        Damping ratio.
+    time : array
+        Duration of the flight, at least 0, in units of t.
+
+    Returns
+    -------
+    list of ForcedFlow
+        For each term ((x, v), (x, v)) under the cosine and under the sine of its angle.
+    """
     return [flow.doubling_responses(term.series, angular_rate(term, frequency), damping, time)[1] for term in terms]
 
 
 def forced_response(terms, responses, frequency, cosine, sine):
-    """(x, v) after a flight from rest of these `term_responses`."""
+    """Compute the state after a flight from rest under the drive terms.
+
+    Parameters
+    ----------
+    terms : sequence of DriveTerm
+        Terms of the drive.
+    responses : list of ForcedFlow
+        Result of `term_responses`.
+    frequency : array
+        Drive frequency.
+    cosine : array
+        Cosine of the drive angle at the start.
+    sine : array
+        Sine of the drive angle at the start.
+
+    Returns
+    -------
+    x : array
+        Position.
+    v : array
+        Velocity.
+    """
     x = v = 0.0
     for (force_cos, force_sin, _), (cos_response, sin_response) in zip(
         term_forces(terms, frequency, cosine, sine), responses, strict=True
@@ -125,7 +198,7 @@ def forced_response(terms, responses, frequency, cosine, sine):
 
 
 def harmonic_phasor(term_or_wall, cosine, sine):
-    """Cosine and sine of the angle of a harmonic, a `DriveTerm`'s or a wall's, from the drive's."""
+    """Return the phasor (cosine, sine) of a drive term or a moving wall from the phasor of the drive."""
     multiple_cosine, multiple_sine = _multiple_angle(cosine, sine, term_or_wall.harmonic)
     return (
         multiple_cosine * term_or_wall.cosine - multiple_sine * term_or_wall.sine,
@@ -134,7 +207,7 @@ def harmonic_phasor(term_or_wall, cosine, sine):
 
 
 def _multiple_angle(cosine, sine, harmonic):
-    """Cosine and sine of a whole multiple of the angle, by squaring."""
+    """Return cosine and sine of an integer multiple of an angle, by repeated squaring."""
     if harmonic == 0:
         return lax.full_like(cosine, 1.0), lax.full_like(sine, 0.0)
     if harmonic == 1:

@@ -1,4 +1,4 @@
-"""How a given state begins its path: the rules for a start on a wall, and the starts that are refused."""
+"""Start the path of a state: apply the rules for a start on a wall and reject invalid starts."""
 
 from dataclasses import replace
 
@@ -14,16 +14,33 @@ from .soft_contact import is_inside
 from .soft_wall_lanes import in_soft_wall
 from .wall_motion import subtract, wall_extent, wall_jet
 
-MAX_LENGTH_EXPONENT = 0.4  # exponent: squares and products of two lengths below largest**WIDE stay finite
+MAX_LENGTH_EXPONENT = 0.4  # squares and products of two lengths below largest**0.4 stay finite
 
 
 def start_path(coeffs, state, check_rules=check_validity):
-    """(path, fault): a path with no time to go yet, and OK, INVALID or NONFINITE; check_rules: what the scene must
-    keep.
+    """Start a path at a state.
 
-    A start on a wall that moves into it stays free, so that its first event is that impact. One that moves away has
-    landed; one without speed is decided by the press, then by its change (`impact.settle`). A position or a speed whose
-    square would be lost is none.
+    Parameters
+    ----------
+    coeffs : FlowCoefficients
+        Coefficients of the scene.
+    state : State
+        Initial state.
+    check_rules : callable, optional
+        Function from the coefficients to (valid, finite) of the scene.
+
+    Returns
+    -------
+    path : Path
+        Path with no time remaining.
+    status : array
+        `Status.OK`, `Status.INVALID` or `Status.NONFINITE` for each lane.
+
+    Notes
+    ----- A mass that starts on a wall and moves into it is free, so that the impact is its first event. A mass that
+    moves away has landed and leaves. Without relative speed the contact force decides, then its rate
+    (`impact.next_contact`). Positions and velocities whose square would underflow are set to 0. A start is not finite
+    if the largest length of state and scene would underflow or overflow when squared.
     """
     cosine, sine = jnp.cos(state.phase), jnp.sin(state.phase)
     valid, finite = check_rules(coeffs)
@@ -44,7 +61,7 @@ def start_path(coeffs, state, check_rules=check_validity):
     for wall, soft_flow in zip(coeffs.walls, coeffs.soft_flows, strict=True):
         wall_state = wall_jet(wall, coeffs.frequency, cosine, sine, 1)
         wall_contact = state.contact * wall.sign
-        is_inside_wall = is_inside(path.contact)  # of the wall before, from which the lane is counted
+        is_inside_wall = is_inside(path.contact)  # inside the previous wall, relative to which x and v are measured
         wall_path = path._replace(
             x=choose(is_inside_wall, state.x + zero, path.x), v=choose(is_inside_wall, state.v + zero, path.v)
         )
@@ -68,7 +85,10 @@ def start_path(coeffs, state, check_rules=check_validity):
 
 
 def _start_at_soft_wall(coeffs, wall, wall_state, path, wall_contact):
-    """As `_start_at_rigid_wall`: beyond this wall a start is within it, and is counted from it."""
+    """Apply the start rules of a soft wall: return (path, is_allowed).
+
+    Beyond the wall the mass starts inside it, and x and v are relative to the wall.
+    """
     wall_position, velocity_or_none = wall_state
     wall_velocity = jnp.zeros_like(wall_position) if velocity_or_none is None else velocity_or_none
     depth, approach_speed = wall.sign * (path.x - wall_position), wall.sign * (path.v - wall_velocity)
@@ -100,8 +120,10 @@ def _start_at_soft_wall(coeffs, wall, wall_state, path, wall_contact):
 
 
 def _start_at_rigid_wall(coeffs, wall, wall_state, path, wall_contact):
-    """The path as this wall finds it, and whether the start is allowed; wall_contact: the contact times the wall's
-    sign."""
+    """Apply the start rules of a rigid wall: return (path, is_allowed).
+
+    `wall_contact` is the contact times the sign of the wall.
+    """
     wall_position, velocity_or_none = wall_state
     gap = wall.sign * ((wall_position - path.x) + path.x_low)
     approach_speed = wall.sign * subtract(path.v, velocity_or_none)
@@ -130,7 +152,7 @@ def _start_at_rigid_wall(coeffs, wall, wall_state, path, wall_contact):
 
 
 def _contact_tolerance(wall, depth):
-    """How far from a wall that moves a start is on it: where such a wall is comes rounded to whoever works it out."""
+    """Return the distance within which a start is on a moving wall, whose position callers know only up to rounding."""
     return (
         jnp.zeros_like(depth) if wall.amplitude is None else 8.0 * event.unit_roundoff(depth.dtype) * wall_extent(wall)
     )

@@ -1,4 +1,4 @@
-"""What lean steps count with: a scene's numbers and the lanes of a batch, with time in longest steps."""
+"""Scale the coefficients of a scene for the fast path, whose unit of time is the longest step."""
 
 import math
 from typing import NamedTuple
@@ -11,19 +11,52 @@ from . import flow
 from .event import N_TERMS
 from .wall_motion import WallCoefficients, wall_extent
 
-GIVEN_UP = -1.0  # of the time that is left to a lane
-MAX_STEPS = 256.0  # of a period: so few that roundings cannot add up to `lean_event.MARGIN` (docs/numbers.md)
+GIVEN_UP = -1.0  # remaining time of a lane that the fast path gives up
+MAX_STEPS = 256.0  # per period; rounding errors then stay below `fast_event.DOUBT_MARGIN` (docs/numbers.md)
 
 
 class FastCoefficients(NamedTuple):
-    """What lean steps need of a scene, in longest steps of time; each number a scalar or one for each lane.
+    """Coefficients of the fast path for x'' = amplitude cos(frequency t) - stiffness x - drag x'.
 
-    Of x'' = force cos - stiffness x - drag x': these, and the drive's frequency; series: of its flow, short_series:
-    that `flow.shortened`; walls: the frame's; wall_terms: for each, its swing's Taylor coefficients but for cos and
-    sin, None where it stands still; wall_remainders: what the swings add to the remainder; drive_remainder: what the
-    drive adds, sixth_term_weight: the sixth derivative's share in it; wall_gap: between still walls; length_scale: the
-    walls' distances and the drive's amplitude together; step_limit: of one period, the most; max_step: the longest step
-    (t)."""
+    The unit of time is the longest step. Each number is a scalar or an array with one value per lane.
+
+    Attributes
+    ----------
+    amplitude : array
+        Drive amplitude.
+    frequency : array
+        Drive frequency.
+    drag : array
+        Damping coefficient 2 gamma.
+    stiffness : array
+        Stiffness of the oscillator.
+    series : FlowSeries
+        Series of the flow.
+    short_series : FlowSeries
+        Economised series of the flow, see `flow.economise_series`.
+    walls : tuple of WallCoefficients
+        Walls of the `coefficients.FlowCoefficients`.
+    wall_terms : tuple
+        For each wall the Taylor coefficients of its oscillation without the factors cos and sin; None if it is fixed.
+    wall_remainders : tuple of array
+        Contribution of each wall's oscillation to the remainder.
+    drive_remainder : array
+        Contribution of the drive to the remainder.
+    sixth_term_weight : array
+        Weight of the sixth Taylor term in the remainder.
+    wall_gap : array
+        Distance between fixed walls.
+    length_scale : array
+        Sum of the wall distances and the drive amplitude.
+    period : array
+        Drive period.
+    step_limit : array
+        Largest number of steps in one period.
+    max_step : array
+        Longest step, in units of t.
+    inverse_max_step : array
+        Reciprocal of `max_step`.
+    """
 
     amplitude: Float[jax.Array, "..."]
     frequency: Float[jax.Array, "..."]
@@ -45,13 +78,28 @@ class FastCoefficients(NamedTuple):
 
     @property
     def has_fixed_walls(self) -> bool:
-        """Whether all walls stand still."""
+        """True if no wall moves."""
         return all(wall.amplitude is None for wall in self.walls)
 
 
 class LaneStates(NamedTuple):
-    """Where lanes are in their period: x and v, the drive's cosine and sine, the time left, GIVEN_UP of a lane that
-    is; largest_length: the largest length so far."""
+    """States of lanes within their period.
+
+    Attributes
+    ----------
+    x : array
+        Position.
+    v : array
+        Velocity, in lengths per longest step.
+    cosine : array
+        Cosine of the drive angle.
+    sine : array
+        Sine of the drive angle.
+    time_remaining : array
+        Remaining time of the period, in longest steps. `GIVEN_UP` for a lane that the fast path gives up.
+    largest_length : array
+        Largest length since the start of the period, to which rounding errors are relative.
+    """
 
     x: Float[jax.Array, "*lanes"]
     v: Float[jax.Array, "*lanes"]
@@ -62,7 +110,18 @@ class LaneStates(NamedTuple):
 
 
 def scale_coefficients(coeffs):
-    """The `FastCoefficients` of a frame with rigid walls."""
+    """Scale the coefficients of a scene with rigid walls for the fast path.
+
+    Parameters
+    ----------
+    coeffs : FlowCoefficients
+        Coefficients of the scene.
+
+    Returns
+    -------
+    FastCoefficients
+        Coefficients in units of the longest step.
+    """
     max_step = coeffs.max_step
     frequency, damping, stiffness = coeffs.frequency * max_step, coeffs.damping * max_step, max_step * max_step
     amplitude, period = coeffs.amplitude * stiffness, coeffs.period * coeffs.inverse_max_step
@@ -92,6 +151,7 @@ def scale_coefficients(coeffs):
 
 
 def _wall_terms(wall, frequency):
+    """Return the Taylor coefficients of a wall's oscillation without the factors cos and sin, None for a fixed wall."""
     if wall.amplitude is None:
         return None
     wall_rate = frequency * float(wall.harmonic)

@@ -1,7 +1,7 @@
-"""The next event of a lean step: the wall that is met and when, or a step without contact.
+"""Certify the next event of a fast step: the wall that is hit and the time, or a step without contact.
 
-Both are certified by the first Taylor coefficients of a lane's progress towards a wall and a bound on the rest, with
-margins that are far wider than any rounding of a flight (docs/numbers.md). Times are in longest steps.
+The first Taylor coefficients of a lane's progress towards a wall and a bound on the remainder certify both. The margins
+are much wider than any rounding error of a flight (docs/numbers.md). Times are in units of the longest step.
 """
 
 from jax import lax
@@ -13,16 +13,19 @@ from .event import N_TERMS, Progress
 from .fast_coefficients import GIVEN_UP
 from .wall_motion import select_by_side, subtract
 
-DOUBT_MARGIN = 2.0**-36  # of a lane's largest length: what is nearer to a wall than this is in doubt
-LANDING_MARGIN = 2.0**-16  # of the longest step: more than what is left to an event where a step lands
-MIN_STEP = 2.0**-10  # of it: a lane that would take a shorter step, but to an event, is in doubt
-BEYOND_EVENT = 2.0**-6  # of it: up to so far beyond an event the mass provably goes on into the wall
-JUMP_FRACTION = 0.9375  # of the way to an event that is certain, but too far to land on
+DOUBT_MARGIN = 2.0**-36  # distance to a wall, in largest lengths of a lane, below which a lane is in doubt
+LANDING_MARGIN = 2.0**-16  # in longest steps; exceeds the time between the end of a landing step and its event
+MIN_STEP = 2.0**-10  # in longest steps; a lane in doubt would take a shorter step that does not end at an event
+BEYOND_EVENT = 2.0**-6  # in longest steps; the mass provably moves into the wall for this time after an event
+JUMP_FRACTION = 0.9375  # fraction of the time to an event that is certain but too far away to land on
 
 
 def next_event(coeffs, lanes, drive_forces):
-    """(the side of the wall that is met, 0: none, when, how long there is no contact else, GIVEN_UP: too short; a bound
-    on what the Taylor polynomial of x leaves out)."""
+    """Return (hit_side, contact time, safe time, remainder) of the next step.
+
+    `hit_side` is 0 without a hit. The safe time is the step without contact, `GIVEN_UP` if it is too short. The
+    remainder bounds the terms that the Taylor polynomial of x omits.
+    """
     phasors = wall_phasors(coeffs, lanes)
     side = stage(_target_side, coeffs, lanes, drive_forces, phasors)
     remainder = stage(_free_remainder, coeffs, lanes, drive_forces)
@@ -57,7 +60,7 @@ def next_event(coeffs, lanes, drive_forces):
 
 
 def wall_phasors(coeffs, lanes):
-    """Cosine and sine of the angle that each wall swings by, None of one that stands still."""
+    """Return the phasor (cosine, sine) of each wall, None for a fixed wall."""
     return [
         None if wall_terms is None else stage(harmonic_phasor, wall, lanes.cosine, lanes.sine)
         for wall, wall_terms in zip(coeffs.walls, coeffs.wall_terms, strict=True)
@@ -65,7 +68,7 @@ def wall_phasors(coeffs, lanes):
 
 
 def _free_term(coeffs, lanes, drive_forces, k):
-    """The k-th Taylor coefficient of x in free flight."""
+    """Return the k-th Taylor coefficient of x in free flight."""
     if k < 2:
         return lanes.v if k else lanes.x
     series = coeffs.series
@@ -76,7 +79,7 @@ def _free_term(coeffs, lanes, drive_forces, k):
 
 
 def _wall_term(wall, wall_terms, phasor, k):
-    """The k-th Taylor coefficient of a wall's position, None for zero."""
+    """Return the k-th Taylor coefficient of a wall's position; None stands for zero."""
     if wall_terms is None:
         return None if k else wall.position
     oscillation = wall_terms[k] * phasor[k % 2]
@@ -85,23 +88,24 @@ def _wall_term(wall, wall_terms, phasor, k):
 
 
 def _wall_term_on_side(coeffs, phasors, side, k):
+    """Return the k-th Taylor coefficient of the position of the wall on a side."""
     walls = zip(coeffs.walls, coeffs.wall_terms, phasors, strict=True)
     return select_by_side(side, coeffs.walls, [_wall_term(*wall_args, k) for wall_args in walls])
 
 
 def progress_term(coeffs, lanes, drive_forces, phasors, side, k):
-    """The k-th Taylor coefficient of the progress towards the wall on a side."""
+    """Return the k-th Taylor coefficient of the progress towards the wall on a side."""
     return side * subtract(_free_term(coeffs, lanes, drive_forces, k), _wall_term_on_side(coeffs, phasors, side, k))
 
 
 def _free_remainder(coeffs, lanes, drive_forces):
-    """A bound on abs x^(7) / 7! over a step, by the energy of x^(6), which the damping lessens."""
+    """Return a bound on abs x^(7) / 7! over a step from the energy of x^(6), which damping lowers."""
     sixth_term, seventh_term = (_free_term(coeffs, lanes, drive_forces, k) for k in (N_TERMS - 1, N_TERMS))
     return lax.abs(seventh_term) + coeffs.sixth_term_weight * lax.abs(sixth_term) + coeffs.drive_remainder
 
 
 def _wall_progress(coeffs, lanes, drive_forces, phasors, side, remainder):
-    """The `event.Progress` towards the wall on a side."""
+    """Return the `event.Progress` towards the wall on a side."""
     terms = tuple(stage(progress_term, coeffs, lanes, drive_forces, phasors, side, k=k) for k in range(N_TERMS))
     if not coeffs.has_fixed_walls:
         remainder = stage(_add_wall_remainder, coeffs, side, remainder)
@@ -113,7 +117,7 @@ def _add_wall_remainder(coeffs, side, remainder):
 
 
 def _target_side(coeffs, lanes, drive_forces, phasors):
-    """The wall to aim at: that which is reached first at the present speed."""
+    """Return the side of the wall that the mass reaches first at its present velocity."""
     if len(coeffs.walls) == 1:
         return lax.full_like(lanes.x, float(coeffs.walls[0].sign))
     if coeffs.has_fixed_walls:
@@ -127,7 +131,7 @@ def _target_side(coeffs, lanes, drive_forces, phasors):
 
 
 def _cubic_bound(progress, sign):
-    """K >= 0 with way G <= way (g0 + g1 t + g2 t^2) + K t^3."""
+    """Return K >= 0 with sign G <= sign (g0 + g1 t + g2 t^2) + K t^3."""
     cubic_bound = progress.remainder
     for term in progress.terms[:2:-1]:
         cubic_bound = positive_part(sign * term + cubic_bound)
@@ -135,7 +139,10 @@ def _cubic_bound(progress, sign):
 
 
 def _safe_step(clearance, slope, curvature, cubic, max_time):
-    """(n, d), a step of n / d, at most far, without contact where G <= -clear + slope t + bend t^2 + tail t^3."""
+    """Return (n, d) of a step n / d <= max_time without contact.
+
+    It uses G <= -clearance + slope t + curvature t^2 + cubic t^3.
+    """
     max_curvature = curvature + cubic * max_time
     positive_curvature, approaches = positive_part(max_curvature), slope >= 0
     stays_clear = (clearance >= max_time * (slope + positive_curvature * max_time)) | (
@@ -147,7 +154,7 @@ def _safe_step(clearance, slope, curvature, cubic, max_time):
 
 
 def _other_wall_step(progress, cubic, largest_length):
-    """`_safe_step` from the wall that is not aimed at."""
+    """Return the `_safe_step` for the other wall."""
     terms = progress.terms
     return _safe_step(
         positive_part(-terms[0] - DOUBT_MARGIN * largest_length), terms[1], terms[2], cubic, lax.full_like(cubic, 1.0)
@@ -155,7 +162,7 @@ def _other_wall_step(progress, cubic, largest_length):
 
 
 def _opposite_wall_step(coeffs, progress, cubic, largest_length):
-    """As `_other_wall_step`, of still walls, by the progress towards the other."""
+    """Return the `_safe_step` for the other of two fixed walls, from the progress towards the target wall."""
     terms = progress.terms
     return _safe_step(
         positive_part(coeffs.wall_gap + terms[0] - DOUBT_MARGIN * largest_length),
@@ -167,7 +174,7 @@ def _opposite_wall_step(coeffs, progress, cubic, largest_length):
 
 
 def _root_guess(progress):
-    """The first root of the first three terms; where they have none, minus the time that they are nearest at."""
+    """Return the first root of the first three terms, or minus the time of their closest approach if there is none."""
     terms = progress.terms
     approaches, discriminant = terms[1] > 0, terms[1] * terms[1] - 4.0 * terms[2] * terms[0]
     root_sum = lax.abs(terms[1]) + lax.sqrt(positive_part(discriminant))
@@ -176,7 +183,7 @@ def _root_guess(progress):
 
 
 def _refine_root(progress, root_guess):
-    """A root from the quadratic's, by one of Halley's steps and one of Newton's with the slope of before."""
+    """Improve the root of the quadratic by one Halley step and one Newton step with the earlier slope."""
     value, slope, half_curvature = _polynomial_derivs(progress.terms, root_guess)
     halley_factor = slope / (slope * slope - value * half_curvature)
     root = root_guess - value * halley_factor
@@ -184,7 +191,7 @@ def _refine_root(progress, root_guess):
 
 
 def _polynomial_derivs(terms, time):
-    """The polynomial with these coefficients, its slope and half its second derivative at a time."""
+    """Evaluate a polynomial, its slope and half its second derivative."""
     value, slope, half_curvature = terms[-1] * time + terms[-2], terms[-1], lax.full_like(time, 0.0)
     for coefficient in terms[-3::-1]:
         half_curvature = half_curvature * time + slope
@@ -194,10 +201,10 @@ def _polynomial_derivs(terms, time):
 
 
 def _root_certainty(progress, root_guess, root):
-    """2 where a step may land on the root, 1 where it is certain and known to a 16th of the way, 0 elsewhere.
+    """Return 2 if a step may land on the root, 1 if it is certain to a sixteenth of the time to it, 0 otherwise.
 
-    Certain: G rises at a fifth of its slope at least up to BEYOND it, so that there is no other before, and the true
-    one is as near as what is left of the polynomial there says, but for rounding.
+    A root is certain if G rises with at least a fifth of its slope up to `BEYOND_EVENT` after it. Then no earlier root
+    exists. The residual of the polynomial, less its rounding error, bounds the distance to the true root.
     """
     terms, remainder = progress.terms, progress.remainder
     horizon = root * event.ROOT_MARGIN + BEYOND_EVENT
@@ -218,7 +225,7 @@ def _root_certainty(progress, root_guess, root):
 
 
 def _hit_side(lanes, root, certainty, side, other_step):
-    """The side of the wall that is met at the root, 0 where it is not near enough or not the next event."""
+    """Return the side of the wall hit at the root, or 0 if the root is inaccurate or not the next event."""
     is_hit = (certainty > 1.5) & (root + LANDING_MARGIN <= lanes.time_remaining)
     if other_step is not None:
         is_hit &= root * other_step[1] <= other_step[0]
@@ -226,7 +233,7 @@ def _hit_side(lanes, root, certainty, side, other_step):
 
 
 def _safe_time(lanes, progress, cubic, largest_length, root_guess, root, certainty, other_step):
-    """A step without contact, GIVEN_UP where it is too short: from one division."""
+    """Return a step without contact from one division, or GIVEN_UP if it is too short."""
     terms = progress.terms
     horizon = 2.0 * lax.abs(root_guess)
     numerator, denominator = _safe_step(

@@ -1,6 +1,6 @@
-"""How lanes move in a lean step: the flight, the little that is left to an event, and the wall that is met there.
+"""Advance lanes in a fast step: the flight, the remaining time to an event, and the impact.
 
-Times are in longest steps; a drive is its cosine and its sine.
+Times are in units of the longest step. The drive is given by the cosine and sine of its angle.
 """
 
 from ..compiled.compiler_hints import choose
@@ -9,12 +9,12 @@ from .wall_motion import select_by_side, select_lists_by_side, subtract, wall_je
 
 
 def drive_forces(coeffs, cosine, sine):
-    """The drive's force, and its part in quadrature."""
+    """Return the force of the drive and its part in quadrature."""
     return coeffs.amplitude * cosine, coeffs.amplitude * sine
 
 
 def propagate(coeffs, x, v, drive_forces, propagator):
-    """(x, v) after a flight, as `flight_state.moved` with no swift part."""
+    """Return (x, v) after a flight, without a swift part (see `flight_state.motion_state`)."""
     force_cos, force_sin = drive_forces
     p00_minus_1, p01, cos_response, sin_response = propagator[:4]
     dx = p00_minus_1 * x + (p01 * v + (force_cos * cos_response - force_sin * sin_response))
@@ -26,7 +26,7 @@ def propagate(coeffs, x, v, drive_forces, propagator):
 
 
 def event_delay(coeffs, x, v, phasor, side):
-    """How much later than the end of a step its event is: one step of Halley's (`impact.late`)."""
+    """Return the time from the end of a step to its event by one Halley step (see `impact.event_delay`)."""
     wall_derivs = [wall_jet(wall, coeffs.frequency, *phasor, 2) for wall in coeffs.walls]
     wall_position, wall_velocity, wall_acceleration = select_lists_by_side(side, coeffs.walls, wall_derivs)
     inverse_velocity = 1.0 / subtract(v, wall_velocity)
@@ -38,41 +38,41 @@ def event_delay(coeffs, x, v, phasor, side):
 
 
 def evaluate_acceleration(coeffs, x, v, phasor):
-    """The acceleration."""
+    """Return the acceleration."""
     return coeffs.amplitude * phasor[0] - coeffs.stiffness * x - coeffs.drag * v
 
 
 def evaluate_jerk(coeffs, v, acceleration, sine):
-    """The change of the acceleration."""
+    """Return the rate of the acceleration."""
     return -(coeffs.frequency * coeffs.amplitude) * sine - coeffs.stiffness * v - coeffs.drag * acceleration
 
 
 def impact_velocity(coeffs, x, v, phasor, delay):
-    """The speed at an event so much later than the end of a step."""
+    """Return the velocity at an event a delay after the end of a step."""
     acceleration = evaluate_acceleration(coeffs, x, v, phasor)
     return v + delay * (acceleration + 0.5 * delay * evaluate_jerk(coeffs, v, acceleration, phasor[1]))
 
 
 def rotate_drive(coeffs, phasor, delay):
-    """The drive's cosine and sine so much later."""
+    """Return the phasor of the drive after a delay."""
     angle = coeffs.frequency * delay
     return flow.rotate(*phasor, -0.5 * angle * angle, angle)
 
 
 def wall_state(coeffs, cosine, sine, side):
-    """Where the wall on a side is, and its speed."""
+    """Return position and velocity of the wall on a side."""
     return select_lists_by_side(
         side, coeffs.walls, [wall_jet(wall, coeffs.frequency, cosine, sine, 1) for wall in coeffs.walls]
     )
 
 
 def restitution_of(coeffs, side):
-    """Of the wall on a side."""
+    """Return the restitution of the wall on a side."""
     return select_by_side(side, coeffs.walls, [wall.restitution for wall in coeffs.walls])
 
 
 def rebound(coeffs, x, v, phasor, side, impact_velocity):
-    """(x, v) after the event of a step, if it has one, at the speed that was met."""
+    """Return (x, v) after the event of a step, if it has one, given the velocity before impact."""
     wall_position, wall_velocity = wall_state(coeffs, *phasor, side)
     is_hit, restitution = side != 0, restitution_of(coeffs, side)
     new_velocity = (

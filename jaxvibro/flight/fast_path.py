@@ -1,11 +1,11 @@
-"""The lean tier: certified steps between rigid walls, for lanes whose events are far from doubt.
+"""Fly certified steps between rigid walls on the fast path, for lanes whose events are beyond doubt.
 
-A step here is one of `step.micro` with less to decide. Each test keeps a margin that is far wider than any rounding of
-a flight: a lane that comes nearer to a doubt than that, as by a near grazing, a slow impact, a contact at a period's
-end or a start on a wall, is given up, never decided. The full tier then does its period again (docs/numbers.md).
+A step is a simplified `step.certified_step`. Each test keeps a margin that is much wider than any rounding error of a
+flight. The fast path gives up a lane in doubt and never decides it: for example at a near grazing, a slow impact, a
+contact at the end of a period or a start on a wall. The reference path then repeats its period (docs/numbers.md).
 
-Time is counted in the longest step, so that the numbers of the oscillator are small and of no unit: a speed is the
-length that it covers in one such step.
+The unit of time is the longest step, so that all coefficients of the oscillator are small. A velocity is then a length,
+the displacement in one longest step.
 """
 
 import jax.numpy as jnp
@@ -18,11 +18,26 @@ from .fast_coefficients import GIVEN_UP, LaneStates
 from .fast_event import DOUBT_MARGIN
 from .wall_motion import subtract, wall_jet
 
-SLOW_FRACTION = 2.0**-9  # of a lane's largest length a longest step: an impact that leaves more slowly is in doubt
+SLOW_FRACTION = 2.0**-9  # least rebound speed beyond doubt, in largest lengths of a lane per longest step
 
 
 def start_lanes(coeffs, path, is_active):
-    """The `LaneStates` that a `Path` begins a period with, those that go: given up where they are in doubt at once."""
+    """Start lanes on the fast path.
+
+    Parameters
+    ----------
+    coeffs : FastCoefficients
+        Coefficients of the scene.
+    path : Path
+        Path at the start of a period.
+    is_active : array of bool
+        Lanes to compute.
+
+    Returns
+    -------
+    LaneStates
+        States of the lanes. Lanes whose start is in doubt are given up; inactive lanes have no time remaining.
+    """
     return stage(_start_lanes, coeffs, path.x, path.v, path.cosine, path.sine, path.contact, is_active)
 
 
@@ -43,10 +58,37 @@ def _start_lanes(coeffs, x, v, cosine, sine, contact, is_active):
 
 
 def run_lanes(coeffs, lanes, log, impact_slots, directions=(), tangents=(), with_clearance=False):
-    """(lanes, log, slots, tangents, the least clearance, None where it was not asked for) when no lane has time left;
-    one that needs too many steps is given up.
+    """Run lanes on the fast path until no lane has time remaining.
 
-    directions, tangents: the directions in which `fast_tangent` carries derivatives along, and how those begin.
+    Parameters
+    ----------
+    coeffs : FastCoefficients
+        Coefficients of the scene.
+    lanes : LaneStates
+        Result of `start_lanes`.
+    log : ImpactLog
+        Log of the impacts.
+    impact_slots : ImpactSlots
+        Slots of the impacts.
+    directions : sequence of ParameterDirection, optional
+        Directions of the derivatives to compute.
+    tangents : sequence of Tangent, optional
+        Initial derivatives, one for each direction.
+    with_clearance : bool, optional
+        True computes the smallest clearance.
+
+    Returns
+    -------
+    lanes : LaneStates
+        Final states. A lane that needs too many steps is given up.
+    log : ImpactLog
+        Log with the new impacts.
+    impact_slots : ImpactSlots
+        Slots with the new impacts.
+    tangents : tuple of Tangent
+        Derivatives at the end of the period.
+    least_clearance : array or None
+        Smallest clearance, None if not computed.
     """
     fits_in_log = len(impact_slots.times) <= impact_log.MAX_RECENT
     approaches = fast_turning_points.no_turning_points(lanes.x) if with_clearance else None
@@ -104,11 +146,11 @@ def run_lanes(coeffs, lanes, log, impact_slots, directions=(), tangents=(), with
 
 
 def step_lanes(coeffs, lanes, n_steps, directions=(), tangents=(), approaches=None):
-    """(lanes, tangents, calls) a step later, the side of the impact at its end, 0: none, the speed against its wall,
-    over t.
+    """Take one step: return (lanes, tangents, approaches, hit side, approach speed in units of t).
 
-    n_steps: the period's steps before this one; approaches: the closest calls, None where they are not asked for. A
-    lane that has no time left, or was given up, stays as it is."""
+    The hit side is 0 without an impact. `n_steps` counts the earlier steps of the period. `approaches` is None if no
+    clearances are computed. A lane without remaining time, or given up, does not change.
+    """
     lanes_before = lanes = lanes._replace(largest_length=stage(_largest_length, coeffs, lanes))
     drive_forces = stage(fast_motion.drive_forces, coeffs, lanes.cosine, lanes.sine)
     hit_side, contact_time, safe_time, remainder_bound = fast_event.next_event(coeffs, lanes, drive_forces)
@@ -142,26 +184,29 @@ def step_lanes(coeffs, lanes, n_steps, directions=(), tangents=(), approaches=No
 
 
 def _largest_length(coeffs, lanes):
+    """Return the largest length of each lane."""
     return maximum(lanes.largest_length, coeffs.length_scale + lax.abs(lanes.x) + lax.abs(lanes.v))
 
 
 def _unscaled_time(coeffs, time_remaining):
+    """Return the remaining time in units of t."""
     return time_remaining * coeffs.max_step
 
 
 def _step_time(lanes, hit_side, contact_time, safe_time):
+    """Return the length of the step."""
     return choose(lanes.time_remaining > 0, choose(hit_side != 0, contact_time, positive_part(safe_time)), 0.0)
 
 
 def _approach_speed(coeffs, cosine, sine, side, impact_velocity):
-    """The speed against the wall that is met, over t."""
+    """Return the speed relative to the wall on a side before impact, in units of t."""
     return side * (
         subtract(impact_velocity, fast_motion.wall_state(coeffs, cosine, sine, side)[1]) * coeffs.inverse_max_step
     )
 
 
 def _time_remaining(coeffs, lanes, n_steps, safe_time, step_time, side, approach_speed, delay):
-    """The time left after a step: of a lane in doubt GIVEN_UP."""
+    """Return the remaining time after a step, GIVEN_UP for a lane in doubt."""
     is_hit, time_remaining = side != 0, (lanes.time_remaining - step_time) - delay
     certainty = choose(
         is_hit,

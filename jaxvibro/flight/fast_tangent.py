@@ -1,15 +1,15 @@
-"""Derivatives that lean steps carry along: how x and v move, at the same time, where the numbers move in a direction.
+"""Compute directional derivatives of x and v along fast steps, at fixed time, in directions of the parameters.
 
-A flight of a given time is linear in x and v. An impact on a wall, x_b and v_b, comes later by
+A flight of a given duration is linear in x and v. An impact on a wall with position x_b and velocity v_b is delayed by
 
     d = (dx_b - dx) / u,    u = v- - v_b,
 
-and leaves, brought back to the time of the old one (the saltation matrix; paper, (36)),
+and the perturbation after it, referred to the time of the unperturbed impact, is (saltation matrix; paper, (36))
 
     dx+ = (1 + R) dx_b - R dx,    dv+ = (1 + R) dv_b - R dv - R' u + d ((1 + R) a_b - R a- - a+),
 
-a-, a+ the accelerations before and after, a_b the wall's. `fast_motion` is differentiated for the rest, by the numbers
-that move alone.
+where a- and a+ are the accelerations before and after, and a_b is that of the wall. The remaining terms are derivatives
+of `fast_motion` with respect to the parameters that vary.
 """
 
 from typing import NamedTuple
@@ -25,9 +25,17 @@ from .wall_motion import WallCoefficients, select_by_side, select_lists_by_side,
 
 
 class ParameterDirection(NamedTuple):
-    """How fast the numbers of lanes move in a direction, None for what stands still. coeff_rates: as
-    `lean_numbers.numbers` has them, walls as its walls; phase_rate: the drive's, at the start; period_rate: the time to
-    the end."""
+    """Rates of the parameters of lanes along a direction; None stands for a rate of zero.
+
+    Attributes
+    ----------
+    coeff_rates : FastCoefficients
+        Rates of the coefficients.
+    phase_rate : array or None
+        Rate of the drive phase at the start.
+    period_rate : array or None
+        Rate of the duration.
+    """
 
     coeff_rates: FastCoefficients
     phase_rate: Float[jax.Array, "..."] | None
@@ -35,15 +43,39 @@ class ParameterDirection(NamedTuple):
 
 
 class Tangent(NamedTuple):
-    """How fast x and v move, v over the longest step."""
+    """Directional derivative of the state.
+
+    Attributes
+    ----------
+    x : array
+        Derivative of the position.
+    v : array
+        Derivative of the velocity, in lengths per longest step within the fast path.
+    """
 
     x: Float[jax.Array, "*lanes"]
     v: Float[jax.Array, "*lanes"]
 
 
 def parameter_direction(coeffs, scene, scene_rates, phase_rate):
-    """The `ParameterDirection` where a scene's numbers move at the rates of a scene, and the phase at a rate; None: not
-    at all."""
+    """Build the direction of a derivative from the rates of a scene and of the phase.
+
+    Parameters
+    ----------
+    coeffs : FastCoefficients
+        Coefficients of the scene.
+    scene : Scene
+        Scene.
+    scene_rates : Scene
+        Rates of the parameters of the scene; None stands for a rate of zero.
+    phase_rate : array or None
+        Rate of the phase of the state.
+
+    Returns
+    -------
+    ParameterDirection
+        Rates of the coefficients, of the phase and of the duration.
+    """
     amplitude_rate, frequency_rate, drag_rate = scene_rates.amplitude, scene_rates.frequency, scene_rates.damping
     if amplitude_rate is not None:
         amplitude_rate = amplitude_rate * coeffs.stiffness
@@ -69,7 +101,7 @@ def parameter_direction(coeffs, scene, scene_rates, phase_rate):
 
 
 def _series_rates(coeffs, frequency_rate, drag_rate):
-    """The rates of the flow's coefficients; the free flow's do not know the drive."""
+    """Return the rates of the flow series; the free flow does not depend on the drive."""
     if frequency_rate is None and drag_rate is None:
         return None
     damping_rate = None if drag_rate is None else 0.5 * drag_rate
@@ -79,6 +111,7 @@ def _series_rates(coeffs, frequency_rate, drag_rate):
 
 
 def _wall_rates(side, wall, wall_rates, shared_rate):
+    """Return the rates of the coefficients of a wall."""
     restitution_rate = wall_rates.restitution if wall.restitution is not None else shared_rate
     motion_rates = {"amplitude": None, "cosine": None, "sine": None}
     harmonic = 1
@@ -92,7 +125,7 @@ def _wall_rates(side, wall, wall_rates, shared_rate):
 
 
 def partial_jvp(function, values, rates):
-    """The derivative of function(*values) where parts of the values move at these rates; None: not at all."""
+    """Return the derivative of ``function(*values)`` for given rates of parts of the values; None stands for zero."""
     leaves, treedef = jax.tree.flatten(values)
     leaf_rates = []
 
@@ -113,7 +146,7 @@ def partial_jvp(function, values, rates):
 
 
 def propagate_tangents(coeffs, directions, tangents, lanes_before, drive_forces, propagator, time):
-    """The tangents after the flight of a step, whose lanes and forces were these before it."""
+    """Return the tangents after the flight of a step, given the lanes and forces at its start."""
     elapsed_time = stage(_elapsed_time, coeffs, lanes_before.time_remaining)
     flight_arguments = (
         lanes_before.x,
@@ -132,11 +165,12 @@ def propagate_tangents(coeffs, directions, tangents, lanes_before, drive_forces,
 
 
 def _elapsed_time(coeffs, time_remaining):
+    """Return the time since the start of the period."""
     return coeffs.period - time_remaining
 
 
 def _angle_rate(direction, elapsed_time):
-    """How fast the drive's angle moves, so long after the start."""
+    """Return the rate of the drive angle at a time after the start."""
     if direction.coeff_rates.frequency is None:
         return direction.phase_rate
     angle_rate = direction.coeff_rates.frequency * elapsed_time
@@ -144,11 +178,12 @@ def _angle_rate(direction, elapsed_time):
 
 
 def _phasor_rates(cosine, sine, angle_rate):
-    """The rates of the drive's cosine and sine where its angle moves."""
+    """Return the rates of the phasor of the drive."""
     return (None, None) if angle_rate is None else (-sine * angle_rate, cosine * angle_rate)
 
 
 def _propagate_tangent(coeffs, direction, tangent, x, v, cosine, sine, drive_forces, propagator, time, elapsed_time):
+    """Return one tangent after the flight of a step."""
     coeff_rates, phasor_rates = direction.coeff_rates, _phasor_rates(cosine, sine, _angle_rate(direction, elapsed_time))
     force_rates = None, None
     if coeff_rates.amplitude is not None or phasor_rates[0] is not None:
@@ -164,7 +199,7 @@ def _propagate_tangent(coeffs, direction, tangent, x, v, cosine, sine, drive_for
 
 
 def _propagator_rates(series, time):
-    """The rates of a flight's `flow.Gains`."""
+    """Return the rates of the `flow.Propagator` of a flight."""
     propagator_rates = flow.Propagator(*[None] * 6)
     if series is None:
         return propagator_rates
@@ -179,10 +214,11 @@ def _propagator_rates(series, time):
 
 
 def apply_saltation(coeffs, directions, tangents, lanes, flight_end, side, impact_velocity):
-    """The tangents after the event of a step, if it has one.
+    """Return the tangents after the event of a step, if it has one.
 
-    flight_end: x, v, the drive's cosine and sine at the end of the flight, how much later the event is; lanes: x, v,
-    and the drive after the event, and the time left; impact_velocity: the speed at the event."""
+    `flight_end` holds x, v and the phasor at the end of the flight, and the delay of the event. `lanes` are the states
+    after the event. `impact_velocity` is the velocity before impact.
+    """
     elapsed_time = stage(_elapsed_time, coeffs, lanes.time_remaining)
     saltation_terms = stage(_saltation_terms, coeffs, lanes.v, lanes.cosine, lanes.sine, side, impact_velocity)
     impact_arguments = flight_end, side, lanes.cosine, lanes.sine, elapsed_time, saltation_terms
@@ -193,7 +229,7 @@ def apply_saltation(coeffs, directions, tangents, lanes, flight_end, side, impac
 
 
 def _saltation_terms(coeffs, new_velocity, cosine, sine, side, impact_velocity):
-    """(u, 1 / u, (1 + R) a_b - R a- - a+) of an impact."""
+    """Return (u, 1 / u, (1 + R) a_b - R a- - a+) of an impact."""
     wall_derivs = [wall_jet(wall, coeffs.frequency, cosine, sine, 2) for wall in coeffs.walls]
     wall_position, wall_velocity, wall_acceleration = select_lists_by_side(side, coeffs.walls, wall_derivs)
     restitution = fast_motion.restitution_of(coeffs, side)
@@ -213,6 +249,7 @@ def _saltation_terms(coeffs, new_velocity, cosine, sine, side, impact_velocity):
 
 
 def _saltate_tangent(coeffs, direction, tangent, flight_end, side, cosine, sine, elapsed_time, saltation_terms):
+    """Return one tangent after the event of a step."""
     coeff_rates, (*end_state, delay), (relative_velocity, inverse_velocity, acceleration_jump) = (
         direction.coeff_rates,
         flight_end,
@@ -246,18 +283,18 @@ def _saltate_tangent(coeffs, direction, tangent, flight_end, side, cosine, sine,
 
 
 def _event_state(coeffs, x, v, phasor, delay):
-    """(x, v) at an event so much later than the end of a step."""
+    """Return (x, v) at an event a delay after the end of a step."""
     acceleration = fast_motion.evaluate_acceleration(coeffs, x, v, phasor)
     return x + delay * (v + 0.5 * delay * acceleration), fast_motion.impact_velocity(coeffs, x, v, phasor, delay)
 
 
 def _restitution_rate(coeffs, coeff_rates, side):
-    """How fast the restitution of the wall on a side moves."""
+    """Return the rate of the restitution of the wall on a side."""
     return select_by_side(side, coeffs.walls, [wall.restitution for wall in coeff_rates.walls])
 
 
 def _wall_state_rates(coeffs, coeff_rates, phasor, phasor_rates, side):
-    """How fast the wall on a side and its speed move."""
+    """Return the rates of position and velocity of the wall on a side."""
 
     def rates_of_wall(wall, wall_rates):
         if wall.amplitude is None:
@@ -292,7 +329,7 @@ def _wall_state_rates(coeffs, coeff_rates, phasor, phasor_rates, side):
 
 
 def add_period_change(coeffs, directions, tangents, lanes):
-    """The tangents at the end of a period that gets longer where the frequency moves."""
+    """Return the tangents at the end of a period whose duration depends on the frequency."""
     return tuple(
         _add_period_change(coeffs, *direction_and_tangent, lanes)
         for direction_and_tangent in zip(directions, tangents, strict=True)

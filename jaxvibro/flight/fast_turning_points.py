@@ -1,10 +1,10 @@
-"""How close lean steps come to a wall without touching it: the clearance at the turning points of x - x_b.
+"""Measure the clearance of fast steps at the turning points of x - x_b, where the mass misses a wall.
 
-The steps are those that a lane flies anyway, so that no bit of its state changes. Whether the speed of x - x_b passes
-zero in one is told from that speed and its first two derivatives at both ends: the quintic that has them is written in
-Bernstein's form, and how far the speed may be off it is known. Where the coefficients change sign once at most, so does
-the speed; a lane where they do more often is in doubt, and given up. A step with a turning point is noted, and measured
-when its lane passes the next.
+The clearances do not change the steps of a lane or any bit of its state. A sign change of the speed of x - x_b within a
+step follows from this speed and its first two derivatives at both ends. The quintic with these values is written in
+Bernstein form, and the error of the quintic is bounded. If its coefficients change sign at most once, so does the
+speed. Otherwise the lane is in doubt and is given up. A step with a turning point is recorded, and measured when its
+lane passes the next turning point.
 """
 
 from typing import NamedTuple
@@ -20,15 +20,18 @@ from .event import N_TERMS
 from .fast_coefficients import GIVEN_UP
 from .wall_motion import select_lists_by_side, subtract, wall_jet
 
-DOUBTFUL = 2.0  # of a mark, which else is no longer than a step
-TIME_TOLERANCE = 2.0**-7  # of the longest step: how good the time must be that is worked out from the start of a step
-SPEED_TOLERANCE = 2.0**-40  # of a lane's largest length: far over the rounding of a speed over the longest step
-QUINTIC_ERROR = 7.0 / 20.0  # of a remainder: by what the speed may move the quintic's middle coefficient
+DOUBTFUL = 2.0  # span that marks a lane in doubt; all other spans are at most one longest step
+TIME_TOLERANCE = 2.0**-7  # in longest steps; accuracy of the turning time from the expansion at the start of a step
+SPEED_TOLERANCE = 2.0**-40  # in largest lengths of a lane per longest step; far above the rounding of a speed
+QUINTIC_ERROR = 7.0 / 20.0  # error of the quintic's middle coefficient, as a multiple of the remainder
 
 
 class FastTurningPoint(NamedTuple):
-    """A step with a turning point: x, v and the drive at its start; signed_span: its length times the wall's sign, 0:
-    none."""
+    """Step with a turning point.
+
+    `x`, `v`, `cosine` and `sine` are the state at its start. `signed_span` is its length times the sign of the wall,
+    and 0 without a turning point.
+    """
 
     x: Float[jax.Array, "*lanes"]
     v: Float[jax.Array, "*lanes"]
@@ -38,7 +41,7 @@ class FastTurningPoint(NamedTuple):
 
 
 class FastClosestApproaches(NamedTuple):
-    """The least clearance so far, the turning point not yet measured, and that of the last step where there is one."""
+    """Smallest clearance, the turning point to be measured, and the one of the last step."""
 
     least_clearance: Float[jax.Array, "*lanes"]
     pending: FastTurningPoint
@@ -46,14 +49,14 @@ class FastClosestApproaches(NamedTuple):
 
 
 def no_turning_points(template):
-    """No turning point, for lanes like these."""
+    """Return the record without turning points, for lanes with the shape of a template."""
     zero = jnp.zeros_like(template)
     turning_point = FastTurningPoint(*[zero] * 5)
     return FastClosestApproaches(jnp.full_like(template, jnp.inf), turning_point, turning_point)
 
 
 def check_start(coeffs, lanes):
-    """The lanes; given up where a speed against a wall that moves is too near zero to have a sign."""
+    """Give up lanes whose speed relative to a moving wall is too close to zero to have a certain sign."""
     return lanes if coeffs.has_fixed_walls else lanes._replace(time_remaining=stage(_check_start, coeffs, lanes))
 
 
@@ -67,8 +70,10 @@ def _check_start(coeffs, lanes):
 def record_turning_point(
     coeffs, lanes_before, lanes_after, impact_velocity, time, delay, hit_side, remainder, approaches
 ):
-    """(calls, the time left) after a step, in doubt GIVEN_UP. lanes_before, lanes_after: its `Lanes`; impact_velocity:
-    v before an impact."""
+    """Return (approaches, remaining time) after a step; the remaining time is GIVEN_UP for a lane in doubt.
+
+    `lanes_before` and `lanes_after` are the `LaneStates` around the step. `impact_velocity` is v before the impact.
+    """
     new_span = stage(
         _turning_span, coeffs, lanes_before, lanes_after, impact_velocity, time, delay, hit_side, remainder
     )
@@ -86,7 +91,7 @@ def record_turning_point(
 
 
 def _split_new(pending_span, new_span):
-    """The lanes that have no other noted, and the spans of those that have."""
+    """Return the mask of lanes without a pending turning point, and the spans of the other lanes."""
     is_certain = lax.abs(new_span) < DOUBTFUL
     return bit_mask((pending_span == 0) & (new_span != 0) & is_certain, new_span), choose(
         (pending_span != 0) & is_certain, new_span, 0.0
@@ -94,22 +99,22 @@ def _split_new(pending_span, new_span):
 
 
 def _give_up_doubtful(new_span, time_remaining):
+    """Return the remaining time, GIVEN_UP for lanes whose turning point is in doubt."""
     return choose(new_span == DOUBTFUL, GIVEN_UP, time_remaining)
 
 
 def needs_measurement(approaches):
-    """The lanes that have passed a turning point while another is noted: then `measure_pending` is due."""
+    """Return the lanes with a second turning point while one is pending, for which `measure_pending` is due."""
     return approaches.latest.signed_span != 0
 
 
 def has_pending(approaches):
-    """The lanes that have a turning point to be measured."""
+    """Return the lanes with a pending turning point."""
     return approaches.pending.signed_span != 0
 
 
 def _approach_jets(coeffs, x, v, cosine, sine):
-    """The speeds that are watched, with two derivatives: those against the walls that move, or x', which still walls
-    share."""
+    """Return the monitored speeds with two derivatives: those relative to each moving wall, or x' for fixed walls."""
     acceleration = fast_motion.evaluate_acceleration(coeffs, x, v, (cosine, sine))
     jerk = fast_motion.evaluate_jerk(coeffs, v, acceleration, sine)
     if coeffs.has_fixed_walls:
@@ -125,9 +130,9 @@ def _approach_jets(coeffs, x, v, cosine, sine):
 
 
 def _turning_span(coeffs, lanes_before, lanes_after, impact_velocity, step_time, delay, hit_side, remainder):
-    """The span of a step's turning point, 0 where there is none, DOUBT where that is not certain.
+    """Return the span of a step's turning point, 0 if there is none, DOUBTFUL if this is uncertain.
 
-    A step that meets a still wall has none: it is certain that x - x_b rises throughout.
+    A step that hits a fixed wall has none, because x - x_b certainly rises throughout.
     """
     start_jets = _approach_jets(coeffs, lanes_before.x, lanes_before.v, lanes_before.cosine, lanes_before.sine)
     end_jets = _approach_jets(coeffs, lanes_after.x, impact_velocity, lanes_after.cosine, lanes_after.sine)
@@ -164,10 +169,11 @@ def _turning_span(coeffs, lanes_before, lanes_after, impact_velocity, step_time,
 
 
 def _changes_sign_once(start_jet, end_jet, step_time, error_bound, tolerance):
-    """(the sign that a speed begins with, whether it certainly changes sign once at most) over a step.
+    """Return (initial sign of a speed, True if it certainly changes sign at most once) over a step.
 
-    Of the quintic with its values and two derivatives at both ends, in Bernstein's form of degree 6: the speed differs
-    from it by at most 20 off t^3 (1 - t)^3, `error_bound` in the middle coefficient. The first is not negative.
+    The test uses the quintic with the values and two derivatives at both ends, in Bernstein form of degree 6. The speed
+    differs from the quintic by at most 20 error_bound t^3 (1 - t)^3, which is error_bound in the middle coefficient.
+    The first coefficient is not negative.
     """
     time_squared = step_time * step_time
     error_bound = error_bound * (time_squared * time_squared * time_squared)
@@ -185,10 +191,10 @@ def _changes_sign_once(start_jet, end_jet, step_time, error_bound, tolerance):
 
 
 def measure_pending(coeffs, time_remaining, approaches):
-    """(calls, the time left, in doubt GIVEN_UP) with what is noted measured; noted is then what is fresh.
+    """Measure pending turning points: return (approaches, remaining time); the latest turning points become pending.
 
-    The time is found on the polynomial of the step's start, to less than NEAR; from the motion there by a step of
-    Halley's and one of Newton's.
+    The time comes from the polynomial at the start of the step, with an error below `TIME_TOLERANCE`. One Halley step
+    and one Newton step from the motion at that time refine it. The remaining time is GIVEN_UP for a lane in doubt.
     """
     turning_point = approaches.pending
     side, drive_forces = (
@@ -219,16 +225,17 @@ def measure_pending(coeffs, time_remaining, approaches):
 
 
 def _span_side(signed_span):
+    """Return the side of the wall of a turning point."""
     return choose(signed_span < 0, lax.full_like(signed_span, -1.0), 1.0)
 
 
 def _speed_term(coeffs, turning_point, drive_forces, phasors, side, k):
-    """The Taylor coefficients of the speed against the wall, from the first term of the progress on."""
+    """Return a Taylor coefficient of the speed towards the wall, from that of the progress."""
     return float(k) * fast_event.progress_term(coeffs, turning_point, drive_forces, phasors, side, k)
 
 
 def _quadratic_crossing(speed_terms, signed_span):
-    """Where the quadratic with the speeds at both ends and the first slope passes zero: within the step, once."""
+    """Return the zero within the step of the quadratic with the speeds at both ends and the initial slope."""
     time = lax.abs(signed_span)
     end_speed, start_speed, slope = event.horner_with_slope(speed_terms, time)[0], speed_terms[0], speed_terms[1] * time
     discriminant = slope * slope + 4.0 * start_speed * ((slope + start_speed) - end_speed)
@@ -236,6 +243,7 @@ def _quadratic_crossing(speed_terms, signed_span):
 
 
 def _halley_update(speed_terms, time, signed_span):
+    """Improve the time of the turning point by one Halley step within the step."""
     value, slope = event.horner_with_slope(speed_terms, time)
     curvature = event.horner_with_slope([float(k) * term for k, term in enumerate(speed_terms)][1:], time)[1]
     return lax.clamp(
@@ -244,11 +252,12 @@ def _halley_update(speed_terms, time, signed_span):
 
 
 def _halley_correction(value, slope, curvature):
+    """Return the correction of a Halley step."""
     return -2.0 * value * slope / (2.0 * slope * slope - value * curvature)
 
 
 def _progress_derivative(coeffs, x, v, phasor, side, k):
-    """The k-th derivative of the progress towards the wall on a side."""
+    """Return the k-th derivative of the progress towards the wall on a side."""
     force_derivs = [coeffs.amplitude * phasor[0], -(coeffs.frequency * coeffs.amplitude) * phasor[1]]
     derivs = [x, v]
     for j in range(k - 1):
@@ -260,7 +269,7 @@ def _progress_derivative(coeffs, x, v, phasor, side, k):
 
 
 def _turning_clearance(progress_derivs, first_correction, time, signed_span):
-    """The clearance at the turning point, -1 where that is not certain."""
+    """Return the clearance at the turning point, -1 if it is uncertain."""
     position, speed, acceleration, jerk, fourth_deriv, fifth_deriv = progress_derivs
     accel_at_first = acceleration + first_correction * (
         jerk + first_correction * (0.5 * fourth_deriv + first_correction * (fifth_deriv / 6.0))
@@ -286,8 +295,10 @@ def _turning_clearance(progress_derivs, first_correction, time, signed_span):
 
 
 def _update_least(least_clearance, signed_span, clearance):
+    """Return the smallest clearance including a new one."""
     return choose((signed_span != 0) & (clearance >= 0), minimum(clearance, least_clearance), least_clearance)
 
 
 def _keep_certain(time_remaining, signed_span, clearance):
+    """Return the remaining time, GIVEN_UP for lanes whose clearance is uncertain."""
     return choose((signed_span == 0) | (clearance >= 0), time_remaining, GIVEN_UP)

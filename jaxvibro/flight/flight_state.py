@@ -1,9 +1,10 @@
-"""Where a lane is along its path, and which part of its motion the flow carries.
+"""Represent the state of a lane along its path, and the part of the motion that the flow advances.
 
-The swift part of the response to the drive, swift cos(theta), follows the drive's angle. What is left, x less it, feels
-the force -2 swift Re((1 + gamma omega + i gamma omega) exp(i theta)) in place of A cos(theta): one that falls off as
-the drive gets fast, so that the rounding of a step is small beside the motion. Any swift part would do; this one,
--A / (1 + omega^2 + 2 gamma omega), has no singular point and is never larger than the forced amplitude.
+The swift part of the response to the drive, swift cos(theta), follows the angle theta of the drive. The remaining slow
+part of x is subject to the force -2 swift Re((1 + gamma omega + i gamma omega) exp(i theta)) instead of A cos(theta).
+This force decreases as the drive frequency grows, so that the rounding error of a step is small relative to the motion.
+Any swift amplitude is admissible. The present one, -A / (1 + omega^2 + 2 gamma omega), has no singularity and never
+exceeds the amplitude of the forced response.
 """
 
 from typing import NamedTuple
@@ -15,11 +16,27 @@ from ..compiled.compiler_hints import choose, two_sum
 from . import flow, soft_contact
 from .wall_motion import wall_jet
 
-CAPPED = -1.0
+CAPPED = -1.0  # remaining time of a lane that exceeds the limits of `integrate.LoopLimits`
 
 
 class SlowMotion(NamedTuple):
-    """What the flow carries: x and v less the swift part, with the low parts of their sums; the drive's angle."""
+    """Slow part of the motion, which the flow advances, and the phasor of the drive.
+
+    Attributes
+    ----------
+    slow_x : array
+        Position less the swift part.
+    slow_x_low : array
+        Low part of `slow_x`.
+    slow_v : array
+        Velocity less the swift part.
+    slow_v_low : array
+        Low part of `slow_v`.
+    cosine : array
+        Cosine of the drive angle.
+    sine : array
+        Sine of the drive angle.
+    """
 
     slow_x: Float[jax.Array, "*lanes"]
     slow_x_low: Float[jax.Array, "*lanes"]
@@ -30,12 +47,27 @@ class SlowMotion(NamedTuple):
 
 
 class Path(NamedTuple):
-    """Where a lane is: x and its low part, v; the motion; the time to go and its low part; the contact.
+    """State of a lane along its path.
 
-    A lane that was given up has CAPPED to go, its low part 0.
+    Inside a soft wall x and v are relative to the wall.
 
-    contact: 0 free; times the wall's sign: 1 has landed and leaves, 2 rests on the wall, 3 is within a soft wall, 4 has
-    just entered it, 5 is released, no push on it. Within a wall x and v are counted from the wall's.
+    Attributes
+    ----------
+    x : array
+        Position.
+    x_low : array
+        Low part of the position.
+    v : array
+        Velocity.
+    motion : SlowMotion
+        Slow part of the motion.
+    time_remaining : array
+        Remaining time. `CAPPED` for a lane that exceeds the limits; its low part is then 0.
+    time_remaining_low : array
+        Low part of the remaining time.
+    contact : array
+        Contact code times the sign of the wall: 0 free, 1 landed and leaving, 2 sticking, 3 inside a soft wall, 4 just
+        entered it, 5 released, without a contact force.
     """
 
     x: Float[jax.Array, "*lanes"]
@@ -48,45 +80,62 @@ class Path(NamedTuple):
 
     @property
     def cosine(self) -> Float[jax.Array, "..."]:
+        """Cosine of the drive angle."""
         return self.motion.cosine
 
     @property
     def sine(self) -> Float[jax.Array, "..."]:
+        """Sine of the drive angle."""
         return self.motion.sine
 
 
 def split_motion(coeffs, x, v, cosine, sine):
-    """The `SlowMotion` of a position and a velocity."""
+    """Return the `SlowMotion` of a position and a velocity."""
     slow_x, slow_v = -(coeffs.swift_amplitude * cosine), coeffs.swift_amplitude * coeffs.frequency * sine
     return SlowMotion(*two_sum(x, slow_x), *two_sum(v, slow_v), cosine, sine)
 
 
 def motion_state(coeffs, motion):
-    """(x, its low part, v) of a motion."""
+    """Return (x, its low part, v) of a motion."""
     slow_x, slow_x_low, slow_v, slow_v_low, cosine, sine = motion
     x, x_low = two_sum(slow_x, coeffs.swift_amplitude * cosine)
     return x, x_low + slow_x_low, slow_v + (slow_v_low - coeffs.swift_amplitude * coeffs.frequency * sine)
 
 
 def add_increments(motion, dx, dv):
-    """(slow_x, slow_x_low, slow_v, slow_v_low) of a motion that has gained so much."""
+    """Return (slow_x, slow_x_low, slow_v, slow_v_low) of a motion after increments of x and v."""
     return *two_sum(motion.slow_x, dx + motion.slow_x_low), *two_sum(motion.slow_v, dv + motion.slow_v_low)
 
 
 def rotate_drive(frequency, cosine, sine, time):
-    """The drive's cosine and sine a time later."""
+    """Return the phasor of the drive after a time."""
     angle = frequency * time
     return flow.rotate(cosine, sine, flow.cos_less_1(angle), flow.sin_by_series(angle))
 
 
 def subtract_time(path, time):
-    """The time to go, and its low part, a time later."""
+    """Return the remaining time and its low part after a time."""
     time_remaining, low_part = two_sum(path.time_remaining, -time)
     return two_sum(time_remaining, low_part + path.time_remaining_low)
 
 
 def absolute_state(coeffs, path):
-    """(x, v) of the lanes, also of those that are within a soft wall."""
+    """Compute the absolute state of lanes, including those inside a soft wall.
+
+    Parameters
+    ----------
+    coeffs : FlowCoefficients
+        Coefficients of the scene.
+    path : Path
+        Path of the lanes.
+
+    Returns
+    -------
+    x : array
+        Position.
+    v : array
+        Velocity.
+    """
     x, v = path.x, path.v
     for wall, soft_flow in zip(coeffs.walls, coeffs.soft_flows, strict=True):
         if soft_flow is not None:

@@ -1,9 +1,11 @@
-"""Free flight, x'' + 2 gamma x' + x = A cos(omega t) (paper, (3)): exact, with no division by D or sqrt(1 - gamma^2).
+"""Compute the free flight x'' + 2 gamma x' + x = A cos(omega t) (paper, (3)) exactly.
 
-Within a soft wall the same with a stiffness of 1 + k2 before x; a stiffness that is None is 1.
+No formula divides by D or by sqrt(1 - gamma^2). Inside a soft wall x is multiplied by a stiffness of 1 + k2. A
+stiffness of None stands for 1.
 
-Over a step that is short beside the fastest of omega, 1 and 2 gamma the flow is its own Taylor series, which needs
-products alone and so is right at resonance, at critical damping and beyond. Any longer time is such a step doubled.
+Over a step that is short relative to the fastest of the rates omega, 1 and 2 gamma the flow is its own Taylor series.
+The series needs only products, and holds at resonance, at critical damping and beyond. A longer flight is a short
+step that is doubled repeatedly.
 """
 
 import math
@@ -20,18 +22,18 @@ from ..compiled.compiler_hints import choose
 from ..scene import check
 
 MAX_SCALED_STEP = 1.0  # longest step, in units of 1 / rate
-SERIES_ORDER = 18  # STEP^19 / 19! < 1e-17
-DROPPED_DEGREES = 5  # of the degrees of a `FlowSeries`, by `economise_series`
+SERIES_ORDER = 18  # MAX_SCALED_STEP^19 / 19! < 1e-17
+DROPPED_DEGREES = 5  # degrees of a `FlowSeries` that `economise_series` removes
 
 
 Scalars = Float[jax.Array, "..."]
 FreeFlow = tuple[Scalars, Scalars, Scalars]  # p00, p01, p11
-ForcedFlow = tuple[tuple[Scalars, Scalars], tuple[Scalars, Scalars]]  # x, v under cos, under sin
+ForcedFlow = tuple[tuple[Scalars, Scalars], tuple[Scalars, Scalars]]  # x, v under the cosine and under the sine
 CoefficientRows = Float[jax.Array, "_ ..."] | list[Float[jax.Array, "..."]]
 
 
 class FlowSeries(NamedTuple):
-    """Taylor coefficients of the `Propagator`, their order first, each from its first power of t that is not zero."""
+    """Taylor coefficients of the `Propagator`, from the first nonzero power of t on, with the order as first axis."""
 
     p00_minus_1: CoefficientRows
     p01: CoefficientRows
@@ -40,11 +42,25 @@ class FlowSeries(NamedTuple):
 
 
 class Propagator(NamedTuple):
-    """What a flight of a given time does, from its series.
+    """Propagator of a flight of a given duration, from its series.
 
-    p00_minus_1: p00 - 1 and p01: p01 of the free flow ((p00, p01), (-p01, p00 - 2 gamma p01)); cos_response,
-    sin_response: x after a start from rest under the force cos(omega t), sin(omega t); cos_less_1, sin_angle: cos - 1
-    and sin of the drive's angle."""
+    The free flow has the matrix ((p00, p01), (-p01, p00 - 2 gamma p01)).
+
+    Attributes
+    ----------
+    p00_minus_1 : array
+        Entry p00 of the matrix, less 1.
+    p01 : array
+        Entry p01 of the matrix.
+    cos_response : array
+        Position after a start from rest under the force cos(omega t).
+    sin_response : array
+        Position after a start from rest under the force sin(omega t).
+    cos_less_1 : array
+        Cosine of the drive angle over the flight, less 1.
+    sin_angle : array
+        Sine of the drive angle over the flight.
+    """
 
     p00_minus_1: Float[jax.Array, "*lanes"]
     p01: Float[jax.Array, "*lanes"]
@@ -55,19 +71,34 @@ class Propagator(NamedTuple):
 
 
 def max_rate(frequency, damping, stiffness=None):
-    """An upper bound, at least 1, of how fast the drive and the free oscillation turn or decay, in radians over t."""
+    """Return an upper bound on the rates of the drive and of the free oscillation.
+
+    Parameters
+    ----------
+    frequency : array
+        Drive frequency.
+    damping : array
+        Damping ratio.
+    stiffness : array, optional
+        Stiffness. None stands for 1.
+
+    Returns
+    -------
+    array
+        Bound on the angular frequencies and decay rates, in radians per unit of t. At least 1 for stiffness 1.
+    """
     natural_frequency = 1.0 if stiffness is None else lax.sqrt(stiffness)
     faster_rate = choose(frequency > natural_frequency, frequency, natural_frequency)
     return choose(2.0 * damping > faster_rate, 2.0 * damping, faster_rate)
 
 
 def spring_force(stiffness, x):
-    """The spring's pull at x."""
+    """Return the spring force at x."""
     return x if stiffness is None else stiffness * x
 
 
 def flow_series(frequency, damping, stiffness=None):
-    """The `FlowSeries` of an oscillator: derivatives at t = 0 by the equation of motion, over factorials."""
+    """Return the `FlowSeries` of an oscillator: derivatives at t = 0 from the equation of motion, over factorials."""
     ones = jnp.ones_like(frequency * damping * (1.0 if stiffness is None else stiffness))
     zeros = jnp.zeros_like(ones)
 
@@ -88,7 +119,7 @@ def flow_series(frequency, damping, stiffness=None):
         inverse_factorials = [1.0 / math.factorial(k + shift) for k in range(SERIES_ORDER + 1)]
         return values * jnp.array(inverse_factorials, values.dtype).reshape(-1, *[1] * ones.ndim)
 
-    # p00' = -stiffness p01, lag' = omega lift
+    # p00' = -stiffness p01, sin_response' = omega cos_response
     return FlowSeries(
         -spring_force(stiffness, divide_by_factorials(free_derivs, 1)[1:-1]),
         divide_by_factorials(free_derivs, 0)[1:],
@@ -98,16 +129,17 @@ def flow_series(frequency, damping, stiffness=None):
 
 
 def economise_series(series):
-    """The `FlowSeries` with polynomials of `DROPPED_DEGREES` degrees less, for times from 0 to a longest step, which is
-    to be 1.
+    """Return the `FlowSeries` with `DROPPED_DEGREES` fewer degrees.
 
-    They are the old ones without Chebyshev's polynomials beyond the degree (economisation): less than 1e-16 of the
-    first coefficient, as those of a flow fall like 1 / k!.
+    It holds for times from 0 to the longest step, which must be 1. The polynomials lose their Chebyshev terms beyond
+    the remaining degree (economisation). The error is less than 1e-16 of the first coefficient, because the
+    coefficients of a flow decrease like 1 / k!.
     """
     return FlowSeries(*(rows if rows is None else _economise(rows) for rows in series))
 
 
 def _economise(rows):
+    """Return the coefficient rows with `DROPPED_DEGREES` fewer degrees."""
     n_kept = len(rows) - DROPPED_DEGREES
     kept_rows = rows[:n_kept]
     for row_weights, row in zip(_economy_weights(n_kept), rows[n_kept:], strict=True):
@@ -117,7 +149,7 @@ def _economise(rows):
 
 @lru_cache(8)
 def _economy_weights(n_kept):
-    """For each power of t that is spared, what it adds to the coefficients that are kept."""
+    """Return the contribution of each dropped power of t to the remaining coefficients."""
     chebyshev = [[1], [-1, 2]]  # in t from 0 to 1
     for _ in range(n_kept - 2):
         previous, second_previous = chebyshev[-1], [*chebyshev[-2], 0, 0]
@@ -137,7 +169,7 @@ def _economy_weights(n_kept):
 
 
 def step_propagator(series, frequency, time):
-    """The `Propagator` over 0 <= time <= STEP / rate."""
+    """Return the `Propagator` over a time between 0 and `MAX_SCALED_STEP` / rate."""
     angle = frequency * time
     time_squared = time * time
     p00_minus_1, p01 = horner(series.p00_minus_1, time) * time_squared, horner(series.p01, time) * time
@@ -145,13 +177,13 @@ def step_propagator(series, frequency, time):
 
 
 def drive_responses(series, time):
-    """(lift, lag) of the `Propagator`."""
+    """Return (cos_response, sin_response) of the `Propagator`."""
     time_squared = time * time
     return horner(series.cos_response, time) * time_squared, horner(series.sin_response, time) * (time_squared * time)
 
 
 def horner(coefficients, time):
-    """The polynomial with these coefficients, from the constant on: rows of an array, or a list."""
+    """Evaluate a polynomial, given by its coefficients from the constant on: rows of an array, or a list."""
     value = coefficients[len(coefficients) - 1]
     for k in range(len(coefficients) - 2, -1, -1):
         value = value * time + coefficients[k]
@@ -159,9 +191,9 @@ def horner(coefficients, time):
 
 
 def extend_jet(frequency, damping, stiffness, drive_derivs, extra_derivs, jet):
-    """The next two derivatives of the drive's force and of x from the last two of each: (drive, jet).
+    """Return (drive derivatives, jet): the next two derivatives of the drive force and of x from the last two of each.
 
-    extra_derivs: those of another force, None where it is zero.
+    `extra_derivs` are the derivatives of another force; None stands for zero.
     """
     minus_omega_squared, drag_factor = -(frequency * frequency), -2.0 * damping
     force, force_rate = (
@@ -177,7 +209,7 @@ def extend_jet(frequency, damping, stiffness, drive_derivs, extra_derivs, jet):
 
 
 def cos_less_1(angle):
-    """cos(angle) - 1 to rounding for abs(angle) <= STEP."""
+    """Return cos(angle) - 1 to rounding for angles up to `MAX_SCALED_STEP` in magnitude."""
     angle_squared = angle * angle
     value = lax.full_like(angle, -1.0 / math.factorial(18))
     for k in range(8, 0, -1):
@@ -186,7 +218,7 @@ def cos_less_1(angle):
 
 
 def sin_by_series(angle):
-    """sin(angle) to rounding for abs(angle) <= STEP."""
+    """Return sin(angle) to rounding for angles up to `MAX_SCALED_STEP` in magnitude."""
     angle_squared = angle * angle
     value = lax.full_like(angle, 1.0 / math.factorial(17))
     for k in range(7, -1, -1):
@@ -195,21 +227,79 @@ def sin_by_series(angle):
 
 
 def rotate(cosine, sine, cos_less_1, sin_angle):
-    """The drive's cosine and sine, turned by an angle given by its cosine less 1 and its sine."""
+    """Rotate the phasor of the drive by an angle given by its cosine less 1 and its sine.
+
+    Parameters
+    ----------
+    cosine : array
+        Cosine of the drive angle.
+    sine : array
+        Sine of the drive angle.
+    cos_less_1 : array
+        Cosine of the rotation angle, less 1.
+    sin_angle : array
+        Sine of the rotation angle.
+
+    Returns
+    -------
+    cosine : array
+        Cosine after the rotation.
+    sine : array
+        Sine after the rotation.
+    """
     return cosine + (cosine * cos_less_1 - sine * sin_angle), sine + (sine * cos_less_1 + cosine * sin_angle)
 
 
 def rotate_by_angle(cosine, sine, angle):
-    """The drive's cosine and sine, turned by any angle."""
+    """Rotate the phasor of the drive by any angle.
+
+    Parameters
+    ----------
+    cosine : array
+        Cosine of the drive angle.
+    sine : array
+        Sine of the drive angle.
+    angle : array
+        Rotation angle, in rad.
+
+    Returns
+    -------
+    cosine : array
+        Cosine after the rotation.
+    sine : array
+        Sine after the rotation.
+    """
     angle_cosine, angle_sine = jnp.cos(angle), jnp.sin(angle)
     return cosine * angle_cosine - sine * angle_sine, sine * angle_cosine + cosine * angle_sine
 
 
 def fly(scene, state, time):
-    """The state after a free flight of a given length under A cos(omega t): walls are not looked at.
+    """Compute the state after a free flight under A cos(omega t), without walls.
 
-    scene: amplitude, frequency and damping are used; state: x, v, phase; time >= 0, in t. All broadcast together.
-    Returns (x, v). Error below 1e-13 (1 + t)^2 (abs x + abs v + A) over damping [0, 5] and frequency [0.05, 20].
+    Parameters
+    ----------
+    scene : Scene
+        Scene of which amplitude, frequency and damping are used.
+    state : State
+        Initial state, of which x, v and phase are used. Broadcasts with the scene and the time.
+    time : array
+        Duration of the flight, at least 0, in units of t.
+
+    Returns
+    -------
+    x : array
+        Position.
+    v : array
+        Velocity.
+
+    Raises
+    ------
+    ArgumentError
+        If the drive has further terms.
+
+    Notes
+    -----
+    The error is below 1e-13 (1 + t)^2 (abs x + abs v + A) for damping in [0, 5] and frequency in [0.05, 20].
     """
     check.require_one_harmonic(scene, "fly")
     values = (scene.amplitude, scene.frequency, scene.damping, state.x, state.v, state.phase, time)
@@ -221,7 +311,32 @@ def fly(scene, state, time):
 
 
 def apply_responses(responses, force_cos, force_sin, x, v, stiffness=None):
-    """(x, v) after the flight of these `flight_responses`, under the force cosine cos(omega t) - sine sin(omega t)."""
+    """Compute the state after a flight from its responses.
+
+    The force is force_cos cos(omega t) - force_sin sin(omega t).
+
+    Parameters
+    ----------
+    responses : tuple
+        Result of `flight_responses`.
+    force_cos : array
+        Amplitude of the cosine of the force.
+    force_sin : array
+        Amplitude of the sine of the force.
+    x : array
+        Initial position.
+    v : array
+        Initial velocity.
+    stiffness : array, optional
+        Stiffness. None stands for 1.
+
+    Returns
+    -------
+    x : array
+        Position.
+    v : array
+        Velocity.
+    """
     (p00, p01, p11), (cos_response, sin_response) = responses
     new_x = p00 * x + p01 * v + (force_cos * cos_response[0] - force_sin * sin_response[0])
     return new_x, p11 * v - p01 * spring_force(stiffness, x) + (
@@ -230,16 +345,52 @@ def apply_responses(responses, force_cos, force_sin, x, v, stiffness=None):
 
 
 def flight_responses(frequency, damping, time):
-    """((p00, p01, p11), (of cos, of sin)): the free flow's matrix ((p00, p01), (-p01, p11)) over a time >= 0, and x, v
-    after a start from rest under the force cos(omega t), sin(omega t). All of one shape."""
+    """Compute the matrix and the forced responses of a flight.
+
+    Parameters
+    ----------
+    frequency : array
+        Drive frequency.
+    damping : array
+        Damping ratio.
+    time : array
+        Duration of the flight, at least 0, in units of t. All arguments have one shape.
+
+    Returns
+    -------
+    free_flow : tuple of array
+        Entries (p00, p01, p11) of the matrix ((p00, p01), (-p01, p11)) of the free flow.
+    forced_flow : tuple
+        States (x, v) after a start from rest under the force cos(omega t), and under sin(omega t).
+    """
     return doubling_responses(flow_series(frequency, damping), frequency, damping, time)[:2]
 
 
 @jax.jit
 def doubling_responses(series, frequency, damping, time, stiffness=None):
-    """The `flight_responses` over any time >= 0 from a `FlowSeries`, and cos - 1 and sin of the drive's angle.
+    """Compute the responses of a flight of any duration by doubling a short step.
 
-    The free flow's matrix is ((p00, p01), (-stiffness p01, p11)).
+    Parameters
+    ----------
+    series : FlowSeries
+        Series of the flow.
+    frequency : array
+        Drive frequency.
+    damping : array
+        Damping ratio.
+    time : array
+        Duration of the flight, at least 0, in units of t.
+    stiffness : array, optional
+        Stiffness. None stands for 1.
+
+    Returns
+    -------
+    free_flow : tuple of array
+        Entries (p00, p01, p11) of the matrix ((p00, p01), (-stiffness p01, p11)) of the free flow.
+    forced_flow : tuple
+        States (x, v) after a start from rest under the force cos(omega t), and under sin(omega t).
+    angle_pair : tuple of array
+        Cosine less 1 and sine of the drive angle over the flight.
     """
     rate_limit, zero = max_rate(frequency, damping, stiffness), lax.full_like(time, 0.0)
 
@@ -265,7 +416,7 @@ def doubling_responses(series, frequency, damping, time, stiffness=None):
 
 
 def fixed_doubling_responses(series, frequency, damping, time, stiffness, n_doublings):
-    """As `doubling_responses`, the time at most 2^count of the longest steps."""
+    """Return the `doubling_responses` over at most 2^n_doublings longest steps."""
     responses = _step_responses(series, frequency, damping, time * 0.5**n_doublings)
     for _ in range(n_doublings):
         responses = double_responses(stiffness, *responses)
@@ -273,7 +424,7 @@ def fixed_doubling_responses(series, frequency, damping, time, stiffness, n_doub
 
 
 def _step_responses(series, frequency, damping, time):
-    """As `doubling_responses`, over a time no longer than a step."""
+    """Return the `doubling_responses` over a time of at most one longest step."""
     propagator = step_propagator(series, frequency, time)
     free_flow = (
         1.0 + propagator.p00_minus_1,
@@ -288,6 +439,7 @@ def _step_responses(series, frequency, damping, time):
 
 
 def double_responses(stiffness, free_flow, forced_flow, angle_pair):
+    """Return the responses of a flight of twice the duration."""
     (p00, p01, p11), (cos_response, sin_response), (cos_less_1, sin_angle) = free_flow, forced_flow, angle_pair
     cosine = 1.0 + cos_less_1
 

@@ -1,4 +1,4 @@
-"""Where a flight of any time ends, and how that changes with where it begins."""
+"""Compute the end of a flight of any duration and its derivative with respect to the initial state."""
 
 import jax.numpy as jnp
 
@@ -8,7 +8,28 @@ from .flows import flow_of
 
 
 def fly_with_matrix(scene, x, v, phase, time):
-    """`flow_of(frame).matrix` of a scene from a phase on, walls not looked at."""
+    """Compute the end of a flight of a scene and its matrix, without walls.
+
+    Parameters
+    ----------
+    scene : Scene
+        Scene.
+    x : array
+        Initial position.
+    v : array
+        Initial velocity.
+    phase : array
+        Initial phase of the drive, in rad.
+    time : array
+        Duration of the flight, at least 0, in units of t.
+
+    Returns
+    -------
+    state : tuple of array
+        Final position and velocity.
+    matrix : tuple of array
+        Derivative of the final state with respect to the initial one, see `apply_matrix`.
+    """
     if scene.force is not None or scene.drive:
         coeffs = flow_coefficients(scene)
         return flow_of(coeffs).fly_with_matrix(coeffs, x, v, jnp.cos(phase), jnp.sin(phase), time)
@@ -18,17 +39,57 @@ def fly_with_matrix(scene, x, v, phase, time):
 
 
 def apply_matrix(matrix, x, v):
-    """A matrix times a vector. matrix: (p00, p01, p11), p10 being -p01 as under spring and damper, or with p10 last."""
+    """Multiply the matrix of a flight by a vector.
+
+    Parameters
+    ----------
+    matrix : tuple of array
+        Entries (p00, p01, p11) with p10 = -p01 for the linear oscillator, or (p00, p01, p11, p10).
+    x : array
+        First component of the vector.
+    v : array
+        Second component of the vector.
+
+    Returns
+    -------
+    x : array
+        First component of the product.
+    v : array
+        Second component of the product.
+    """
     p00, p01, p11, *p10 = matrix
     return p00 * x + p01 * v, p11 * v + p10[0] * x if p10 else p11 * v - p01 * x
 
 
 def matrix_by_rows(matrix):
-    """The four entries of a matrix as `apply_matrix` takes it, row by row."""
+    """Return the four entries of a matrix row by row.
+
+    Parameters
+    ----------
+    matrix : tuple of array
+        Matrix as in `apply_matrix`.
+
+    Returns
+    -------
+    tuple of array
+        Entries (p00, p01, p10, p11).
+    """
     p00, p01, p11, *p10 = matrix
     return p00, p01, p10[0] if p10 else -p01, p11
 
 
 def determinant(matrix):
+    """Return the determinant of a matrix.
+
+    Parameters
+    ----------
+    matrix : tuple of array
+        Matrix as in `apply_matrix`.
+
+    Returns
+    -------
+    array
+        Determinant.
+    """
     p00, p01, p11, *p10 = matrix
     return p00 * p11 - p01 * p10[0] if p10 else p00 * p11 + p01 * p01

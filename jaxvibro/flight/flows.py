@@ -1,14 +1,30 @@
-"""What moves the mass between walls: asked for here alone.
+"""Dispatch on the flow: linear spring and damper, or user-defined force.
 
-Each kind is a file with the same functions, `linear_flow` and `force_flow`. A step: `look` ahead, the derivatives
-`to_event`, the `presses` on the walls, the `remainder` of both, `advance`. Near a time: `accelerations`, `jet`,
-`jet_at`, `back`, `press`, `moved`. Over any time: `fly`, `matrix`, `passed`, `repeated`; `LINEAR`: whether the matrix
-is the same wherever a flight begins. And `hops`, `shortest`, `reversed_in_time`.
+The modules `linear_flow` and `force_flow` have the same functions:
+
+- for a step: `look_ahead`, `event_derivatives`, `lookahead_bounds`, `contact_forces_ahead`, `remainder_bound`,
+  `advance_motion`,
+- near a time: `acceleration_and_jerk`, `jet`, `jet_at_point`, `propagate_back`, `contact_force`, `propagate`,
+- for flights of any duration: `fly`, `fly_with_matrix`, `propagate_matrix`, `flight_map`,
+- and `chatter_bounds`, `shortest_step`, `reverse_time`.
+
+The constant `LINEAR` is True if the matrix of a flight does not depend on its initial state.
 """
 
 from . import force_flow, linear_flow
 
 
 def flow_of(coeffs):
-    """The flow of a coeffs: a file with the functions above."""
+    """Return the flow of some coefficients.
+
+    Parameters
+    ----------
+    coeffs : FlowCoefficients
+        Coefficients of the scene.
+
+    Returns
+    -------
+    module
+        Module with the functions above.
+    """
     return linear_flow if coeffs.force_law is None else force_flow

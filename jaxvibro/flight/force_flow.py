@@ -1,5 +1,7 @@
-"""What moves the mass between walls: a force of the user's own, by Taylor's steps, or by those of a solver where the
-force has one. The interface is that of `spring_flow`."""
+"""Fly a mass under a user-defined force, by Taylor steps or by the steps of a solver.
+
+The interface is that of `linear_flow`, see `flows`.
+"""
 
 from dataclasses import replace
 from functools import lru_cache, reduce
@@ -18,26 +20,33 @@ from .taylor import evaluate_taylor
 from .taylor_steps import ContactForceJet, as_derivatives
 from .wall_motion import select_lists_by_side, wall_jet, wall_jet_on_side
 
-LINEAR = False  # a flight's matrix depends on where it begins
-RATE_FACTOR = 2.0  # times the change of the press where hops begin: faster it may not change while they last
-MAX_STEPS = 100_000  # of a flight of any time: more would be a hang
+LINEAR = False  # the matrix of a flight depends on its initial state
+RATE_FACTOR = 2.0  # bound on the rate of the contact force during chatter, relative to its rate at the start
+MAX_STEPS = 100_000  # largest number of steps of a flight
 
 
 class Lookahead(NamedTuple):
-    """What a step knows of the flight ahead: a `taylor_steps.Ahead`; the `ContactForceJet` on each wall where a lane
-    rests on one, else zeros."""
+    """Information about the flight ahead of a step.
+
+    Attributes
+    ----------
+    flight : FlightSeries
+        Series of the flight.
+    contact_forces : list of ContactForceJet
+        Contact force on each wall if any lane sticks, zeros otherwise.
+    """
 
     flight: taylor_steps.FlightSeries
     contact_forces: list[ContactForceJet]
 
 
 def stepper_of(coeffs):
-    """What steps the flight: `taylor_steps`, or `solver_steps`, which nothing else loads."""
+    """Return the module that steps the flight: `taylor_steps`, or `solver_steps`, which is imported on demand only."""
     return taylor_steps if coeffs.force_law.solver is None else import_module(".solver_steps", __package__)
 
 
 def look_ahead(coeffs, path):
-    """(frame, `Lookahead`): the frame with the longest step of each lane."""
+    """Return (coefficients with the longest step of each lane, `Lookahead`)."""
     flight = stepper_of(coeffs).flight_series(coeffs, path.x, path.v, path.cosine, path.sine)
     max_step, contact_forces = flight.max_step, []
     if coeffs.walls:
@@ -47,64 +56,68 @@ def look_ahead(coeffs, path):
 
 
 def _with_max_step(coeffs, max_step):
+    """Return the coefficients with another longest step."""
     return coeffs._replace(
         max_step=max_step, inverse_max_step=1.0 / max_step, taylor_weights=event.taylor_weights(max_step)
     )
 
 
 def _sticking_max_step(contact, max_step, max_steps):
-    """The longest step of each lane: of one that rests that of the press, however fast it would move."""
+    """Return the longest step of each lane; for a sticking mass only the contact force limits it."""
     return choose(lax.abs(contact) == Contact.STUCK, reduce(minimum, max_steps), max_step)
 
 
 def _contact_forces_if_stuck(coeffs, path):
+    """Return the contact forces if any lane sticks, zeros otherwise."""
     return lax.cond(
         jnp.any(lax.abs(path.contact) == Contact.STUCK), _contact_forces, _zero_contact_forces, coeffs, path
     )
 
 
 def _contact_forces(coeffs, path):
+    """Return the contact force on each wall."""
     stepper = stepper_of(coeffs)
     return [stage(stepper.contact_force_jet, coeffs, wall, path.cosine, path.sine) for wall in coeffs.walls]
 
 
 def _zero_contact_forces(coeffs, path):
+    """Return a contact force of zero on each wall."""
     zero = lax.full_like(path.x, 0.0)
     return [ContactForceJet([zero] * event.N_TERMS, zero, zero) for _ in coeffs.walls]
 
 
 def event_derivatives(coeffs, path, lookahead, extra_force):
-    """x and its derivatives, as many as an event has terms and one."""
+    """Return x and its derivatives up to order `event.N_TERMS`."""
     return stage(as_derivatives, lookahead.flight.terms[: event.N_TERMS + 1])
 
 
 def lookahead_bounds(lookahead):
-    """What of a `Lookahead` says how the walls press, and what is beyond the derivatives: arrays."""
+    """Return the arrays of a `Lookahead` that describe the contact forces and the remainder."""
     return lookahead.contact_forces, lookahead.flight.remainder_bound
 
 
 def contact_forces_ahead(coeffs, path, bounds):
-    """[(the press on a wall, its derivatives; a bound on what is beyond them)] for each wall."""
+    """Return [(contact force and its derivatives, bound on the remainder)] for each wall."""
     return [(force.derivatives, force.remainder_bound) for force in bounds[0]]
 
 
 def remainder_bound(coeffs, derivatives, bounds, is_sticking, force_remainder, wall_remainder, taylor_weights):
-    """What is beyond the terms of an event, in lengths, of lanes that are free and that rest."""
+    """Return the bound on the remainder of an event's polynomial, in lengths, for free and for sticking lanes."""
     return choose(is_sticking, force_remainder, bounds[1]) + wall_remainder * taylor_weights[event.N_TERMS]
 
 
 def advance_motion(coeffs, motion, time, contact, lookahead):
-    """The motion a step later."""
+    """Return the motion after a step."""
     return _propagate(coeffs, motion, time, lookahead.flight.terms)
 
 
 def propagate(coeffs, motion, time, contact=None):
-    """The `SlowMotion` a time later, no longer than a step."""
+    """Return the `SlowMotion` after a time of at most one step."""
     return _propagate(coeffs, motion, time)
 
 
 def _propagate(coeffs, motion, time, terms=None):
-    """terms: the coefficients of x, where known."""
+    """Return the `SlowMotion` after a time; `terms` are the coefficients of x if known."""
     x, _, v = stage(motion_state, coeffs, motion)
     dx, dv = stepper_of(coeffs).step_increments(coeffs, x, v, motion.cosine, motion.sine, time, terms)
     slow_parts = stage(add_increments, motion, dx, dv)
@@ -112,36 +125,38 @@ def _propagate(coeffs, motion, time, terms=None):
 
 
 def acceleration_and_jerk(coeffs, x, v, cosine, sine, extra_force=()):
-    """The acceleration of a free mass, and its rate of change."""
+    """Return the acceleration of a free mass and its rate."""
     return tuple(jet(coeffs, x, v, cosine, sine, 3)[2:])
 
 
 def jet(coeffs, x, v, cosine, sine, order, extra_force=()):
-    """x and its derivatives up to an order."""
+    """Return x and its derivatives up to an order."""
     return stepper_of(coeffs).derivatives(coeffs, x, v, cosine, sine, order)
 
 
 def jet_at_point(coeffs, point, order, extra_force=()):
-    """x and its derivatives, one more than the order, at a `taylor.Now`."""
+    """Return x and its derivatives up to order + 1 at a `taylor.ExpansionPoint`."""
     return jet(coeffs, point.x, point.v, point.cosine, point.sine, order + 1)
 
 
 def propagate_back(coeffs, point, x, v, delay, order, extra_force=()):
-    """x and v now of a flight that is at x, v a little later."""
+    """Return x and v at a point of a flight that is at x, v after a short delay."""
     phasor = flow.rotate_by_angle(point.cosine, point.sine, coeffs.frequency * delay)
     derivs = jet(coeffs, x, v, *phasor, order + 1)
     return evaluate_taylor(derivs, -delay, order), evaluate_taylor(derivs[1:], -delay, order)
 
 
 def contact_force(coeffs, wall, cosine, sine, order):
-    """How hard a mass that rests on the wall is driven along x relative to it, and its derivatives."""
+    """Return the force along x on a sticking mass relative to the wall, and its derivatives."""
     return as_derivatives(stepper_of(coeffs).contact_force_terms(coeffs, wall, cosine, sine, order))
 
 
 def chatter_bounds(coeffs, side, acceleration, approach_speed, cosine, sine):
-    """What says whether hops on a wall end: (how fast the press on it changes at most; the damping that the force has,
-    from the acceleration before an impact at so much speed; how fast the force away from the wall grows with the
-    distance, at least 1), as estimated where they begin."""
+    """Return (rate bound, damping, force growth), estimated at the start of chatter on a wall.
+
+    The rate bound limits the rate of the contact force. The damping follows from the acceleration before an impact at
+    the approach speed. The force growth is the increase of the force away from the wall with distance, at least 1.
+    """
     wall_bounds = select_lists_by_side(
         side,
         coeffs.walls,
@@ -156,6 +171,7 @@ def chatter_bounds(coeffs, side, acceleration, approach_speed, cosine, sine):
 
 
 def _wall_chatter_bounds(coeffs, wall, acceleration, approach_speed, cosine, sine):
+    """Return (rate bound, damping) of chatter on one wall."""
     force, force_rate, force_curvature = as_derivatives(
         stepper_of(coeffs).contact_force_terms(coeffs, wall, cosine, sine, 2)
     )
@@ -170,7 +186,7 @@ def _wall_chatter_bounds(coeffs, wall, acceleration, approach_speed, cosine, sin
 
 
 def shortest_step(coeffs, flights):
-    """Half of the shortest of the first steps of some `flight_clearance.Flight`s, a scalar."""
+    """Return half of the shortest first step of some `flight_clearance.Flight`s, a scalar."""
     stepper = stepper_of(coeffs)
     max_steps = stepper.sampling_step(
         coeffs, stepper.flight_series(coeffs, flights.x, flights.v, flights.cosine, flights.sine).max_step
@@ -179,7 +195,7 @@ def shortest_step(coeffs, flights):
 
 
 def fly(coeffs, x, v, cosine, sine, time):
-    """(x, v, cosine, sine) after any time >= 0, with derivatives, forward; nan where that takes too many steps."""
+    """Return (x, v, cosine, sine) after any time >= 0; forward-mode derivatives only, nan after too many steps."""
     zero = jnp.zeros(jnp.broadcast_shapes(*map(jnp.shape, (x, v, cosine, sine, time))), jnp.result_type(x))
     stepper = stepper_of(coeffs)
 
@@ -208,7 +224,7 @@ def fly(coeffs, x, v, cosine, sine, time):
 
 
 def fly_with_matrix(coeffs, x, v, cosine, sine, time):
-    """((x, v) a time after; how they change with x, v at the start, a matrix as `response.through` takes it)."""
+    """Return ((x, v) after a time, derivative with respect to the initial state as in `flow_matrix.apply_matrix`)."""
 
     def final_state(x, v):
         return fly(coeffs, x, v, cosine, sine, time)[:2]
@@ -222,18 +238,18 @@ def fly_with_matrix(coeffs, x, v, cosine, sine, time):
 
 
 def propagate_matrix(coeffs, state, cosine, sine, time):
-    """(place, cosine, sine, the flow's matrix by rows) a time after; state: (x, v)."""
+    """Return (state, cosine, sine, matrix of the flow by rows) after a time; `state` is (x, v)."""
     state, (p00, p01, p11, p10) = fly_with_matrix(coeffs, *state, cosine, sine, time)
     return state, *flow.rotate_by_angle(cosine, sine, coeffs.frequency * time), (p00, p01, p10, p11)
 
 
 def flight_map(coeffs, duration):
-    """(x, v, cosine, sine) -> the same a time after, for the same time again and again."""
+    """Return the map of (x, v, cosine, sine) over a fixed duration."""
     return lambda *state: fly(coeffs, *state, duration)
 
 
 def reverse_time(coeffs):
-    """The frame of the flow with time reversed."""
+    """Return the coefficients of the flow with time reversed."""
     force_law = replace(coeffs.force_law, function=_reverse_force(coeffs.force_law.function))
     return coeffs._replace(
         force_law=force_law,
@@ -243,7 +259,7 @@ def reverse_time(coeffs):
 
 @lru_cache(256)
 def _reverse_force(function):
-    """A force as it is seen with time reversed."""
+    """Return a force as a function with time reversed."""
 
     def reversed_force(t, x, v, params):
         return function(-t, x, -v, params)

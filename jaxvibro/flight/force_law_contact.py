@@ -1,4 +1,4 @@
-"""Stays within a soft wall beside a force of the user's own: of lanes on their path, and as smooth functions."""
+"""Compute contact phases inside a soft wall under a user-defined force, for paths and as smooth functions."""
 
 from functools import partial
 from typing import NamedTuple
@@ -15,33 +15,49 @@ from .flight_state import CAPPED, split_motion
 from .force_law_series import ContactState
 from .rigid_contact import extra_force as extra_force
 from .rigid_contact import max_step as max_step
-from .rigid_contact import prepare_step as prepare_step  # a free flight's, as are these
+from .rigid_contact import prepare_step as prepare_step  # these four are as for rigid walls
 from .rigid_contact import target_wall as target_wall
 from .soft_contact import is_inside
 from .taylor_steps import as_derivatives
 from .wall_motion import wall_jet_on_side
 
-INITIAL_PERIODS = 1e-9  # drive periods, after which a mass that is pressed into a wall from rest is on its way
+INITIAL_PERIODS = 1e-9  # initial time, in drive periods, of a mass that is pressed into a wall from rest
 
 
 def active_path(path):
-    """The path of the lanes that a step is for: what is within a wall waits there."""
+    """Return the path of the lanes that take a step; lanes inside a wall wait there."""
     return path._replace(time_remaining=choose(is_inside(path.contact), 0.0, path.time_remaining))
 
 
 def initial_wait(zero):
-    """As `spring_stay.unbegun`."""
+    """Return the initial wait count, see `linear_contact.initial_wait`."""
     return zero
 
 
 def advance_waiting(coeffs, path, wait_count, is_due, is_idle):
-    """As `no_stay.paused`: through the whole stay, once all that can wait does, or one has waited long enough."""
+    """Return (path, wait count), see `rigid_contact.advance_waiting`.
+
+    The lanes complete their contact phase once one has waited long enough, or all lanes that can wait do.
+    """
     path = lax.cond(is_due | is_idle, partial(traverse_contacts, coeffs), lambda operand: operand, path)
     return path, jnp.zeros_like(wait_count)
 
 
 def traverse_contacts(coeffs, path):
-    """The path with the lanes that are within a soft wall carried to where they leave it, or to their end."""
+    """Advance lanes inside a soft wall to their exit or to the end of their time.
+
+    Parameters
+    ----------
+    coeffs : FlowCoefficients
+        Coefficients of the scene.
+    path : Path
+        Path of the lanes.
+
+    Returns
+    -------
+    Path
+        Path after the contact phases. Other lanes do not change.
+    """
     inside = is_inside(path.contact) & (path.time_remaining > 0)
     side = stage(_contact_side, path.contact)
     start, start_delay, exits_at_once = stage(_initial_state, coeffs, path, inside, side)
@@ -51,12 +67,12 @@ def traverse_contacts(coeffs, path):
 
 
 def _contact_side(contact):
+    """Return the side of the contact, 1 without one."""
     return choose(contact < 0, lax.full_like(contact, -1.0), 1.0)
 
 
 def _initial_state(coeffs, path, inside, side):
-    """(`ContactState`, a time that is gone by then, whether the lane leaves at once); benign in lanes that are
-    outside."""
+    """Return (`ContactState`, elapsed time, exits at once), with finite placeholder values in lanes outside."""
     depth, depth_rate = side * path.x, side * path.v
     at_surface = (lax.abs(path.contact) == Contact.ENTERED) | (depth <= 0)
     inward_accel = inward_acceleration(coeffs, side, jnp.zeros_like(depth_rate), path.cosine, path.sine)
@@ -82,7 +98,26 @@ def _initial_state(coeffs, path, inside, side):
 
 
 def inward_acceleration(coeffs, side, depth_rate, cosine, sine):
-    """The acceleration into the wall of a mass that it pushes, at the depth 0 and with this rate of it."""
+    """Compute the acceleration into a wall at depth 0.
+
+    Parameters
+    ----------
+    coeffs : FlowCoefficients
+        Coefficients of the scene.
+    side : array
+        Side of the wall, -1 or 1.
+    depth_rate : array
+        Rate of the depth.
+    cosine : array
+        Cosine of the drive angle.
+    sine : array
+        Sine of the drive angle.
+
+    Returns
+    -------
+    array
+        Acceleration into the wall, relative to the wall and including its force.
+    """
     zero, ones = jnp.zeros_like(cosine), jnp.ones_like(cosine)
     return force_law_series.contact_series(
         coeffs, side, ContactState(zero, ones, depth_rate, cosine, sine), 2
@@ -90,7 +125,7 @@ def inward_acceleration(coeffs, side, depth_rate, cosine, sine):
 
 
 def _path_after_contact(coeffs, path, passage, inside, exits_at_once, side):
-    """The path with the lanes that were inside where they are now."""
+    """Return the path with the lanes inside a wall at the end of their passage."""
     state = passage.state
     exits = passage.exits | exits_at_once
     wall_position, wall_velocity = _wall_state(coeffs, side, state.cosine, state.sine)
@@ -123,14 +158,25 @@ def _path_after_contact(coeffs, path, passage, inside, exits_at_once, side):
 
 
 def _wall_state(coeffs, side, cosine, sine):
-    """(position, velocity) of the wall on a side."""
+    """Return (position, velocity) of the wall on a side."""
     wall_position, wall_velocity = wall_jet_on_side(coeffs, side, cosine, sine, 1)
     return wall_position, jnp.zeros_like(cosine) if wall_velocity is None else wall_velocity
 
 
 class ContactPhase(NamedTuple):
-    """What a stay does. exits: whether the wall is left in time; duration: how long it takes, or how long it was given;
-    depth and its rate at the end."""
+    """Result of a contact phase inside a soft wall.
+
+    Attributes
+    ----------
+    exits : array of bool
+        True if the mass leaves the wall in time.
+    duration : array
+        Contact duration, or the available time if the mass does not leave.
+    depth : array
+        Depth at the end.
+    depth_rate : array
+        Rate of the depth at the end.
+    """
 
     exits: Bool[jax.Array, "*lanes"]
     duration: Float[jax.Array, "*lanes"]
@@ -139,7 +185,24 @@ class ContactPhase(NamedTuple):
 
 
 def entry_state(speed, cosine, sine, mask=None):
-    """The `ContactState` of lanes that enter a wall with a speed; benign in those that do not."""
+    """Build the state of lanes that enter a wall.
+
+    Parameters
+    ----------
+    speed : array
+        Speed of entry relative to the wall.
+    cosine : array
+        Cosine of the drive angle.
+    sine : array
+        Sine of the drive angle.
+    mask : array of bool, optional
+        Lanes that enter. Other lanes get finite placeholder values. None selects all lanes.
+
+    Returns
+    -------
+    ContactState
+        State at the depth 0.
+    """
     zero = jnp.zeros_like(speed)
     if mask is None:
         return ContactState(zero, zero + 1.0, speed, cosine, sine)
@@ -147,10 +210,31 @@ def entry_state(speed, cosine, sine, mask=None):
 
 
 def fly_contact_phase(coeffs, side, start, time_remaining, delay, order, passage=None):
-    """The `ContactPhase` from a `ContactState` on, for at most so much time, with derivatives right to an order.
+    """Compute a contact phase with derivatives correct to an order.
 
-    It takes so much of s as it takes, a constant; its end is moved by Taylor polynomials. time_remaining: a constant;
-    delay: 0, with derivatives: how much later the stay begins. passage: its `pushed_flow.Passage`, where that is known.
+    The span of s is a constant. Taylor polynomials move the end of the phase.
+
+    Parameters
+    ----------
+    coeffs : FlowCoefficients
+        Coefficients of the scene.
+    side : array
+        Side of the wall, -1 or 1.
+    start : ContactState
+        Initial state.
+    time_remaining : array
+        Available time, a constant.
+    delay : array
+        Delay of the start of the phase. Its value is 0; its derivatives count.
+    order : int
+        Order of the derivatives.
+    passage : ContactPassage, optional
+        Result of `force_law_flow.traverse_contact` if known.
+
+    Returns
+    -------
+    ContactPhase
+        Result of the phase. Duration and rate are nan if too many steps are needed.
     """
     passage = passage or force_law_flow.traverse_contact(*lax.stop_gradient((coeffs, side, start, time_remaining)))
     state, elapsed = force_law_flow.fly_s_span(coeffs, side, start, lax.stop_gradient(passage.s_span))
@@ -172,7 +256,7 @@ def fly_contact_phase(coeffs, side, start, time_remaining, delay, order, passage
 
 
 def _exit_rate_and_delay(coeffs, side, state, order):
-    """(the depth's rate, how much later) where the mass leaves, 0 later but for derivatives and rounding."""
+    """Return (rate of the depth, delay) at the exit; the delay is 0 up to derivatives and rounding."""
     terms = force_law_series.contact_series(coeffs, side, state, order + 1)
     root_derivs, rate, time = (as_derivatives(series) for series in terms)
     exit_s = taylor.locate_root(root_derivs[: order + 1], order)
@@ -181,7 +265,29 @@ def _exit_rate_and_delay(coeffs, side, state, order):
 
 
 def depth_after_delay(coeffs, side, state, depth, depth_rate, delay, order):
-    """(depth, its rate) within the wall a time later, 0 but for derivatives and rounding; of a `ContactState` the
-    drive's cosine and sine."""
+    """Compute the depth and its rate after a delay.
+
+    Parameters
+    ----------
+    coeffs : FlowCoefficients
+        Coefficients of the scene.
+    side : array
+        Side of the wall, -1 or 1.
+    state : ContactState
+        State of which the cosine and sine of the drive angle are used.
+    depth : array
+        Depth.
+    depth_rate : array
+        Rate of the depth.
+    delay : array
+        Delay. Its value is 0 up to rounding; its derivatives count.
+    order : int
+        Order of the derivatives.
+
+    Returns
+    -------
+    tuple of array
+        Depth and its rate.
+    """
     jets = force_law_series.depth_jets(coeffs, side, state, depth, depth_rate, order)
     return tuple(taylor.evaluate_taylor(jet, delay, order) for jet in jets)

@@ -1,7 +1,8 @@
-"""A stay within a soft wall beside a force of the user's own: its end found as surely as an impact, step by step.
+"""Compute contact phases inside a soft wall under a user-defined force, with a certified exit.
 
-The steps are in s (`force_law_series`): e falls to 0 where the mass leaves, as a clearance does where it meets a wall,
-and what `event` says of one holds for the other."""
+The steps are in s (`force_law_series`). The root e of the depth falls to 0 at the exit, like a clearance at a contact
+with a wall. Hence the certificates of `event` apply.
+"""
 
 from typing import NamedTuple
 
@@ -15,18 +16,31 @@ from . import event, force_law_series, taylor_steps
 from .force_flow import MAX_STEPS
 from .force_law_series import ContactState, evaluate_terms, select_lanes
 
-MAX_ROOT_ITERATIONS = 60  # of Newton's steps, or halvings, to the time that a stay is followed for
-TIME_ROUNDINGS = 4.0  # roundings: as near is the time
-POLISH_ITERATIONS = 2  # Newton's steps to the end of a stay, from one that is nearer than `event.landing`
-FLIGHT_DEGREE = (
-    10  # the last power of steps with derivatives: their cost is what there is to compile, which is less by it
-)
-MAX_ROOT = 1e100  # a root beyond which nothing comes back
+MAX_ROOT_ITERATIONS = 60  # largest number of Newton steps or bisections to the end of the available time
+TIME_ROUNDINGS = 4.0  # accuracy of the time, in unit roundoffs
+POLISH_ITERATIONS = 2  # Newton steps to the exit, starting within `event.landing_tolerance`
+FLIGHT_DEGREE = 10  # degree of steps with derivatives; a low degree limits compilation, their main cost
+MAX_ROOT = 1e100  # root of the depth beyond which a motion has diverged
 
 
 class ContactPassage(NamedTuple):
-    """Lanes on their way through a stay: where they are, the time they have left and its low part; s_span: in s, so
-    far; exits: whether they have left the wall; steps taken."""
+    """State of lanes during a contact phase.
+
+    Attributes
+    ----------
+    state : ContactState
+        State inside the wall.
+    time_remaining : array
+        Remaining time.
+    time_remaining_low : array
+        Low part of the remaining time.
+    s_span : array
+        Span of s since the start.
+    exits : array of bool
+        True if the mass has left the wall.
+    n_steps : int
+        Number of steps.
+    """
 
     state: ContactState
     time_remaining: Float[jax.Array, "*lanes"]
@@ -37,9 +51,25 @@ class ContactPassage(NamedTuple):
 
 
 def traverse_contact(coeffs, side, start, time_remaining, time_remaining_low=None):
-    """The `ContactPassage` of lanes within the wall on a side up to where they leave it, or until so much time is gone.
+    """Advance lanes inside a wall to their exit or to the end of their time.
 
-    Lanes that have no time stay where they are. left is not 0 of a lane that has neither left nor come to its end.
+    Parameters
+    ----------
+    coeffs : FlowCoefficients
+        Coefficients of the scene.
+    side : array
+        Side of the wall, -1 or 1.
+    start : ContactState
+        Initial state.
+    time_remaining : array
+        Available time. Lanes with 0 do not move.
+    time_remaining_low : array, optional
+        Low part of the available time.
+
+    Returns
+    -------
+    ContactPassage
+        State at the end. The remaining time of a lane that neither leaves nor reaches the end of its time is not 0.
     """
     zero = jnp.zeros_like(time_remaining)
     remaining_low = zero if time_remaining_low is None else time_remaining_low
@@ -55,6 +85,7 @@ def traverse_contact(coeffs, side, start, time_remaining, time_remaining_low=Non
 
 
 def _step_lanes(coeffs, side, passage):
+    """Advance the lanes by one certified step."""
     state, time_remaining = passage.state, passage.time_remaining
     terms = force_law_series.contact_series(coeffs, side, state, taylor_steps.step_order(coeffs))
     max_step = force_law_series.max_step(coeffs, terms, state.scale)
@@ -96,11 +127,12 @@ def _step_lanes(coeffs, side, passage):
 
 
 def _time_tolerance(period, like):
+    """Return the tolerance of the remaining time."""
     return TIME_ROUNDINGS * event.unit_roundoff(like.dtype) * period
 
 
 def _exit_progress(root_terms, max_step, tolerance):
-    """The `event.Progress` of minus the root, in longest steps; where the stay begins its root at 0 is divided out."""
+    """Return the `event.Progress` of minus the root, in longest steps; a root 0 at the start is divided out."""
     power, terms, remainder, magnitude = lax.full_like(max_step, 1.0), [], lax.full_like(max_step, 0.0), None
     for k, coefficient in enumerate(root_terms):
         term = coefficient * power
@@ -114,7 +146,7 @@ def _exit_progress(root_terms, max_step, tolerance):
 
 
 def _exits(progress, root, root_error_bound):
-    """Whether the root is where the stay ends, and near enough."""
+    """Return True where the root is the exit and close enough."""
     g = progress.terms
     return (root_error_bound >= 0) & (
         root_error_bound * (lax.abs(g[2]) + g[1]) < event.landing_tolerance(root.dtype) * g[1]
@@ -122,7 +154,7 @@ def _exits(progress, root, root_error_bound):
 
 
 def _step_in_s(terms, max_step, certified_step, root, root_error_bound, exits):
-    """How long the step is, in s: to the end of the stay, polished, or as far as there surely is none."""
+    """Return the step in s: to the polished exit, or as far as there is certainly none."""
     exit_s = root * max_step
     for _ in range(POLISH_ITERATIONS):
         value, slope, _ = evaluate_terms(terms, exit_s)
@@ -133,15 +165,17 @@ def _step_in_s(terms, max_step, certified_step, root, root_error_bound, exits):
 
 
 def _elapsed_time(terms, s_step):
+    """Return the time that a step in s takes."""
     return evaluate_terms([terms], s_step)[0]
 
 
 def _keep_step(terms, s_step, time_remaining, overshoots):
+    """Return the step unchanged."""
     return s_step
 
 
 def _step_to_time(terms, s_step, time_remaining, overshoots):
-    """The span after which the time left is gone, in lanes that go beyond it: the time rises all the way."""
+    """Return the span of s after which no time remains, in lanes that overshoot; the time increases with s."""
     derivative_terms = [k * term for k, term in enumerate(terms)][1:]
 
     def is_unfinished(carry):
@@ -164,8 +198,7 @@ def _step_to_time(terms, s_step, time_remaining, overshoots):
 
 
 def fly_s_span(coeffs, side, start, s_span):
-    """(`ContactState`, the time that is gone) a span of s after a start, with derivatives, forward; no end is looked
-    for."""
+    """Return (`ContactState`, elapsed time) after a span of s, with forward-mode derivatives; exits are ignored."""
     zero = jnp.zeros_like(s_span)
 
     def is_unfinished(carry):

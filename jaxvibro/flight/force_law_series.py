@@ -1,12 +1,12 @@
-"""The Taylor series of a mass within a soft wall beside a force of the user's own, in a time that runs like its depth.
+"""Expand the motion inside a soft wall under a user-defined force, in a time variable that scales with the depth.
 
-Depth y = e^2 and dt = 2 e ds make
+The depth y = e^2 and the time dt = 2 e ds turn y' = w, w' = a into
 
-    de/ds = w,   dw/ds = 2 e a,   dt/ds = 2 e
+    de/ds = w,   dw/ds = 2 e a,   dt/ds = 2 e.
 
-of y' = w, w' = a: what goes with y^1.5 is e^3, analytic also where the mass enters and leaves, and the stay goes from
-e = 0 to e = 0. With e = scale f and w = scale g, the scale being the speed of entering, it is smooth where that is
-zero.
+A force proportional to y^1.5 becomes e^3, which is analytic at entry and exit as well. The contact phase goes from
+e = 0 to e = 0. The scaled variables e = scale f and w = scale g, with the speed of entry as the scale, are smooth where
+this speed is zero.
 """
 
 import math
@@ -35,11 +35,25 @@ from .series import (
 )
 from .wall_motion import select_by_side
 
-TINY_MULTIPLE = 1e10  # times the smallest number: a term as small is none
+TINY_MULTIPLE = 1e10  # terms below this multiple of the smallest normal number count as zero
 
 
 class ContactState(NamedTuple):
-    """Where a lane is within a wall: y = (scale root)^2, w = scale rate; the drive's cosine and sine."""
+    """State of a lane inside a wall: depth y = (scale scaled_root)^2 and rate w = scale scaled_rate.
+
+    Attributes
+    ----------
+    scaled_root : array
+        Square root of the depth over the scale.
+    scaled_rate : array
+        Rate of the depth over the scale.
+    scale : array
+        Scale, for example the speed of entry.
+    cosine : array
+        Cosine of the drive angle.
+    sine : array
+        Sine of the drive angle.
+    """
 
     scaled_root: Float[jax.Array, "*lanes"]
     scaled_rate: Float[jax.Array, "*lanes"]
@@ -49,7 +63,7 @@ class ContactState(NamedTuple):
 
 
 class ContactSeries(NamedTuple):
-    """The Taylor coefficients in s, from the constant on, of root, rate and the time since."""
+    """Taylor coefficients in s, from the constant on, of the scaled root, the scaled rate and the elapsed time."""
 
     scaled_root: list[Float[jax.Array, "*lanes"]]
     scaled_rate: list[Float[jax.Array, "*lanes"]]
@@ -57,7 +71,7 @@ class ContactSeries(NamedTuple):
 
 
 def contact_series(coeffs, side, state, order):
-    """The `ContactSeries` up to an order of lanes within the wall on a side."""
+    """Return the `ContactSeries` up to an order, for lanes inside the wall on a side."""
     root_series = Series(lambda series, k: scale_coefficient(1.0 / k, rate_series[k - 1]), state.scaled_root)
     rate_series = Series(lambda series, k: scale_coefficient(2.0 / k, root_times_accel[k - 1]), state.scaled_rate)
     time_series = Series(
@@ -70,10 +84,10 @@ def contact_series(coeffs, side, state, order):
 
 
 def depth_jets(coeffs, side, state, depth, depth_rate, order):
-    """(Derivatives of the depth, of its rate) by time from the constant up to an order; the last counts as a constant.
+    """Return (time derivatives of the depth, time derivatives of its rate) up to an order; the last is a constant.
 
-    Unlike `contact_series` they are right where the depth is 0 or a rounding, where time runs as the square of s. Of
-    orders above 1 they are nan at the depth 0 where the law has no such derivative, as one with y^1.5.
+    Unlike `contact_series` they hold where the depth is 0 or a rounding error, where time scales with the square of s.
+    For orders above 1 they are nan at the depth 0 if the law has no such derivative, for example y^1.5.
     """
     ones = jnp.ones_like(depth)
     depth_series = Series(lambda series, k: scale_coefficient(1.0 / k, rate_series[k - 1]), depth)
@@ -89,7 +103,7 @@ def depth_jets(coeffs, side, state, depth, depth_rate, order):
 
 
 def _acceleration_series(coeffs, side, state, depth, depth_rate, time):
-    """(the acceleration along x relative to the wall but for the wall's push, the push away from it), `Series`."""
+    """Return the `Series` of (acceleration along x relative to the wall without its force, force of the wall)."""
     angle = scale_series(coeffs.frequency, time)
     cosine, _ = _rotate_phasor(angle, state.cosine, state.sine)
     wall_position, wall_velocity, wall_acceleration = _wall_motion(coeffs, side, state, angle)
@@ -110,11 +124,12 @@ def _acceleration_series(coeffs, side, state, depth, depth_rate, time):
 
 
 def _drive_time(frequency, cosine, sine):
+    """Return the time at which the drive has a phasor."""
     return lax.atan2(sine, cosine) / frequency
 
 
 def _rotate_phasor(angle, cosine, sine):
-    """(cosine, sine) of what is at these at first and turns by an angle."""
+    """Return the `Series` (cosine, sine) of an angle that starts at a phasor and grows by `angle`."""
     phasor: list[Series] = []
     phasor.append(integrate_rate(angle, cosine, lambda series: scale_series(-1.0, phasor[1])))
     phasor.append(integrate_rate(angle, sine, lambda series: phasor[0]))
@@ -122,7 +137,7 @@ def _rotate_phasor(angle, cosine, sine):
 
 
 def _wall_motion(coeffs, side, state, angle):
-    """Position, velocity, acceleration of the wall on a side; None where no wall moves."""
+    """Return the `Series` of position, velocity and acceleration of the wall on a side; None for zero."""
     walls = coeffs.walls
     zero = jnp.zeros_like(state.scaled_root)
     mean_position = select_by_side(side, walls, [wall.position + zero for wall in walls])
@@ -142,14 +157,14 @@ def _wall_motion(coeffs, side, state, angle):
 
 
 def _wall_oscillation(wall, state, zero):
-    """(swing, harmonic, cosine, sine) of a wall's motion."""
+    """Return (amplitude, harmonic, cosine, sine) of the motion of a wall."""
     if wall.amplitude is None:
         return zero, zero + 1.0, zero + 1.0, zero
     return wall.amplitude + zero, zero + float(wall.harmonic), *harmonic_phasor(wall, state.cosine, state.sine)
 
 
 def _wall_push(coeffs, side, depth, depth_rate, v):
-    """The push of the wall on a side: its law's, or k2 y + 2 gamma2 v, v the mass's own velocity."""
+    """Return the force of the wall on a side: its law, or k2 y + 2 gamma2 v, where v is the absolute velocity."""
     soft_walls = [wall for wall in coeffs.walls if wall.restitution is None]
     law_keys = [wall.law and (wall.law.function, tuple(wall.law.numbers)) for wall in soft_walls]
     if len(soft_walls) == 2 and law_keys[0] == law_keys[1]:
@@ -167,6 +182,7 @@ def _wall_push(coeffs, side, depth, depth_rate, v):
 
 
 def _select_coefficient(on_left, left_value, right_value):
+    """Select a coefficient by side; None stands for zero."""
     return (
         None
         if left_value is None and right_value is None
@@ -175,18 +191,22 @@ def _select_coefficient(on_left, left_value, right_value):
 
 
 def _push_of_wall(wall, side, depth, depth_rate, v):
+    """Return the force of one wall."""
     if wall.law is not None:
         return traced_force.wall_push_series(wall.law, depth, depth_rate)
     return add_series(scale_series(wall.stiffness, depth), scale_series(2.0 * wall.damping * side, v))
 
 
 def max_step(coeffs, terms, scale):
-    """A step in s at which the last terms are tolerated beside the largest of the first, and no angle turns by more
-    than 1."""
+    """Return a step in s for which the last terms stay below the tolerance and no angle exceeds 1.
+
+    The last terms are relative to the largest of the first terms.
+    """
     return stage(_max_step, terms, scale, coeffs.max_step, tolerance=coeffs.force_law.tolerance)
 
 
 def _max_step(terms, scale, max_time_step, tolerance):
+    """Return the step of `max_step`."""
     tiny = TINY_MULTIPLE * float(jnp.finfo(scale.dtype).tiny)
     degree = len(terms.scaled_root) - 1
     time_slope, time_curvature = (
@@ -202,7 +222,7 @@ def _max_step(terms, scale, max_time_step, tolerance):
 
 
 def evaluate_terms(terms, s_step):
-    """(root, rate, time) a span of s later."""
+    """Evaluate (root, rate, time) after a span of s."""
     values = []
     for series in terms:
         value = series[-1]
@@ -213,7 +233,7 @@ def evaluate_terms(terms, s_step):
 
 
 def rotate_drive(coeffs, state, time):
-    """(cosine, sine) of the drive a time later, of any sign."""
+    """Return (cosine, sine) of the drive angle after a time of any sign."""
     angle = coeffs.frequency * time
     half_sine = lax.sin(0.5 * angle)
     cos_less_1, sin_angle = -2.0 * half_sine * half_sine, lax.sin(angle)
@@ -223,5 +243,20 @@ def rotate_drive(coeffs, state, time):
 
 
 def select_lanes(mask, if_true, if_false):
-    """A tree of lanes with those of some replaced."""
+    """Select between two pytrees lane by lane.
+
+    Parameters
+    ----------
+    mask : array of bool
+        Lanes that take the first value.
+    if_true : pytree of array
+        Values where the mask holds.
+    if_false : pytree of array
+        Values elsewhere.
+
+    Returns
+    -------
+    pytree of array
+        Selected values.
+    """
     return jax.tree.map(lambda if_true, if_false: choose(mask, if_true, if_false), if_true, if_false)

@@ -1,4 +1,4 @@
-"""The impact law, y+ - v_b = -R (y- - v_b) (paper, (4)), and what a mass does that has no speed left on a wall."""
+"""Apply the impact law y+ - v_b = -R (y- - v_b) (paper, (4)) and the rules for a mass without rebound speed."""
 
 from typing import NamedTuple
 
@@ -16,17 +16,22 @@ from .soft_contact import is_soft_side, restitution_of
 from .soft_wall_lanes import in_soft_wall, relative_wall_derivs
 from .wall_motion import select_lists_by_side, subtract, wall_jet_on_side
 
-CHATTER_SPEED = -1.0  # the least speed of a chatter
-BOUNCE_TIME_FACTOR = 4.85  # 2 (1 + sqrt(2)), and for rounding
-MAX_RELATIVE_CHANGE = (
-    0.25  # by what part of itself a speed may change up to the event: more, and it is rounding that is far from it
-)
+CHATTER_SPEED = -1.0  # smallest speed that marks a complete chatter
+BOUNCE_TIME_FACTOR = 4.85  # 2 (1 + sqrt(2)), plus a margin for rounding
+MAX_RELATIVE_CHANGE = 0.25  # largest relative change of a speed up to the event; a larger one is due to rounding
 
 
 class EventOutcome(NamedTuple):
-    """What an event does: the speed against the wall before it, the least speed that follows, the contact after it.
+    """Outcome of an event.
 
-    The speed is negative where the event is the end of a contact with a soft wall.
+    Attributes
+    ----------
+    approach_speed : array
+        Speed relative to the wall before the event. Negative if the event is the exit from a soft wall.
+    least_speed : array
+        Smallest speed of the impacts that the event implies.
+    contact : array
+        Contact after the event, times the sign of the wall.
     """
 
     approach_speed: Float[jax.Array, "*lanes"]
@@ -35,9 +40,9 @@ class EventOutcome(NamedTuple):
 
 
 def event_delay(coeffs, path, side):
-    """How much later than the end of a step its event is: one step of Halley's, from nearer than `event.landing`.
+    """Return the time from the end of a step to its event by one Halley step, from within `event.landing_tolerance`.
 
-    What is left to the event of a slow impact may be rounding, which is not to be divided by its speed: none.
+    The residual of a slow impact may be rounding error. It is not divided by the speed; the delay is then 0.
     """
     phasor = path.cosine, path.sine
     wall_position, wall_velocity, wall_acceleration = wall_jet_on_side(coeffs, side, *phasor, 2)
@@ -58,7 +63,10 @@ def event_delay(coeffs, path, side):
 
 
 def resolve_event(coeffs, path, side, delay):
-    """The `EventOutcome` of an event: rebound, rest, release; a lane without one keeps what it has."""
+    """Return the `EventOutcome` of an event: rebound, sticking or release.
+
+    Lanes without an event keep their contact.
+    """
     is_sticking = lax.abs(path.contact) == Contact.STUCK
     cosine, sine = _rotate_drive(coeffs, path, delay)
     _, wall_velocity, contact_force, force_rate = wall_surface(
@@ -96,15 +104,16 @@ def resolve_event(coeffs, path, side, delay):
 
 
 def _acceleration_and_jerk(coeffs, path):
-    """The acceleration of the mass and its rate of change."""
+    """Return the acceleration of the mass and its rate."""
     extra_force = contact_law_of(coeffs).extra_force(coeffs, path)
     return flow_of(coeffs).acceleration_and_jerk(coeffs, path.x, path.v, path.cosine, path.sine, extra_force)
 
 
 def apply_event(coeffs, path, side, delay, outcome, step_time):
-    """The path after the event: a lane without one goes on, one that rests is kept to its wall.
+    """Return the path after the event.
 
-    One that enters a soft wall is from there on counted from it.
+    Lanes without an event continue. A sticking mass stays on its wall. For a mass that enters a soft wall, x and v
+    become relative to the wall.
     """
     cosine, sine = _rotate_drive(coeffs, path, delay)
     is_sticking = lax.abs(path.contact) == Contact.STUCK
@@ -138,12 +147,37 @@ def apply_event(coeffs, path, side, delay, outcome, step_time):
 
 
 def _rotate_drive(coeffs, path, delay):
+    """Return the phasor of the drive after a delay."""
     angle = coeffs.frequency * delay
     return flow.rotate(path.cosine, path.sine, -0.5 * angle * angle, angle)
 
 
 def wall_surface(coeffs, side, cosine, sine):
-    """Position, speed, press and the press's change of the wall on a side."""
+    """Compute the motion of a wall and the contact force on a mass that sticks to it.
+
+    Parameters
+    ----------
+    coeffs : FlowCoefficients
+        Coefficients of the scene.
+    side : array
+        Side of the wall, -1 or 1.
+    cosine : array
+        Cosine of the drive angle.
+    sine : array
+        Sine of the drive angle.
+
+    Returns
+    -------
+    position : array
+        Position of the wall.
+    velocity : array
+        Velocity of the wall.
+    contact_force : array
+        Force along x on the sticking mass relative to the wall. It presses the mass on the wall if it has the sign of
+        the wall.
+    force_rate : array
+        Rate of the contact force.
+    """
     wall_position, wall_velocity = wall_jet_on_side(coeffs, side, cosine, sine, 1)
     force_lists = [flow_of(coeffs).contact_force(coeffs, wall, cosine, sine, 1) for wall in coeffs.walls]
     return (
@@ -154,10 +188,10 @@ def wall_surface(coeffs, side, cosine, sine):
 
 
 def next_contact(coeffs, rebound_speed, contact_force, force_rate):
-    """LANDED, STUCK or RELEASED: what follows on a wall from the speed of leaving it, the press and its change.
+    """Return the contact that follows on a wall: `LANDED`, `STUCK` or `RELEASED`.
 
-    A hop lower than rounding, leaving^2 / (2 push), is no hop: the mass rests. Without speed the press decides, then
-    its change.
+    A bounce of a height below rounding, speed^2 / (2 force), does not count: the mass sticks. Without rebound speed the
+    contact force decides, then its rate.
     """
     has_no_speed = rebound_speed == 0
     hop_is_negligible = (contact_force > 0) & (
@@ -172,14 +206,16 @@ def next_contact(coeffs, rebound_speed, contact_force, force_rate):
 
 
 def is_complete_chatter(coeffs, rebound_speed, contact_force, restitution, force_rate_bound, time, force_growth=None):
-    """Whether all hops that follow, infinitely many, certainly end in so much time: complete chatter.
+    """Return True if the following infinitely many bounces certainly end within a time: complete chatter.
 
-    While the press stays within push (1 +- e), a hop that leaves with speed u rises for at most u / (push (1 - e)), to
-    h = u^2 / (2 push (1 - e)); it falls for at most sqrt(2) times that, if damping takes less than half of the press,
-    and hits with at most k u, k^2 = (push (1 + e) + h) / (push (1 - e)). The speeds fall at least like ((1 + R) / 2)^n
-    if R k <= (1 + R) / 2, which gives e, and the time of all hops is a geometric series.
+    Let the contact force stay within force (1 +- e). A bounce with rebound speed u rises for at most u / (force (1 -
+    e)) to the height h = u^2 / (2 force (1 - e)). It falls for at most sqrt(2) times as long, provided that damping is
+    less than half of the force. It ends with a speed of at most k u, where k^2 = (force (1 + e) + h) / (force (1 - e)).
+    The speeds decrease at least like ((1 + R) / 2)^n if R k <= (1 + R) / 2. This condition determines e, and the total
+    time is bounded by a geometric series.
 
-    force_growth: how much the acceleration away from the wall grows per length from it, 1 or more; None for 1.
+    `force_growth` is the growth of the acceleration away from the wall per unit of distance, at least 1. None stands
+    for 1.
     """
     decay_squared = 0.25 * (1.0 + restitution) * (1.0 + restitution)
     restitution_squared = restitution * restitution

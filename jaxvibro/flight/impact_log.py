@@ -1,4 +1,4 @@
-"""What a path leaves behind: its impacts in slots, and how far it has come."""
+"""Record the impacts of a path in slots."""
 
 from typing import NamedTuple
 
@@ -9,14 +9,33 @@ from jaxtyping import Float
 
 from ..compiled.compiler_hints import bit_mask, choose, merge_bits, minimum, stage
 
-MAX_RECENT = 4  # impacts kept at hand; the slots are touched only where a lane has more, and at the end
+MAX_RECENT = 4  # recent impacts of a lane; they move to the slots when there are more, and at the end
 
 
 class ImpactLog(NamedTuple):
-    """times, speeds: of the recent impacts, the speed with its wall's sign; n_recent: how many of them; count: of all
-    (floats like the rest, as mixed types are slow); end_time: when the time to go is used up. Where a replay is to
-    come, else () and None: freed, when the mass was last released from a wall before each recent impact, -1: never;
-    since: the count of impacts up to the last release."""
+    """Log of the impacts of lanes.
+
+    All fields are floats, because mixed types are slow.
+
+    Attributes
+    ----------
+    times : tuple of array
+        Times of the recent impacts.
+    speeds : tuple of array
+        Speeds of the recent impacts, times the sign of the wall.
+    n_recent : array
+        Number of recent impacts.
+    count : array
+        Number of all impacts.
+    least_speed : array
+        Smallest speed of all impacts.
+    end_time : array
+        Time at which no time remains.
+    release_times : tuple of array
+        Time of the last release before each recent impact, -1 if there is none. Empty unless a replay follows.
+    count_at_release : array or None
+        Number of impacts up to the last release. None unless a replay follows.
+    """
 
     times: tuple[Float[jax.Array, "*lanes"], ...]
     speeds: tuple[Float[jax.Array, "*lanes"], ...]
@@ -29,9 +48,20 @@ class ImpactLog(NamedTuple):
 
 
 class ImpactSlots(NamedTuple):
-    """Times and signed speeds of the first impacts, slots first, lanes last. Where a replay is to come, else None:
-    freed, of each as in the `ImpactLog`; since_release: times and speeds of the first impacts since the last release,
-    with others beyond as many as there are."""
+    """Slots for the first impacts, with the slots as the first axis.
+
+    Attributes
+    ----------
+    times : array
+        Times of the impacts.
+    speeds : array
+        Speeds of the impacts, times the sign of the wall.
+    release_times : array or None
+        Time of the last release before each impact. None unless a replay follows.
+    since_release : tuple of array or None
+        Times and speeds of the first impacts since the last release. Rows beyond their number hold other impacts. None
+        unless a replay follows.
+    """
 
     times: Float[jax.Array, "slots ..."]
     speeds: Float[jax.Array, "slots ..."]
@@ -40,8 +70,26 @@ class ImpactSlots(NamedTuple):
 
 
 def empty_log(template, n_slots, end_time, n_since_release=0):
-    """(log, slots) of no impacts for lanes like these; n_since_release: slots for those since the last release, 0: no
-    replay."""
+    """Create a log and slots without impacts.
+
+    Parameters
+    ----------
+    template : array
+        Array with the shape and type of the lanes.
+    n_slots : int
+        Number of slots.
+    end_time : array
+        Time at which no time remains.
+    n_since_release : int, optional
+        Number of slots for the impacts since the last release. 0 if no replay follows.
+
+    Returns
+    -------
+    log : ImpactLog
+        Empty log.
+    impact_slots : ImpactSlots
+        Empty slots.
+    """
     zero, infinity = jnp.zeros_like(template), jnp.full_like(template, jnp.inf)
     n_recent = min(MAX_RECENT, max(n_slots, n_since_release))
     log = ImpactLog((infinity,) * n_recent, (zero,) * n_recent, zero, zero, infinity, end_time)
@@ -60,9 +108,9 @@ def empty_log(template, n_slots, end_time, n_since_release=0):
 
 
 def record_impact(log, side, speed, resulting_speed, time_remaining, release_time=None):
-    """The log with one step more: an impact of each lane with a side, at a speed, with so much time to go.
+    """Return the log after a step, with an impact in each lane whose side is not 0.
 
-    resulting_speed: the least speed that comes of it; release_time: when the mass was last released.
+    `resulting_speed` is the smallest speed that the impact implies. `release_time` is the time of the last release.
     """
     impact_time, signed_speed, least_speed, *slot_masks = stage(
         _new_entry, log, side, speed, resulting_speed, time_remaining
@@ -87,6 +135,7 @@ def record_impact(log, side, speed, resulting_speed, time_remaining, release_tim
 
 
 def _new_entry(log, side, speed, resulting_speed, time_remaining):
+    """Return (time, signed speed, smallest speed, masks of the recent impacts) of a new impact."""
     is_impact = side != 0
     slot_masks = [bit_mask(is_impact & (log.n_recent == k), time_remaining) for k in range(len(log.times))]
     least_speed = choose(is_impact, minimum(resulting_speed, log.least_speed), log.least_speed)
@@ -94,12 +143,12 @@ def _new_entry(log, side, speed, resulting_speed, time_remaining):
 
 
 def is_full(log):
-    """The lanes that hold as many impacts as they can: then `flush` is due."""
+    """Return the lanes with the largest number of recent impacts, for which `flush` is due."""
     return log.n_recent >= MAX_RECENT
 
 
 def flush(log, impact_slots):
-    """(log, slots) with the impacts at hand put into their slots, and nothing into those that follow."""
+    """Return (log, slots) with the recent impacts moved into the slots."""
     first_index = log.count - log.n_recent
 
     def insert_recent(recent_values, fill_value, slot_rows, first_index):
@@ -128,7 +177,24 @@ def flush(log, impact_slots):
 
 
 def impacts_since_release(log, impact_slots):
-    """(times, signed speeds, count) of the impacts since the last release, slots first."""
+    """Return the impacts since the last release.
+
+    Parameters
+    ----------
+    log : ImpactLog
+        Log of the impacts.
+    impact_slots : ImpactSlots
+        Slots of the impacts.
+
+    Returns
+    -------
+    times : array
+        Times, slots first. Infinite in unused slots.
+    speeds : array
+        Speeds times the sign of the wall. 0 in unused slots.
+    count : array
+        Number of impacts.
+    """
     count = log.count - log.count_at_release
     (times, speeds), slot_index = (
         impact_slots.since_release,
@@ -139,7 +205,18 @@ def impacts_since_release(log, impact_slots):
 
 
 def impact_rows(impact_slots):
-    """(times, sides, speeds) of the impacts, lanes first, as `Impacts` has them."""
+    """Return the recorded impacts with the lanes as the first axes, as in `Impacts`.
+
+    Parameters
+    ----------
+    impact_slots : ImpactSlots
+        Slots of the impacts.
+
+    Returns
+    -------
+    list of array
+        Times, sides (-1, 0 or 1) and speeds.
+    """
     axes = (*range(1, impact_slots.times.ndim), 0)
     sides = (impact_slots.speeds > 0).astype(jnp.int8) - (impact_slots.speeds < 0).astype(jnp.int8)
     return [lax.transpose(array, axes) for array in (impact_slots.times, sides, lax.abs(impact_slots.speeds))]

@@ -1,7 +1,7 @@
-"""A path from step to step: one flat loop over a block of lanes, and what the lanes leave behind.
+"""Integrate paths in one flat loop over a block of lanes, with the log of their impacts.
 
-At each turn every lane flies a step, lands and rebounds, or is done. The loop pauses where a turning point has to be
-measured or impacts have to be put into their slots: work that is the same for all lanes and rarely due.
+In each iteration every lane flies a step, hits a wall and rebounds, or has finished. The loop pauses to measure a
+turning point or to move impacts into their slots. This work applies to all lanes and is rarely due.
 """
 
 from typing import NamedTuple
@@ -19,19 +19,33 @@ from .flight_state import CAPPED, Path
 from .soft_contact import is_inside
 from .step import certified_step
 
-MAX_PERIOD_IMPACTS = 1000  # of one lane in one period, the cap
-STEP_FACTOR = 8  # times the steps that a flight alone would take, the cap on the rest
-MAX_STEPS = 1e6  # of one lane in one period: more would be a hang
-# what a lane may need: another step, its impacts in their slots, a measurement, a long step
+MAX_PERIOD_IMPACTS = 1000  # largest number of impacts of one lane in one period
+STEP_FACTOR = 8  # largest number of further steps, relative to those of a flight without impacts
+MAX_STEPS = 1e6  # largest number of such steps of one lane in one period
+# needs of a lane: another step, impacts moved to the slots, a measurement, a long step
 NEEDS_STEP, NEEDS_FLUSH, NEEDS_MEASUREMENT, NEEDS_LONG_STEP = 1, 2, 4, 8
 
 
 class LoopState(NamedTuple):
-    """Where the lanes are, their impacts, their closest calls (None where not asked for, or without a wall).
+    """State of the integration loop.
 
-    release_time: when the mass was last released from a wall, -1 if never; n_steps: taken so far, one number for all
-    lanes; wait_count: steps taken within a soft wall since it was entered, or a long one tried; None where there is no
-    soft wall."""
+    Attributes
+    ----------
+    path : Path
+        Paths of the lanes.
+    log : ImpactLog
+        Log of the impacts.
+    impact_slots : ImpactSlots
+        Slots of the impacts.
+    closest_approaches : ClosestApproaches or None
+        Smallest clearances. None if not computed or without walls.
+    release_time : array
+        Time of the last release from a wall, -1 if there is none.
+    n_steps : array
+        Number of steps, one number for all lanes.
+    wait_count : array or None
+        Steps inside a soft wall since the entry or the last attempt at a long step. None without soft walls.
+    """
 
     path: Path
     log: impact_log.ImpactLog
@@ -43,15 +57,35 @@ class LoopState(NamedTuple):
 
 
 class LoopLimits(NamedTuple):
-    """How many impacts a lane may have, and how many steps it may take."""
+    """Largest number of impacts and of steps of a lane."""
 
     max_impacts: Float[jax.Array, "..."]
     max_steps: Float[jax.Array, "..."]
 
 
 def initial_loop_state(coeffs, path, n_slots, end_time, with_clearance=False, n_since_release=0):
-    """A `LoopState` that has not begun; end_time: when the time to go is used up; with_clearance: with closest calls;
-    n_since_release: see `impact_log.empty`."""
+    """Create the initial state of the integration loop.
+
+    Parameters
+    ----------
+    coeffs : FlowCoefficients
+        Coefficients of the scene.
+    path : Path
+        Paths of the lanes.
+    n_slots : int
+        Number of slots for impacts.
+    end_time : array
+        Time at which no time remains.
+    with_clearance : bool, optional
+        True computes the smallest clearance.
+    n_since_release : int, optional
+        Number of slots for the impacts since the last release, see `impact_log.empty_log`.
+
+    Returns
+    -------
+    LoopState
+        Initial state.
+    """
     closest_approaches = turning_points.no_turning_points(path.x) if coeffs.walls and with_clearance else None
     zero = jnp.zeros_like(path.x)
     n_steps = jnp.zeros((), path.x.dtype)
@@ -67,7 +101,20 @@ def initial_loop_state(coeffs, path, n_slots, end_time, with_clearance=False, n_
 
 
 def loop_limits(coeffs, periods):
-    """The `LoopLimits` for some drive periods."""
+    """Return the limits on the impacts and steps of a lane.
+
+    Parameters
+    ----------
+    coeffs : FlowCoefficients
+        Coefficients of the scene.
+    periods : int or array
+        Number of drive periods.
+
+    Returns
+    -------
+    LoopLimits
+        Largest numbers of impacts and of steps.
+    """
     max_step = contact_law_of(coeffs).max_step(coeffs)
     max_steps = 4.0 * MAX_PERIOD_IMPACTS + lax.min(
         STEP_FACTOR * coeffs.period / max_step, lax.full_like(coeffs.period, MAX_STEPS)
@@ -76,7 +123,24 @@ def loop_limits(coeffs, periods):
 
 
 def run_loop(coeffs, loop, limits, restart=None):
-    """The journey when no lane has time to go; restart: gives the lanes that have ended a period their next."""
+    """Integrate until no lane has time remaining.
+
+    Parameters
+    ----------
+    coeffs : FlowCoefficients
+        Coefficients of the scene.
+    loop : LoopState
+        Initial state.
+    limits : LoopLimits
+        Limits. A lane that exceeds them has the remaining time `flight_state.CAPPED`.
+    restart : callable, optional
+        Function from a `LoopState` to one in which the lanes at the end of a period start their next.
+
+    Returns
+    -------
+    LoopState
+        Final state.
+    """
     has_walls, tracks_clearance, contact_law = (
         bool(coeffs.walls),
         loop.closest_approaches is not None,
@@ -113,7 +177,7 @@ def run_loop(coeffs, loop, limits, restart=None):
         exceeds_limits = ((loop.log.count >= limits.max_impacts) | (loop.n_steps > limits.max_steps)) & (
             path.time_remaining > 0
         )
-        # with a low part left, the next step would round CAPPED to a time that has been used up
+        # with a nonzero low part, the next step would round CAPPED to a remaining time of zero
         time_remaining, time_remaining_low = (
             choose(exceeds_limits, CAPPED, path.time_remaining),
             choose(exceeds_limits, 0.0, path.time_remaining_low),
@@ -158,25 +222,27 @@ def run_loop(coeffs, loop, limits, restart=None):
 
 
 def _release_mask(side, contact):
+    """Return the bit mask of the lanes that are released from sticking."""
     return bit_mask((lax.abs(contact) == Contact.STUCK) & (side != 0), side)
 
 
 def _impact_side(side, contact):
-    """The sides of impacts: those of a mass that rested on a wall, or was within one, set it free."""
+    """Return the sides of impacts; the end of sticking or of a contact phase is not an impact."""
     return choose((lax.abs(contact) == Contact.STUCK) | is_inside(contact), 0.0, side)
 
 
 def _event_time(log, time_remaining):
-    """The time of an event, with so much to go."""
+    """Return the time of an event from the remaining time."""
     return log.end_time - time_remaining
 
 
 def _count_wait(wait_count, contact):
+    """Return the wait count after a step."""
     return choose(is_inside(contact), wait_count + 1.0, 0.0)
 
 
 def _need_code(contact_law, loop):
-    """What some lane needs: a sum of GOING, FULL, CROWDED and WAITING."""
+    """Return the needs of any lane: a sum of NEEDS_STEP, NEEDS_FLUSH, NEEDS_MEASUREMENT and NEEDS_LONG_STEP."""
     need_code = choose(contact_law.active_path(loop.path).time_remaining > 0, jnp.int8(NEEDS_STEP), jnp.int8(0))
     need_code |= choose(impact_log.is_full(loop.log), jnp.int8(NEEDS_FLUSH), jnp.int8(0))
     if loop.closest_approaches is not None:

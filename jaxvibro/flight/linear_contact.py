@@ -1,6 +1,6 @@
-"""Soft walls of a spring and a damper: within one a lane flies by the steps of its free flight, or by a long one.
+"""Compute contact phases inside soft walls with spring and damper, by the steps of the free flight or by long steps.
 
-The interface is that of `no_stay`, see `stays`.
+The interface is that of `rigid_contact`, see `contact_laws`.
 """
 
 from functools import partial
@@ -15,7 +15,7 @@ from .soft_wall_lanes import relative_wall_derivs
 
 
 def prepare_step(coeffs, path):
-    """(frame as the lanes feel it, path, the lanes' contact where it matters to the flow, the derivatives' bias)."""
+    """Return (coefficients of each lane, path, contact of the lanes, extra force)."""
     coeffs = coeffs._replace(**stage(lane_coefficients, coeffs, path.contact)._asdict())
     path = soft_long_step.take_entry_step(coeffs, path)
     extra_force = stage(extra_force_derivs, coeffs, path.contact, path.cosine, path.sine, order=event.N_TERMS - 2)
@@ -23,12 +23,12 @@ def prepare_step(coeffs, path):
 
 
 def active_path(path):
-    """The path of the lanes that a step is for: all."""
+    """Return the path of the lanes that take a step: all lanes."""
     return path
 
 
 def target_wall(coeffs, contact, side, wall_derivs, is_leaving, wall_remainder):
-    """As `no_stay.facing`: from within, y falls to 0."""
+    """Return the wall that a lane moves towards, see `rigid_contact.target_wall`; inside a wall y falls to 0."""
     is_inside_wall = (contact == Contact.WITHIN) | (contact == Contact.ENTERED)
     wall_derivs = relative_wall_derivs(is_inside_wall, side, wall_derivs)
     is_leaving |= contact == Contact.ENTERED
@@ -37,12 +37,12 @@ def target_wall(coeffs, contact, side, wall_derivs, is_leaving, wall_remainder):
 
 
 def extra_force(coeffs, path):
-    """The bias of the acceleration and of its change, see `flow.extend`."""
+    """Return the additional force and its rate, see `flow.extend_jet`."""
     return extra_force_derivs(coeffs, path.contact, path.cosine, path.sine, 1)
 
 
 def max_step(coeffs):
-    """The longest step, within walls too."""
+    """Return the longest step, including steps inside walls."""
     step_limit = coeffs.max_step
     for soft_flow in coeffs.soft_flows:
         step_limit = step_limit if soft_flow is None else lax.min(step_limit, soft_flow.max_step)
@@ -50,12 +50,12 @@ def max_step(coeffs):
 
 
 def initial_wait(zero):
-    """What the lanes' waits within a wall begin with; zero: 0 of each lane."""
+    """Return the initial wait count of the lanes, given 0 for each lane."""
     return zero
 
 
 def advance_waiting(coeffs, path, wait_count, is_due, is_idle):
-    """As `no_stay.paused`: by `soft_long_step.leap`, where one is due."""
+    """Return (path, wait count), see `rigid_contact.advance_waiting`; lanes take a `soft_long_step` when one is due."""
     return lax.cond(
         is_due, partial(soft_long_step.take_long_step, coeffs), lambda *operands: operands, path, wait_count
     )

@@ -1,6 +1,7 @@
-"""What moves the mass between walls: spring and damper, exactly. The interface is that of `force_flow`.
+"""Fly a mass on a spring and a damper exactly. The interface is that of `force_flow`, see `flows`.
 
-frame: as the lanes feel it; within a soft wall x is counted from the wall, and bias is what `soft_contact.biases` says.
+`coeffs` are the coefficients of each lane. Inside a soft wall x is relative to the wall, and `extra_force` is the
+result of `soft_contact.extra_force_derivs`.
 """
 
 from dataclasses import replace
@@ -14,31 +15,31 @@ from . import drive, event, flow, soft_contact, wall_motion
 from .flight_state import SlowMotion, add_increments
 from .taylor import evaluate_taylor
 
-LINEAR = True  # a flight's matrix is the same wherever it begins
+LINEAR = True  # the matrix of a flight does not depend on its initial state
 
 
 def look_ahead(coeffs, path):
-    """(frame, None): the longest step is the frame's."""
+    """Return (coefficients, None): the longest step is that of the coefficients."""
     return coeffs, None
 
 
 def event_derivatives(coeffs, path, lookahead, extra_force):
-    """x and its derivatives, as many as an event has terms and one."""
+    """Return x and its derivatives up to order `event.N_TERMS`."""
     return jet(coeffs, path.x, path.v, path.cosine, path.sine, event.N_TERMS, extra_force)
 
 
 def lookahead_bounds(lookahead):
-    """Nothing: the press and what is beyond the derivatives are the frame's."""
+    """Return None: the coefficients contain the contact force and the remainder."""
 
 
 def contact_forces_ahead(coeffs, path, bounds):
-    """[(the press on a wall, its derivatives; a bound on one more)] for each wall."""
+    """Return [(contact force and its derivatives, bound on the next derivative)] for each wall."""
     force_lists = [contact_force(coeffs, wall, path.cosine, path.sine, event.N_TERMS - 1) for wall in coeffs.walls]
     return list(zip(force_lists, coeffs.force_remainders, strict=True))
 
 
 def remainder_bound(coeffs, derivatives, bounds, is_sticking, force_remainder, wall_remainder, taylor_weights):
-    """What is beyond the terms of an event, in lengths, of lanes that are free and that rest."""
+    """Return the bound on the remainder of an event's polynomial, in lengths, for free and for sticking lanes."""
     sixth_deriv, seventh_deriv = (
         flow.spring_force(coeffs.root_stiffness, lax.abs(derivatives[6])),
         lax.abs(derivatives[7]),
@@ -50,12 +51,15 @@ def remainder_bound(coeffs, derivatives, bounds, is_sticking, force_remainder, w
 
 
 def advance_motion(coeffs, motion, time, contact, lookahead):
-    """The motion a step later."""
+    """Return the motion after a step."""
     return propagate(coeffs, motion, time, contact)
 
 
 def propagate(coeffs, motion, time, contact=None):
-    """The `SlowMotion` a time later. contact: the lanes' contact, where they may be within a soft wall."""
+    """Return the `SlowMotion` after a time.
+
+    `contact` is the contact of the lanes if any may be inside a soft wall, and None otherwise.
+    """
     if contact is None:
         propagator, increments = stage(flow.step_propagator, coeffs.series, coeffs.frequency, time), None
         if coeffs.drive_terms:
@@ -81,8 +85,10 @@ def propagate(coeffs, motion, time, contact=None):
 
 
 def _slow_part_after(coeffs, motion, propagator, contact, increments):
-    """(slow_x, slow_x_low, slow_v, slow_v_low) after a flight; increments: what the drive's force is not the cause
-    of."""
+    """Return (slow_x, slow_x_low, slow_v, slow_v_low) after a flight.
+
+    `increments` are the changes that the first term of the drive does not cause.
+    """
     gamma_omega = coeffs.damping * coeffs.frequency
     force_cos = -2.0 * coeffs.swift_amplitude * (motion.cosine + gamma_omega * (motion.cosine - motion.sine))
     force_sin = -2.0 * coeffs.swift_amplitude * (motion.sine + gamma_omega * (motion.sine + motion.cosine))
@@ -104,14 +110,14 @@ def _slow_part_after(coeffs, motion, propagator, contact, increments):
 
 
 def acceleration_and_jerk(coeffs, x, v, cosine, sine, extra_force=(None, None)):
-    """The acceleration of a free mass, and its rate of change; extra_force: see `flow.extend`."""
+    """Return the acceleration of a free mass and its rate; for `extra_force` see `flow.extend_jet`."""
     extra_force = drive.add_term_derivatives(coeffs.drive_terms, coeffs.frequency, cosine, sine, extra_force)
     force_pair = coeffs.amplitude * cosine, -(coeffs.amplitude * sine) * coeffs.frequency
     return flow.extend_jet(coeffs.frequency, coeffs.damping, coeffs.stiffness, force_pair, extra_force, (x, v))[1]
 
 
 def jet(coeffs, x, v, cosine, sine, order, extra_force=()):
-    """x and its derivatives, two at a time so that each is computed once: at least as many as the order."""
+    """Return x and its derivatives, at least up to an order, two at a time so that each is computed once."""
     force_pair, derivs = (coeffs.amplitude * cosine, -(coeffs.amplitude * sine) * coeffs.frequency), [x, v]
     extra_force = [*extra_force, *[None] * order]
     if coeffs.drive_terms:
@@ -128,12 +134,12 @@ def jet(coeffs, x, v, cosine, sine, order, extra_force=()):
 
 
 def jet_at_point(coeffs, point, order, extra_force=()):
-    """x and its derivatives, one more than the order, at a `taylor.Now`."""
+    """Return x and its derivatives up to order + 1 at a `taylor.ExpansionPoint`."""
     return _free_jet(coeffs, point.x, point.v, _force_derivatives(coeffs, point, order, extra_force))
 
 
 def _force_derivatives(coeffs, point, order, extra_force=()):
-    """The force and its derivatives, one less than the order."""
+    """Return the force and its derivatives up to order - 1."""
     derivs = [coeffs.amplitude * point.cosine, -(coeffs.amplitude * point.sine) * coeffs.frequency]
     while len(derivs) < order:
         derivs.append(-(coeffs.frequency * coeffs.frequency) * derivs[-2])
@@ -147,7 +153,7 @@ def _force_derivatives(coeffs, point, order, extra_force=()):
 
 
 def _free_jet(coeffs, x, v, force_derivs):
-    """x and its derivatives under these forces."""
+    """Return x and its derivatives under given forces."""
     derivs = [x, v]
     for force_deriv in force_derivs:
         derivs.append(force_deriv - flow.spring_force(coeffs.stiffness, derivs[-2]) - 2.0 * coeffs.damping * derivs[-1])
@@ -155,14 +161,14 @@ def _free_jet(coeffs, x, v, force_derivs):
 
 
 def propagate_back(coeffs, point, x, v, delay, order, extra_force=()):
-    """x and v now of a flight that is at x, v a little later."""
+    """Return x and v at a point of a flight that is at x, v after a short delay."""
     force_derivs = _force_derivatives(coeffs, point, order, extra_force)
     derivs = _free_jet(coeffs, x, v, [evaluate_taylor(force_derivs[k:], delay, order - 1 - k) for k in range(order)])
     return evaluate_taylor(derivs, -delay, order), evaluate_taylor(derivs[1:], -delay, order)
 
 
 def contact_force(coeffs, wall, cosine, sine, order):
-    """How hard a mass that rests on a wall is driven along x relative to it, and its derivatives."""
+    """Return the force along x on a sticking mass relative to the wall, and its derivatives."""
     force_derivs = wall_motion.contact_force(
         wall, coeffs.amplitude, coeffs.frequency, coeffs.damping, cosine, sine, order
     )
@@ -170,36 +176,41 @@ def contact_force(coeffs, wall, cosine, sine, order):
 
 
 def chatter_bounds(coeffs, side, acceleration, approach_speed, cosine, sine):
-    """What says whether hops on a wall end: (how fast the press on it changes at most; the damping; None, as the spring
-    draws the mass back)."""
+    """Return (bound on the rate of the contact force, damping, None) for chatter on a wall.
+
+    The force growth is None, because the spring pulls the mass back.
+    """
     return wall_motion.select_by_side(side, coeffs.walls, coeffs.force_rate_bounds), coeffs.damping, None
 
 
 def shortest_step(coeffs, flights):
-    """The longest step, however the mass flies."""
+    """Return the longest step, which does not depend on the motion."""
     return coeffs.max_step
 
 
 def fly(coeffs, x, v, cosine, sine, time):
-    """(x, v, cosine, sine) after any time >= 0."""
+    """Return (x, v, cosine, sine) after any time >= 0."""
     x, v, angle_pair, _ = _fly_with_responses(coeffs, x, v, cosine, sine, time)
     return x, v, *flow.rotate(cosine, sine, *angle_pair)
 
 
 def fly_with_matrix(coeffs, x, v, cosine, sine, time):
-    """((x, v) a time after; how they change with x, v at the start, a matrix as `response.through` takes it)."""
+    """Return ((x, v) after a time, derivative with respect to the initial state as in `flow_matrix.apply_matrix`)."""
     x, v, _, free_flow = _fly_with_responses(coeffs, x, v, cosine, sine, time)
     return (x, v), free_flow
 
 
 def propagate_matrix(coeffs, state, cosine, sine, time):
-    """(place, cosine, sine, the flow's matrix by rows) a time after; state: (), as it has no part in the matrix."""
+    """Return (state, cosine, sine, matrix of the flow by rows) after a time.
+
+    The matrix does not depend on the state; `state` is ().
+    """
     (p00, p01, p11), _, angle_pair = flow.doubling_responses(coeffs.series, coeffs.frequency, coeffs.damping, time)
     return (), *flow.rotate(cosine, sine, *angle_pair), (p00, p01, -p01, p11)
 
 
 def _fly_with_responses(coeffs, x, v, cosine, sine, time):
-    """(x, v, the drive's turn, the free flow's matrix) a time after."""
+    """Return (x, v, rotation of the drive, matrix of the free flow) after a time."""
     free_flow, forced_flow, angle_pair = flow.doubling_responses(coeffs.series, coeffs.frequency, coeffs.damping, time)
     x, v = flow.apply_responses((free_flow, forced_flow), coeffs.amplitude * cosine, coeffs.amplitude * sine, x, v)
     if coeffs.drive_terms:
@@ -209,13 +220,13 @@ def _fly_with_responses(coeffs, x, v, cosine, sine, time):
 
 
 def _add_drive_terms(coeffs, responses, cosine, sine, x, v):
-    """x and v with what the drive's further terms add to them."""
+    """Return x and v including the response to the further drive terms."""
     dx, dv = drive.forced_response(coeffs.drive_terms, responses, coeffs.frequency, cosine, sine)
     return x + dx, v + dv
 
 
 def flight_map(coeffs, duration):
-    """(x, v, cosine, sine) -> the same a time after, for the same time again and again."""
+    """Return the map of (x, v, cosine, sine) over a fixed duration."""
     free_flow, forced_flow, (cos_less_1, sin_angle) = flow.doubling_responses(
         coeffs.series, coeffs.frequency, coeffs.damping, duration
     )
@@ -231,10 +242,10 @@ def flight_map(coeffs, duration):
 
 
 def reverse_time(coeffs):
-    """The frame of the flow with time reversed.
+    """Return the coefficients of the flow with time reversed.
 
-    The energy of x^(6) is at most exp(2 gamma t) times that without damping, for which `coefficients.frame` has its
-    bounds.
+    The energy of x^(6) is at most exp(2 gamma t) times that without damping, for which
+    `coefficients.compute_coefficients` computes the bounds.
     """
     energy_growth = jnp.exp(2.0 * coeffs.damping * coeffs.max_step)
     jet_bound_slope, force_bound = (
@@ -252,5 +263,6 @@ def reverse_time(coeffs):
 
 
 def _reverse_term(coeffs, term):
+    """Return a drive term with time reversed."""
     series = flow.flow_series(drive.angular_rate(term, coeffs.frequency), -coeffs.damping)
     return replace(term, sine=-term.sine, series=series)

@@ -1,4 +1,4 @@
-"""What a mass feels within a soft wall with time reversed: its damping takes the other sign."""
+"""Reverse time inside a soft wall: its damping changes sign."""
 
 import jax.numpy as jnp
 
@@ -7,10 +7,25 @@ from .soft_entry_step import entry_step
 
 
 def reverse_time(coeffs, wall, soft_flow):
-    """The `soft_contact.SoftFlow` within a wall with time reversed. wall, coeffs: its `Lane` and the flow's, reversed;
-    soft_flow: as it was.
+    """Return the flow inside a soft wall with time reversed.
 
-    The energy of y^(6) grows as that of x^(6) does, see `spring_flow.reversed_in_time`.
+    Parameters
+    ----------
+    coeffs : FlowCoefficients
+        Coefficients of the scene, with time reversed.
+    wall : WallCoefficients
+        Coefficients of the wall, with time reversed.
+    soft_flow : SoftWallFlow
+        Flow inside the wall, with time forward.
+
+    Returns
+    -------
+    SoftWallFlow
+        Flow with time reversed.
+
+    Notes
+    -----
+    The energy of y^(6) grows like that of x^(6), see `linear_flow.reverse_time`.
     """
     frequency, damping, stiffness = coeffs.frequency, wall.damping, soft_flow.stiffness
     jet_bound_slope = soft_flow.jet_bound_slope * jnp.exp(-2.0 * damping * soft_flow.max_step)

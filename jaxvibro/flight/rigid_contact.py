@@ -1,37 +1,43 @@
-"""Rigid walls: nothing stays within one. The interface is that of `spring_stay` and `pushed_stay`, see `stays`."""
+"""Rigid walls: a mass is never inside a wall. The interface is that of `linear_contact` and `force_law_contact`."""
 
 
 def prepare_step(coeffs, path):
-    """(frame as the lanes feel it, path, the lanes' contact where it matters to the flow, the derivatives' bias)."""
+    """Return (coefficients of each lane, path, contact of the lanes if the flow depends on it, extra force)."""
     return coeffs, path, None, ()
 
 
 def active_path(path):
-    """The path of the lanes that a step is for: those that are not, have no time to go."""
+    """Return the path of the lanes that take a step; other lanes get no remaining time."""
     return path
 
 
 def target_wall(coeffs, contact, side, wall_derivs, is_leaving, wall_remainder):
-    """(the wall that is met, as `soft_contact.counted`, lanes that are on it, a bound on its motion, the side that it
-    is met from, reach^k / k! of each lane)."""
+    """Return the wall that a lane moves towards.
+
+    The result is (wall derivatives, is_leaving, wall remainder, side, Taylor weights). The derivatives are relative as
+    in `soft_wall_lanes.relative_wall_derivs`. `is_leaving` marks lanes that are on the wall. The remainder bounds the
+    motion of the wall. The side is that from which the mass comes. The weights max_step^k / k! belong to each lane.
+    """
     return wall_derivs, is_leaving, wall_remainder, side, coeffs.taylor_weights
 
 
 def extra_force(coeffs, path):
-    """The bias of the acceleration and of its change, see `flow.extend`."""
+    """Return the additional force and its rate, see `flow.extend_jet`."""
     return None, None
 
 
 def max_step(coeffs):
-    """The longest step, within walls too."""
+    """Return the longest step, including steps inside walls."""
     return coeffs.max_step
 
 
 def initial_wait(zero):
-    """What the lanes' waits within a wall begin with; zero: 0 of each lane."""
+    """Return the initial wait count of the lanes, given 0 for each lane; None for rigid walls."""
 
 
 def advance_waiting(coeffs, path, wait_count, is_due, is_idle):
-    """(path, wait) of the lanes that wait within a wall brought on. is_due: whether one has waited long enough; idle:
-    whether none can do anything else."""
+    """Return (path, wait count) after the lanes that wait inside a wall have advanced.
+
+    `is_due` is True if one has waited long enough, `is_idle` if no lane can do anything else.
+    """
     return path, wait_count

@@ -1,7 +1,8 @@
-"""Taylor series of elementary functions of other series, a coefficient at a time.
+"""Compute Taylor series of elementary functions of other series, one coefficient at a time.
 
-The k-th coefficient of a function of u needs those of u up to the k-th and its own before that (Griewank and Walther,
-Evaluating Derivatives, chapter 13). Each sum of products is a stage of its own, so that it is worked out once.
+The k-th coefficient of a function of u depends on the coefficients of u up to the k-th and on its own earlier ones
+(Griewank and Walther, Evaluating Derivatives, chapter 13). Each sum of products is a separate stage, so that it is
+computed once.
 """
 
 import math
@@ -15,13 +16,19 @@ from jax import lax
 
 from ..compiled.compiler_hints import stage
 
-Coefficient = Any  # lanes, a number, or None: zero
+Coefficient = Any  # lanes, a number, or None for zero
 
 
 class Series:
-    """The coefficients of t^0, t^1, ..., each found when it is first asked for.
+    """Power series in t whose coefficients are computed on first access.
 
-    recurrence: (this series, k) -> the k-th, from those before it; None where all but the first are zero.
+    Parameters
+    ----------
+    recurrence : callable or None
+        Function from this series and k to the k-th coefficient, given the earlier ones. None if all coefficients but
+        the first are zero.
+    *initial : coefficient
+        First coefficients.
     """
 
     def __init__(self, recurrence: Callable[["Series", int], Coefficient] | None, *initial: Coefficient) -> None:
@@ -29,6 +36,7 @@ class Series:
 
     @property
     def is_constant(self) -> bool:
+        """True if all coefficients but the first are zero."""
         return self.recurrence is None
 
     def __getitem__(self, k: int) -> Coefficient:
@@ -40,7 +48,7 @@ class Series:
 
 
 def sum_of_products(pairs, weights=None, addend=None, divisor=None):
-    """(more + the sum of weight a b) / divisor: of the pairs those of which neither is zero."""
+    """Return (addend + sum of weight a b) / divisor over the pairs of which neither factor is zero."""
     weights = [1.0] * len(pairs) if weights is None else weights
     nonzero = [
         (*pair, weight) for pair, weight in zip(pairs, weights, strict=True) if not (pair[0] is None or pair[1] is None)
@@ -60,7 +68,7 @@ def _sum_of_products(left_factors, right_factors, addend, divisor, weights):
 
 
 def evaluate_constant(name, *operands):
-    """The first coefficient of an operation of lax."""
+    """Return the first coefficient of an operation of `jax.lax`."""
     return stage(_evaluate_constant, *(operand[0] for operand in operands), name=name)
 
 
@@ -70,31 +78,37 @@ def _evaluate_constant(*operands, name):
 
 
 def scale_coefficient(number, a):
+    """Return a multiple of a coefficient."""
     return None if a is None else number * a
 
 
 def add_coefficients(a, b):
+    """Return the sum of two coefficients."""
     return b if a is None else a if b is None else a + b
 
 
 def add_series(a, b):
+    """Return the sum of two series."""
     return Series(lambda series, k: add_coefficients(a[k], b[k]))
 
 
 def subtract_series(a, b):
+    """Return the difference of two series."""
     return Series(lambda series, k: add_coefficients(a[k], scale_coefficient(-1.0, b[k])))
 
 
 def add_constant(number, a):
-    """number + a."""
+    """Return the series number + a."""
     return Series(lambda series, k: a[k] if k else add_coefficients(number, a[0]))
 
 
 def scale_series(number, a):
+    """Return a multiple of a series."""
     return Series(lambda series, k: scale_coefficient(number, a[k]))
 
 
 def multiply_series(a, b):
+    """Return the product of two series."""
     if a is b:
         return Series(lambda series, k: sum_of_products(*_square_pairs(a, k)))
     if a.is_constant or b.is_constant:
@@ -104,7 +118,7 @@ def multiply_series(a, b):
 
 
 class Square(Series):
-    """The square of a series, of which powers by halves are those of the series itself, also where it passes zero."""
+    """Square of a series; half-integer powers of it are powers of the series, also at its zeros."""
 
     def __init__(self, root: Series) -> None:
         super().__init__(lambda series, k: sum_of_products(*_square_pairs(root, k)))
@@ -112,12 +126,13 @@ class Square(Series):
 
 
 def _square_pairs(a, k):
-    """(pairs, weights) of the k-th coefficient of a square."""
+    """Return (pairs, weights) of the k-th coefficient of a square."""
     pairs = [(a[j], a[k - j]) for j in range(k // 2 + 1)]
     return pairs, [1.0 if 2 * j == k else 2.0 for j in range(k // 2 + 1)]
 
 
 def divide_series(a, b):
+    """Return the quotient of two series."""
     if b.is_constant:
         return Series(lambda series, k: None if a[k] is None else a[k] / b[0])
 
@@ -128,7 +143,7 @@ def divide_series(a, b):
 
 
 def integrate_rate(u, constant, rate):
-    """y, y_0 being given, with y' = rate(y) u'."""
+    """Return y with y' = rate(y) u' and a given constant y_0."""
 
     def recurrence(series, k):
         rate_series = rate_of(series)
@@ -139,7 +154,7 @@ def integrate_rate(u, constant, rate):
 
 
 def integrate_weighted(u, constant, weight):
-    """y, y_0 being given, with weight(y) y' = u'."""
+    """Return y with weight(y) y' = u' and a given constant y_0."""
 
     def recurrence(series, k):
         weight_series = weight_of(series)
@@ -155,7 +170,7 @@ def integrate_weighted(u, constant, weight):
 
 
 def _call_once(function):
-    """A function of one series, which is asked of no other, called once."""
+    """Return a function of one series that calls another at most once."""
     results: list[Series] = []
 
     def cached_call(series):
@@ -167,7 +182,7 @@ def _call_once(function):
 
 
 def power(u, exponent, constant):
-    """u^exponent, a number or lanes: u y' = exponent u' y."""
+    """Return u^exponent for a number or lanes, from u y' = exponent u' y."""
 
     def recurrence(series, k):
         pairs = [(u[j], series[k - j]) for j in range(1, k + 1)]
@@ -180,7 +195,7 @@ def power(u, exponent, constant):
 
 
 def integer_power(u, exponent):
-    """u^exponent, a whole number, by products: right where u passes zero too."""
+    """Return u^exponent for an integer by products, which holds at zeros of u as well."""
     if exponent < 0:
         return divide_series(Series(None, 1.0), integer_power(u, -exponent))
     if exponent < 2:
@@ -191,7 +206,7 @@ def integer_power(u, exponent):
 
 
 def coupled_pair(u, names, sign):
-    """(y, z), of these names in lax: y' = z u', z' = sign y u'."""
+    """Return (y, z) with y' = z u', z' = sign y u', given their names in `jax.lax`."""
     constants = [evaluate_constant(name, u) for name in names]
     pair: list[Series] = []
     pair.append(integrate_rate(u, constants[0], lambda series: pair[1]))
@@ -200,39 +215,43 @@ def coupled_pair(u, names, sign):
 
 
 def constant_plus_square(number, sign, u):
-    """number + sign u^2."""
+    """Return number + sign u^2."""
     return add_constant(number, scale_series(sign, multiply_series(u, u)))
 
 
 def square_root(a):
+    """Return the square root of a series."""
     if isinstance(a, Square):
         return a.root
     return power(a, 0.5, evaluate_constant("sqrt", a))
 
 
 def exponential(u):
+    """Return the exponential function of a series."""
     return integrate_rate(u, evaluate_constant("exp", u), lambda series: series)
 
 
 def logarithm(u):
+    """Return the logarithm of a series."""
     return integrate_weighted(u, evaluate_constant("log", u), lambda series: u)
 
 
 def _rule_from_rate(name, rate):
-    """The rule of an operation of lax whose result y has y' = rate(u, y) u'."""
+    """Return the rule of an operation of `jax.lax` with y' = rate(u, y) u'."""
     return lambda operands, **_: integrate_rate(
         operands[0], evaluate_constant(name, operands[0]), lambda series: rate(operands[0], series)
     )
 
 
 def _rule_from_weight(name, weight):
-    """The rule of an operation of lax whose result y has weight(u, y) y' = u'."""
+    """Return the rule of an operation of `jax.lax` with weight(u, y) y' = u'."""
     return lambda operands, **_: integrate_weighted(
         operands[0], evaluate_constant(name, operands[0]), lambda series: weight(operands[0], series)
     )
 
 
 def _power_rule(operands, **_):
+    """Return a power: by products for squares, by a recurrence for constant exponents, by exp and log otherwise."""
     base, exponent = operands
     n_halves = _count_halves(exponent) if isinstance(base, Square) else None
     if n_halves is not None:
@@ -243,14 +262,14 @@ def _power_rule(operands, **_):
 
 
 def _count_halves(exponent):
-    """How many halves an exponent is, None where that is not a whole number that stands in the force itself."""
+    """Return twice an exponent if that is an integer constant of the force itself, and None otherwise."""
     is_known = exponent.is_constant and isinstance(exponent[0], float | np.floating | np.ndarray)
     twice_exponent = 2.0 * float(exponent[0]) if is_known else 0.5
     return int(twice_exponent) if twice_exponent.is_integer() else None
 
 
 def _atan2_rule(operands, **_):
-    """atan2(a, b): (a^2 + b^2) y' = b a' - a b'."""
+    """Return atan2(a, b) from (a^2 + b^2) y' = b a' - a b'."""
     a, b = operands
     radius_squared = add_series(multiply_series(a, a), multiply_series(b, b))
 
@@ -272,13 +291,13 @@ def _atan2_rule(operands, **_):
 
 
 def _pair_rule(names, index, sign):
-    """The rule of one of a pair of functions that turn into each other."""
+    """Return the rule of one of two functions that are each other's derivatives up to sign."""
     return lambda operands, **_: coupled_pair(operands[0], names, sign)[index]
 
 
 CIRCULAR, HYPERBOLIC = ("sin", "cos"), ("sinh", "cosh")
 TWO_OVER_ROOT_PI = 2.0 / math.sqrt(math.pi)
-RULES: dict[str, Callable[..., Series]] = {  # of an operation's inputs, and its parameters by name
+RULES: dict[str, Callable[..., Series]] = {  # functions of the inputs of an operation and of its parameters
     "add": lambda operands, **_: add_series(*operands),
     "add_any": lambda operands, **_: add_series(*operands),
     "sub": lambda operands, **_: subtract_series(*operands),
@@ -324,7 +343,7 @@ RULES: dict[str, Callable[..., Series]] = {  # of an operation's inputs, and its
 
 
 def evaluate_polynomial(coefficients: Sequence[Coefficient], time: jax.Array) -> jax.Array:
-    """The polynomial with these coefficients, from the constant on, at a time."""
+    """Evaluate a polynomial, given by its coefficients from the constant on."""
     total = coefficients[-1]
     for term in coefficients[-2::-1]:
         total = add_coefficients(None if total is None else total * time, term)

@@ -1,9 +1,11 @@
-"""What a mass feels within a soft wall (paper, (39)): another oscillator, in y = x - x_b, how far it is past the wall.
+"""Model the motion inside a soft wall (paper, (39)).
+
+The mass is then another oscillator in y = x - x_b, the displacement past the wall:
 
     y'' + 2 gamma2 y' + (1 + k2) y = A cos(theta) - x_b - 2 gamma2 x_b' - x_b''
 
-The right-hand side is what presses a mass that is at rest on the wall. Counted from the wall, y keeps its digits
-however stiff the wall is. A lane is within a wall from the step that meets it to the one that brings it back.
+The right-hand side is the contact force on a mass that sticks to the wall. Relative to the wall, y keeps its digits at
+any stiffness of the wall. A lane is inside a wall from the step that reaches the wall to the step that returns to it.
 """
 
 from typing import NamedTuple
@@ -21,10 +23,31 @@ from .wall_motion import select_by_side, subtract, wall_jet
 
 
 class SoftWallFlow(NamedTuple):
-    """The oscillator within a wall: stiffness 1 + k2 and its root; damping gamma2; series: of its flow under the drive;
-    wall_series: under the wall's own motion, None where it stands still; entry_step: the first step after an entry;
-    max_step: the longest of the others; jet_bound, jet_bound_slope: as the `coefficients.Frame` has them, for y;
-    term_series: as series, of the drive's further terms."""
+    """Flow of the oscillator inside a soft wall.
+
+    Attributes
+    ----------
+    stiffness : array
+        Stiffness 1 + k2.
+    root_stiffness : array
+        Square root of the stiffness.
+    damping : array
+        Damping gamma2.
+    series : FlowSeries
+        Series of the flow under the first drive term.
+    wall_series : FlowSeries or None
+        Series of the flow under the motion of the wall. None for a fixed wall.
+    entry_step : EntryStep
+        First step after an entry.
+    max_step : array
+        Longest of the other steps.
+    jet_bound : array
+        Constant part of the bound on ``|y^(8)|``, as in `coefficients.FlowCoefficients`.
+    jet_bound_slope : array
+        Slope of that bound.
+    term_series : tuple of FlowSeries
+        Series of the flow under each further drive term.
+    """
 
     stiffness: Float[jax.Array, "..."]
     root_stiffness: Float[jax.Array, "..."]
@@ -39,8 +62,7 @@ class SoftWallFlow(NamedTuple):
 
 
 class LaneCoefficients(NamedTuple):
-    """What of a `coefficients.Frame` differs between lanes: damping; swift; stiffness, its root; reach, pace; curb,
-    slope."""
+    """Coefficients of `coefficients.FlowCoefficients` that differ between lanes inside and outside soft walls."""
 
     damping: Float[jax.Array, "..."]
     swift_amplitude: Float[jax.Array, "..."]
@@ -53,7 +75,7 @@ class LaneCoefficients(NamedTuple):
 
 
 def soft_wall_flow(wall, amplitude, frequency, drive_terms=()):
-    """The `SoftWallFlow` of a wall's `Lane`, None for a rigid one; drive_terms: of the drive, beside its first."""
+    """Return the `SoftWallFlow` of a wall, None for a rigid wall or a wall law."""
     if wall.stiffness is None:
         return None
     stiffness, damping = 1.0 + wall.stiffness, wall.damping
@@ -70,7 +92,7 @@ def soft_wall_flow(wall, amplitude, frequency, drive_terms=()):
             1.0 + 2.0 * damping * wall_frequency + wall_frequency * wall_frequency
         )
     max_step = flow.MAX_SCALED_STEP / max_rate
-    # energy of y^(6), as for x in `frame`: y^(7)^2 + (1 + k2) y^(6)^2
+    # energy of y^(6), as for x in `coefficients.compute_coefficients`: y^(7)^2 + (1 + k2) y^(6)^2
     jet_bound_slope = jnp.sqrt(stiffness + 4.0 * damping * damping)
     series = flow.flow_series(frequency, damping, stiffness)
     term_series = tuple(
@@ -94,13 +116,37 @@ def soft_wall_flow(wall, amplitude, frequency, drive_terms=()):
 
 
 def is_inside(contact):
-    """The lanes that are within a soft wall."""
+    """Return the lanes inside a soft wall.
+
+    Parameters
+    ----------
+    contact : array
+        Contact code times the sign of the wall.
+
+    Returns
+    -------
+    array of bool
+        True inside a soft wall.
+    """
     code = lax.abs(contact)
     return (code == Contact.WITHIN) | (code == Contact.ENTERED)
 
 
 def is_soft_side(coeffs, side):
-    """Whether the wall on a side is a soft one; side: -1, +1, 0 for none."""
+    """Return the lanes whose wall on a side is soft.
+
+    Parameters
+    ----------
+    coeffs : FlowCoefficients
+        Coefficients of the scene.
+    side : array
+        Side of the wall: -1, 1, or 0 for none.
+
+    Returns
+    -------
+    array of bool
+        True if the wall is soft. False for none.
+    """
     is_soft = side != side
     for wall, soft_flow in zip(coeffs.walls, coeffs.soft_flows, strict=True):
         if soft_flow is not None:
@@ -109,7 +155,20 @@ def is_soft_side(coeffs, side):
 
 
 def restitution_of(coeffs, side):
-    """The restitution of the wall on a side; -1 of a soft one, at which the velocity stays as it is."""
+    """Return the restitution of the wall on a side.
+
+    Parameters
+    ----------
+    coeffs : FlowCoefficients
+        Coefficients of the scene.
+    side : array
+        Side of the wall, -1 or 1.
+
+    Returns
+    -------
+    array
+        Restitution. -1 for a soft wall, which does not change the velocity.
+    """
     restitutions = [
         lax.full_like(wall.position, -1.0) if wall.restitution is None else wall.restitution for wall in coeffs.walls
     ]
@@ -117,7 +176,20 @@ def restitution_of(coeffs, side):
 
 
 def lane_coefficients(coeffs, contact):
-    """The `LaneCoefficients` of each lane: within a wall no part of the motion is swift."""
+    """Compute the coefficients that differ between lanes.
+
+    Parameters
+    ----------
+    coeffs : FlowCoefficients
+        Coefficients of the scene.
+    contact : array
+        Contact code times the sign of the wall.
+
+    Returns
+    -------
+    LaneCoefficients
+        Coefficients of each lane. Inside a wall the motion has no swift part.
+    """
     soft_flows = [soft_flow for soft_flow in coeffs.soft_flows if soft_flow is not None]
     inside = is_inside(contact)
 
@@ -140,32 +212,45 @@ def lane_coefficients(coeffs, contact):
 
 
 def coeffs_by_lane(coeffs, contact):
-    """The `coefficients.Frame` as each lane feels it."""
+    """Return the coefficients of the scene for each lane.
+
+    Parameters
+    ----------
+    coeffs : FlowCoefficients
+        Coefficients of the scene.
+    contact : array
+        Contact code times the sign of the wall.
+
+    Returns
+    -------
+    FlowCoefficients
+        Coefficients with the `LaneCoefficients` of each lane.
+    """
     return coeffs._replace(**lane_coefficients(coeffs, contact)._asdict())
 
 
 def _select_by_wall(contact, values):
-    """The value of the soft wall that a lane is within: values of those that there are, left first."""
+    """Select the value of the soft wall of each lane from the values of all soft walls, left first."""
     return values[0] if len(values) == 1 else choose(contact < 0, *values)
 
 
 def has_moving_soft_wall(coeffs):
-    """Whether a soft wall moves."""
+    """Return True if a soft wall moves."""
     return any(soft_flow is not None and soft_flow.wall_series is not None for soft_flow in coeffs.soft_flows)
 
 
 def lane_propagator(coeffs, contact, time):
-    """The `flow.Gains` of each lane."""
+    """Return the `flow.Propagator` of each lane."""
     return flow.step_propagator(_lane_series(coeffs, contact), coeffs.frequency, time)
 
 
 def has_harmonic_forces(coeffs):
-    """Whether there are `harmonic_forces`."""
+    """Return True if there are `harmonic_forces`."""
     return bool(coeffs.drive_terms) or has_moving_soft_wall(coeffs)
 
 
 def harmonic_responses(coeffs, contact, time):
-    """[(lift, lag)] of each lane for each of its `harmonic_forces`."""
+    """Return [(cos_response, sin_response)] of each lane for each of its `harmonic_forces`."""
     responses = [flow.drive_responses(series, time) for series in _term_series_of_lanes(coeffs, contact)]
     if has_moving_soft_wall(coeffs):
         responses.append(
@@ -177,9 +262,11 @@ def harmonic_responses(coeffs, contact, time):
 
 
 def harmonic_forces(coeffs, contact, cosine, sine):
-    """[(along, across, rate)]: what drives lanes beside A cos(theta) and where the wall is, each a force along cos -
-    across sin of its own angle since now: the drive's further terms, and, where a soft wall moves, the motion of the
-    wall that a lane is within."""
+    """Return the harmonic forces on lanes as a list of (force_cos, force_sin, rate).
+
+    They are the further drive terms and, if a soft wall moves, the force due to the motion of the lane's wall. At a
+    time t from now each is force_cos cos(rate t) - force_sin sin(rate t).
+    """
     force_terms = drive.term_forces(coeffs.drive_terms, coeffs.frequency, cosine, sine)
     return (
         [*force_terms, wall_motion_force(coeffs, contact, cosine, sine)]
@@ -189,7 +276,7 @@ def harmonic_forces(coeffs, contact, cosine, sine):
 
 
 def _in_moving_wall(coeffs, contact):
-    """The lanes that are within a wall that moves."""
+    """Return the lanes inside a moving wall."""
     mask = contact != contact
     for wall, soft_flow in zip(coeffs.walls, coeffs.soft_flows, strict=True):
         if soft_flow is not None and soft_flow.wall_series is not None:
@@ -198,14 +285,14 @@ def _in_moving_wall(coeffs, contact):
 
 
 def _lane_series(coeffs, contact):
-    """The flow's `Series` of each lane, rows in place of arrays."""
+    """Return the `flow.FlowSeries` of each lane as lists of rows."""
     return _select_series(
         contact, coeffs.series, [soft_flow.series for soft_flow in coeffs.soft_flows if soft_flow is not None]
     )
 
 
 def _term_series_of_lanes(coeffs, contact):
-    """As `_lane_series`, under each further term of the drive."""
+    """Return the `flow.FlowSeries` of each lane under each further drive term."""
     term_series = zip(*(soft_flow.term_series for soft_flow in coeffs.soft_flows if soft_flow is not None), strict=True)
     return [
         _select_series(contact, term.series, wall_series)
@@ -214,7 +301,7 @@ def _term_series_of_lanes(coeffs, contact):
 
 
 def _select_series(contact, free_series, wall_series):
-    """The `Series` of each lane of that outside and those within the soft walls."""
+    """Select the `flow.FlowSeries` of each lane from those outside and inside the soft walls."""
     inside = is_inside(contact)
 
     def select_rows(free_rows, *wall_rows):
@@ -227,7 +314,7 @@ def _select_series(contact, free_series, wall_series):
 
 
 def _wall_series_of_lanes(coeffs, contact):
-    """As `_lane_series`, under the motion of the wall that a lane is within."""
+    """Return the `flow.FlowSeries` of each lane under the motion of its wall."""
 
     def select_rows(*wall_rows):
         return [_select_by_wall(contact, [rows[k] for rows in wall_rows]) for k in range(wall_rows[0].shape[0])]
@@ -241,9 +328,27 @@ def _wall_series_of_lanes(coeffs, contact):
 
 
 def extra_force_derivs(coeffs, contact, cosine, sine, order):
-    """The force on y that is not the drive's, - x_b - 2 gamma2 x_b' - x_b'', and its derivatives, None where zero.
+    """Compute the force on y in addition to the drive and its derivatives.
 
-    Zero in lanes that are outside.
+    The force is - x_b - 2 gamma2 x_b' - x_b''.
+
+    Parameters
+    ----------
+    coeffs : FlowCoefficients
+        Coefficients of the scene.
+    contact : array
+        Contact code times the sign of the wall.
+    cosine : array
+        Cosine of the drive angle.
+    sine : array
+        Sine of the drive angle.
+    order : int
+        Order of the last derivative.
+
+    Returns
+    -------
+    list of array or None
+        Force and its derivatives, 0 in lanes outside. None stands for zero in all lanes.
     """
     inside = is_inside(contact)
     soft_walls = [wall for wall, value in zip(coeffs.walls, coeffs.soft_flows, strict=True) if value is not None]
@@ -258,6 +363,7 @@ def extra_force_derivs(coeffs, contact, cosine, sine, order):
 
 
 def _wall_force_derivs(wall, frequency, cosine, sine, order):
+    """Return the force of one wall and its derivatives."""
     wall_derivs = wall_jet(wall, frequency, cosine, sine, order + 2)
     derivs = []
     for k in range(order + 1):
@@ -267,8 +373,10 @@ def _wall_force_derivs(wall, frequency, cosine, sine, order):
 
 
 def extra_increments(coeffs, contact, motion, propagator, responses):
-    """What the `extra_force_derivs`, and the drive's further terms, add to y and y' over a flight: (dx, dv); responses:
-    see there."""
+    """Return the increments (dx, dv) of y and y' over a flight due to `extra_force_derivs` and the further drive terms.
+
+    `responses` are the `harmonic_responses`.
+    """
     dx, dv = mean_position_increments(coeffs, contact, motion.cosine, propagator.p00_minus_1, propagator.p01)
     if responses:
         forces = harmonic_forces(coeffs, contact, motion.cosine, motion.sine)
@@ -281,7 +389,7 @@ def extra_increments(coeffs, contact, motion, propagator, responses):
 
 
 def mean_position_increments(coeffs, contact, like, p00_minus_1, p01):
-    """What the wall's mean position adds to y and y'."""
+    """Return the increments of y and y' due to the mean position of the wall."""
     soft_walls = [pair for pair in zip(coeffs.walls, coeffs.soft_flows, strict=True) if pair[1] is not None]
     mean_position = choose(
         is_inside(contact), _select_by_wall(contact, [wall.position + 0.0 * like for wall, _ in soft_walls]), 0.0
@@ -292,7 +400,7 @@ def mean_position_increments(coeffs, contact, like, p00_minus_1, p01):
 
 
 def wall_motion_force(coeffs, contact, cosine, sine):
-    """(along, across, rate): of the wall's motion the force is along cos - across sin of its own angle since now."""
+    """Return (force_cos, force_sin, rate) of the force due to the motion of the wall, see `harmonic_forces`."""
     pairs = zip(coeffs.walls, coeffs.soft_flows, strict=True)
     moving_walls = [wall for wall, soft_flow in pairs if soft_flow is not None and soft_flow.wall_series is not None]
     force_cos, force_sin, angular_rate = (
@@ -306,13 +414,14 @@ def wall_motion_force(coeffs, contact, cosine, sine):
 
 
 def _wall_motion_force(wall, frequency, cosine, sine):
-    """`_wave` of one wall: its force is - x_b - 2 gamma2 x_b' - x_b''."""
+    """Return the `wall_motion_force` of one wall, whose total force is - x_b - 2 gamma2 x_b' - x_b''."""
     angular_rate = frequency * float(wall.harmonic)
     displacement, wall_velocity = wall_jet(wall, frequency, cosine, sine, 1)
+    # amplitude times cosine and sine of the wall's angle
     displacement, quadrature = (
         displacement - wall.position,
         -wall_velocity / angular_rate,
-    )  # swing times cosine and sine of the wall's angle
+    )
     in_phase_gain, quadrature_gain = angular_rate * angular_rate - 1.0, 2.0 * wall.damping * angular_rate
     return (
         in_phase_gain * displacement + quadrature_gain * quadrature,
@@ -322,8 +431,17 @@ def _wall_motion_force(wall, frequency, cosine, sine):
 
 
 class ContactResponse(NamedTuple):
-    """What a stay of a given time does: `flow.doubled`'s matrix; motions forced by the drive, and by each of the
-    `harmonic_forces`."""
+    """Response over a contact phase of a given duration.
+
+    Attributes
+    ----------
+    free_flow : tuple of array
+        Matrix of the free flow, see `flow.doubling_responses`.
+    forced_flow : tuple
+        Motion under the first drive term.
+    harmonic_flows : tuple
+        Motion under each of the `harmonic_forces`.
+    """
 
     free_flow: flow.FreeFlow
     forced_flow: flow.ForcedFlow
@@ -331,7 +449,22 @@ class ContactResponse(NamedTuple):
 
 
 def contact_response(coeffs, contact, time):
-    """The `ContactResponse` of each lane over any time; coeffs: as the lanes feel it (`lane_coefficients`)."""
+    """Compute the response of each lane over a contact phase.
+
+    Parameters
+    ----------
+    coeffs : FlowCoefficients
+        Coefficients of each lane, see `coeffs_by_lane`.
+    contact : array
+        Contact code times the sign of the wall.
+    time : array
+        Duration, at least 0, in units of t.
+
+    Returns
+    -------
+    ContactResponse
+        Response of each lane.
+    """
     arguments = coeffs.damping, time, coeffs.stiffness
     free_flow, forced_flow, _ = flow.doubling_responses(_lane_series(coeffs, contact), coeffs.frequency, *arguments)
     harmonic_flows = []
@@ -351,7 +484,30 @@ def contact_response(coeffs, contact, time):
 
 
 def apply_response(coeffs, contact, response, start, cosine, sine):
-    """(y, y') after a stay of this `ContactResponse` from (y, y')."""
+    """Compute the state after a contact phase from its response.
+
+    Parameters
+    ----------
+    coeffs : FlowCoefficients
+        Coefficients of each lane, see `coeffs_by_lane`.
+    contact : array
+        Contact code times the sign of the wall.
+    response : ContactResponse
+        Response over the phase.
+    start : tuple of array
+        Initial y and y'.
+    cosine : array
+        Cosine of the drive angle at the start.
+    sine : array
+        Sine of the drive angle at the start.
+
+    Returns
+    -------
+    y : array
+        Displacement past the wall.
+    v : array
+        Velocity relative to the wall.
+    """
     free_flow, forced_flow, harmonic_flows = response
     force = coeffs.amplitude * cosine, coeffs.amplitude * sine
     y, v = flow.apply_responses((free_flow, forced_flow), *force, *start, coeffs.stiffness)
@@ -369,7 +525,7 @@ def apply_response(coeffs, contact, response, start, cosine, sine):
 
 
 def entry_steps(coeffs, contact):
-    """The `EntryStep` of each lane."""
+    """Return the `EntryStep` of each lane."""
     entries = [entry.entry_step for entry in coeffs.soft_flows if entry is not None]
     wall_flows = [entry.wall_flow for entry in entries if entry.wall_flow is not None]
     entries = [entry._replace(wall_flow=entry.wall_flow or wall_flows[0]) if wall_flows else entry for entry in entries]
@@ -377,7 +533,28 @@ def entry_steps(coeffs, contact):
 
 
 def displacement_over_time(coeffs, contact, v, cosine, sine, time):
-    """y / time of a mass that enters a wall with the velocity v, to a time no longer than a step."""
+    """Compute y / time after an entry into a wall.
+
+    Parameters
+    ----------
+    coeffs : FlowCoefficients
+        Coefficients of each lane, see `coeffs_by_lane`.
+    contact : array
+        Contact code times the sign of the wall.
+    v : array
+        Velocity of entry relative to the wall.
+    cosine : array
+        Cosine of the drive angle at the entry.
+    sine : array
+        Sine of the drive angle at the entry.
+    time : array
+        Time since the entry, at most one step.
+
+    Returns
+    -------
+    array
+        Quotient of the displacement past the wall and the time.
+    """
     series = _lane_series(coeffs, contact)
     p00_sum, p01_sum, cos_sum, sin_sum = (flow.horner(rows, time) for rows in series)
     force = coeffs.amplitude * cosine, coeffs.amplitude * sine
@@ -396,7 +573,28 @@ def displacement_over_time(coeffs, contact, v, cosine, sine, time):
 
 
 def velocity_after_entry(coeffs, contact, v, cosine, sine, time):
-    """y' of a mass that enters a wall with the velocity v, after a time no longer than a step."""
+    """Compute y' after an entry into a wall.
+
+    Parameters
+    ----------
+    coeffs : FlowCoefficients
+        Coefficients of each lane, see `coeffs_by_lane`.
+    contact : array
+        Contact code times the sign of the wall.
+    v : array
+        Velocity of entry relative to the wall.
+    cosine : array
+        Cosine of the drive angle at the entry.
+    sine : array
+        Sine of the drive angle at the entry.
+    time : array
+        Time since the entry, at most one step.
+
+    Returns
+    -------
+    array
+        Velocity relative to the wall.
+    """
     p00_minus_1, p01, cos_response, sin_response, _, _ = flow.step_propagator(
         _lane_series(coeffs, contact), coeffs.frequency, time
     )

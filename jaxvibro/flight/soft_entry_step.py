@@ -1,8 +1,9 @@
-"""The first step within a stiff wall: most of a half-swing, the same time after every entry that is fast enough.
+"""Take the first step inside a stiff wall: most of a half-oscillation, of one duration for every fast entry.
 
-From y = 0 at the speed u, under a push p on y, y(t) = u G(t) + int G(t - s) p(s) ds, where G is what a unit of speed
-does to y: exp(-gamma2 t) sin(d t) / d, d^2 = 1 + k2 - gamma2^2. While p >= -P, y >= u G - P int G; and as G' / G falls,
-int G / G rises up to pi / d. So u > P int G / G at the step's end certifies that the mass is still within.
+From y = 0 with the speed u and under a force p on y, y(t) = u G(t) + int G(t - s) p(s) ds. G is the response of y to a
+unit speed: exp(-gamma2 t) sin(d t) / d with d^2 = 1 + k2 - gamma2^2. While p >= -P, y >= u G - P int G. As G' / G
+decreases, int G / G increases up to pi / d. Hence u > P int G / G at the end of the step certifies that the mass is
+still inside.
 """
 
 import math
@@ -16,16 +17,34 @@ from ..compiled.compiler_hints import choose
 from . import drive, flow
 from .wall_motion import remainder_bounds
 
-STEP_SHARE = 0.9  # of the half-swing: the way out is then nearer than the longest step
-MAX_DAMPING_SHARE = 0.5  # times the stiffness: damping^2 below which there is such a step
-N_DOUBLINGS = 3  # of a step of the flow, in which time / d and 2 gamma2 count: SHARE pi sqrt(2) sqrt(2) < 8 of them
-SAFETY_MARGIN = 1.01
+STEP_SHARE = 0.9  # fraction of the half-oscillation; the exit is then closer than the longest step
+MAX_DAMPING_SHARE = 0.5  # largest ratio damping^2 / stiffness for which such a step exists
+N_DOUBLINGS = 3  # doublings of a flow step with the rates d and 2 gamma2; STEP_SHARE pi sqrt(2) sqrt(2) < 2^3
+SAFETY_MARGIN = 1.01  # factor on the speed that certifies a step
 
 
 class EntryStep(NamedTuple):
-    """A step of a given time: ratio, int G / G at its end, inf where there is no such step; push_change: of the push
-    within it, a bound; free_flow, forced_flow, drive_rotation: `flow.doubled`'s; wall_flow: as forced, under the wall's
-    own motion, None where it stands still; term_flows: as forced, under the drive's further terms."""
+    """First step after an entry, of a fixed duration.
+
+    Attributes
+    ----------
+    time : array
+        Duration.
+    speed_per_push : array
+        Ratio int G / G at its end. Infinite if no such step exists.
+    push_change : array
+        Bound on the change of the force within the step.
+    free_flow : tuple of array
+        Matrix of the free flow, see `flow.doubling_responses`.
+    forced_flow : tuple
+        Motion under the first drive term.
+    drive_rotation : tuple of array
+        Cosine less 1 and sine of the drive angle over the step.
+    wall_flow : tuple or None
+        Motion under the motion of the wall. None for a fixed wall.
+    term_flows : tuple
+        Motion under each further drive term.
+    """
 
     time: Float[jax.Array, "..."]
     speed_per_push: Float[jax.Array, "..."]
@@ -38,8 +57,11 @@ class EntryStep(NamedTuple):
 
 
 def entry_step(wall, amplitude, frequency, series, wall_series, stiffness, term_pairs=()):
-    """The `EntryStep` into a soft wall's `Lane`; series, wall_series: of the flow within it, stiffness: 1 + k2;
-    term_pairs: (the drive's further `Term`, the series under it)."""
+    """Return the `EntryStep` into a soft wall.
+
+    `series` and `wall_series` belong to the flow inside it, whose stiffness is 1 + k2. `term_pairs` holds each further
+    drive term and the series under it.
+    """
     damping, wall_frequency = wall.damping, frequency * float(wall.harmonic)
     drive_terms = [term for term, _ in term_pairs]
     max_frequency = jnp.maximum(frequency, wall_frequency)
@@ -73,6 +95,6 @@ def entry_step(wall, amplitude, frequency, series, wall_series, stiffness, term_
 
 
 def is_certified(entry, speed, push):
-    """Whether the step is certain after an entry at this speed and this push into the wall."""
+    """Return True if the step is certain after an entry with this speed under this force into the wall."""
     outward_push = entry.push_change - push
     return speed > entry.speed_per_push * choose(outward_push > 0, outward_push, 0.0)

@@ -1,8 +1,10 @@
-"""Long steps within a soft wall: over most of a contact (`soft_half_swing`), or many of the wall's own swings.
+"""Take long steps inside a soft wall.
 
-Within a wall y = slow + fast: the forced motion and, where the wall is overdamped, what creeps back; and the rest w,
-whose energy falls, so that it never exceeds B = sqrt(w^2 + w'^2 / (1 + k2)). While slow stays above B there is no way
-out: that is the certified step of `event`, in the slow part's own time. The flow over it is the exact one.
+A long step covers most of a contact phase (`soft_entry_step`) or many oscillations of the wall. Inside a wall y is the
+sum of a slow and a fast part. The slow part is the forced motion and, in an overdamped wall, the slowly decaying mode.
+The energy of the fast part w decreases, so that ``|w|`` never exceeds B = sqrt(w^2 + w'^2 / (1 + k2)). While the slow
+part exceeds B the mass cannot leave. This is the certified step of `event` with the time scale of the slow part. The
+flow over it is exact.
 """
 
 from typing import NamedTuple
@@ -17,14 +19,14 @@ from . import drive, event, flow, soft_contact
 from .flight_state import SlowMotion, subtract_time
 from .soft_entry_step import is_certified
 
-MIN_SHORT_STEPS = 8.0  # short steps before a long one is tried
-MIN_STEP_RATIO = 4.0  # short steps that a long one must be
-MIN_STIFFNESS_RATIO = 4.0  # times the square of the drive's rate: below that stiffness all motion is slow
-OVERDAMPED_RATIO = 2.0  # times the stiffness: damping^2 from which two rates are told apart
+MIN_SHORT_STEPS = 8.0  # number of short steps before a long step is tried
+MIN_STEP_RATIO = 4.0  # least ratio of a long to a short step
+MIN_STIFFNESS_RATIO = 4.0  # times the square of the largest slow rate; at lower stiffness all motion is slow
+OVERDAMPED_RATIO = 2.0  # least ratio damping^2 / stiffness at which the two decay rates are separated
 
 
 class HarmonicPart(NamedTuple):
-    """A part of a slow motion: the real part of (real + i imaginary) exp(i rate t)."""
+    """Part of a slow motion: the real part of (real + i imaginary) exp(i rate t)."""
 
     real: Float[jax.Array, "..."]
     imaginary: Float[jax.Array, "..."]
@@ -32,10 +34,11 @@ class HarmonicPart(NamedTuple):
 
     @property
     def size(self) -> Float[jax.Array, "..."]:
+        """Bound on the magnitude."""
         return lax.abs(self.real) + lax.abs(self.imaginary)
 
     def values(self, n_derivatives: int) -> list[Float[jax.Array, "..."]]:
-        """So many derivatives at t = 0, from the value on."""
+        """Return the value and its derivatives at t = 0, n_derivatives numbers."""
         derivatives, (real, imaginary) = [], (self.real, self.imaginary)
         for _ in range(n_derivatives):
             derivatives.append(real)
@@ -44,17 +47,18 @@ class HarmonicPart(NamedTuple):
 
 
 class DecayPart(NamedTuple):
-    """A part of a slow motion: real exp(-rate t)."""
+    """Part of a slow motion: real exp(-rate t)."""
 
     real: Float[jax.Array, "..."]
     rate: Float[jax.Array, "..."]
 
     @property
     def size(self) -> Float[jax.Array, "..."]:
+        """Bound on the magnitude."""
         return lax.abs(self.real)
 
     def values(self, n_derivatives: int) -> list[Float[jax.Array, "..."]]:
-        """So many derivatives at t = 0, from the value on."""
+        """Return the value and its derivatives at t = 0, n_derivatives numbers."""
         derivatives = [self.real]
         while len(derivatives) < n_derivatives:
             derivatives.append(-self.rate * derivatives[-1])
@@ -62,9 +66,9 @@ class DecayPart(NamedTuple):
 
 
 def take_entry_step(coeffs, path):
-    """The path with the lanes that have just entered a stiff wall, fast enough, carried most of the way back.
+    """Return the path after the entry step of lanes that have just entered a stiff wall with sufficient speed.
 
-    coeffs: as the lanes feel it (`soft_contact.felt`).
+    `coeffs` are those of each lane, see `soft_contact.coeffs_by_lane`.
     """
     mask = stage(_entry_step_mask, coeffs, path)
     next_phasor = stage(_phasor_after_entry, coeffs, path)
@@ -83,6 +87,7 @@ def take_entry_step(coeffs, path):
 
 
 def _entry_step_mask(coeffs, path):
+    """Return the bit mask of the lanes that take the entry step."""
     entry, side = soft_contact.entry_steps(coeffs, path.contact), lax.sign(path.contact)
     push = coeffs.amplitude * path.cosine
     extra_force = soft_contact.extra_force_derivs(coeffs, path.contact, path.cosine, path.sine, 0)
@@ -94,10 +99,12 @@ def _entry_step_mask(coeffs, path):
 
 
 def _phasor_after_entry(coeffs, path):
+    """Return the phasor of the drive after the entry step."""
     return flow.rotate(path.cosine, path.sine, *soft_contact.entry_steps(coeffs, path.contact).drive_rotation)
 
 
 def _state_after_entry(coeffs, path):
+    """Return (y, y') after the entry step."""
     entry = soft_contact.entry_steps(coeffs, path.contact)
     harmonic_flows = entry.term_flows if entry.wall_flow is None else (*entry.term_flows, entry.wall_flow)
     response = soft_contact.ContactResponse(entry.free_flow, entry.forced_flow, harmonic_flows)
@@ -105,23 +112,53 @@ def _state_after_entry(coeffs, path):
 
 
 def _remaining_after_entry(coeffs, path):
+    """Return the remaining time and its low part after the entry step."""
     return subtract_time(path, soft_contact.entry_steps(coeffs, path.contact).time)
 
 
 def is_due(path, wait_count):
-    """The lanes that have waited long enough for a long step to be tried."""
+    """Return the lanes that have waited long enough for a long step.
+
+    Parameters
+    ----------
+    path : Path
+        Path of the lanes.
+    wait_count : array
+        Number of steps since the entry or the last attempt at a long step.
+
+    Returns
+    -------
+    array of bool
+        True where a long step is due.
+    """
     return (wait_count >= MIN_SHORT_STEPS) & (path.time_remaining > 0)
 
 
 def advance_by_series(coeffs, path, time):
-    """(y, y') a time later, from the flow's `Series` of each lane."""
+    """Return (y, y') after a time, from the `flow.FlowSeries` of each lane."""
     return stage(_advance_by_series, coeffs, path, time)
 
 
 def take_long_step(coeffs, path, wait_count, advance_lanes=advance_by_series):
-    """(path, wait): lanes that wait for a long step have taken it where there is one, and begin to wait anew.
+    """Take a long step in lanes for which one is due and exists.
 
-    advance_lanes: (frame as the lanes feel it, path, time) -> (y, y') a time later.
+    Parameters
+    ----------
+    coeffs : FlowCoefficients
+        Coefficients of the scene.
+    path : Path
+        Path of the lanes.
+    wait_count : array
+        Number of steps since the entry or the last attempt at a long step.
+    advance_lanes : callable, optional
+        Function from (coefficients of each lane, path, time) to (y, y') after the time.
+
+    Returns
+    -------
+    path : Path
+        Path after the step.
+    wait_count : array
+        Number of steps, 0 in lanes for which a long step was due.
     """
     lane_coeffs = soft_contact.coeffs_by_lane(coeffs, path.contact)
     due = is_due(path, wait_count)
@@ -151,8 +188,10 @@ def take_long_step(coeffs, path, wait_count, advance_lanes=advance_by_series):
 
 
 def _certified_time(coeffs, path):
-    """A time for which the mass certainly stays within its wall; 0 where that cannot be said, as where swings grow
-    (with time reversed)."""
+    """Return a time for which the mass certainly stays inside its wall.
+
+    It is 0 if there is no certificate, for example if oscillations grow with time reversed.
+    """
     parts = _forced_parts(coeffs, path.contact, path.cosine, path.sine)
     stiffness, damping, side = coeffs.stiffness, coeffs.damping, lax.sign(path.contact)
     slow_y, max_rate = (sum(values) for values in zip(*(part.values(2) for part in parts), strict=True))
@@ -187,14 +226,16 @@ def _certified_time(coeffs, path):
 
 
 def _advance_by_series(coeffs, path, time):
-    """(y, y') a time later, the flow's short step doubled."""
+    """Return (y, y') after a time by doubling a short step of the flow."""
     response = soft_contact.contact_response(coeffs, path.contact, time)
     return soft_contact.apply_response(coeffs, path.contact, response, (path.x, path.v), path.cosine, path.sine)
 
 
 def _forced_parts(coeffs, contact, cosine, sine):
-    """The `HarmonicPart`s that drive and wall force on y; coeffs: as the lanes feel it. Of no use where they
-    resonate."""
+    """Return the `HarmonicPart`s of y due to the drive and the wall; not useful at resonance.
+
+    `coeffs` are those of each lane.
+    """
     zero = 0.0 * cosine
     forces = [(coeffs.amplitude * cosine, coeffs.amplitude * sine, coeffs.frequency + zero)]
     forces += soft_contact.harmonic_forces(coeffs, contact, cosine, sine)

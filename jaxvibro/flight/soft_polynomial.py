@@ -1,7 +1,8 @@
-"""Motion within a soft wall over a step no longer than the longest, as a polynomial in the time over that step.
+"""Expand the motion inside a soft wall over at most one longest step as a polynomial in the scaled time.
 
-Its coefficients are arrays, powers first: a dozen operations in place of a Horner scheme for each part of the flow, for
-what is evaluated few lanes at a time or differentiated.
+The scaled time s is the time over the longest step. The coefficients are arrays with the powers as the first axis.
+About twelve operations replace a Horner scheme for each part of the flow. This suits code that is evaluated for few
+lanes or is differentiated.
 """
 
 import jax
@@ -16,8 +17,21 @@ POWERS = tuple(range(DEGREE + 1))
 
 
 def polynomial_basis(coeffs, contact):
-    """What each part of the motion adds to the polynomial of each lane, (DEGREE + 1, *lanes) each: y, the flow's
-    `Series`, and those of the `soft_contact.forces`; coeffs: as the lanes feel it."""
+    """Compute the contribution of each part of the motion to the polynomial of each lane.
+
+    Parameters
+    ----------
+    coeffs : FlowCoefficients
+        Coefficients of each lane, see `soft_contact.coeffs_by_lane`.
+    contact : array
+        Contact code times the sign of the wall.
+
+    Returns
+    -------
+    list of array
+        Arrays of shape (DEGREE + 1, lanes): for y, for the rows of the `flow.FlowSeries`, and for those of each of the
+        `soft_contact.harmonic_forces`.
+    """
     soft_flows = [part for part in coeffs.soft_flows if part is not None]
     has_moving_wall = soft_contact.has_moving_soft_wall(coeffs)
     bases = [_wall_basis(part, has_moving_wall, contact.ndim) for part in soft_flows]
@@ -27,7 +41,7 @@ def polynomial_basis(coeffs, contact):
 
 
 def _wall_basis(soft_flow, has_moving_wall, n_lane_axes):
-    """The same of one wall in powers of the time itself, for lanes of so many axes."""
+    """Return the basis of one wall in powers of the unscaled time, for lanes with n_lane_axes axes."""
     flow_rows = [
         soft_flow.series.p00_minus_1,
         soft_flow.series.p01,
@@ -50,7 +64,30 @@ def _wall_basis(soft_flow, has_moving_wall, n_lane_axes):
 
 
 def coefficients(coeffs, contact, basis, y, v, cosine, sine):
-    """The polynomial's, (DEGREE + 1, *lanes), from y and y' on."""
+    """Compute the coefficients of the polynomial of y.
+
+    Parameters
+    ----------
+    coeffs : FlowCoefficients
+        Coefficients of each lane, see `soft_contact.coeffs_by_lane`.
+    contact : array
+        Contact code times the sign of the wall.
+    basis : list of array
+        Result of `polynomial_basis`.
+    y : array
+        Initial displacement past the wall.
+    v : array
+        Initial velocity relative to the wall.
+    cosine : array
+        Cosine of the drive angle.
+    sine : array
+        Sine of the drive angle.
+
+    Returns
+    -------
+    array
+        Coefficients of shape (DEGREE + 1, lanes).
+    """
     wall_position, _ = soft_contact.mean_position_increments(coeffs, contact, cosine, 1.0, 0.0 * cosine)
     parts = [y, y + wall_position, v, coeffs.amplitude * cosine, -(coeffs.amplitude * sine)]
     for force_cos, force_sin, _ in soft_contact.harmonic_forces(coeffs, contact, cosine, sine):
@@ -59,7 +96,18 @@ def coefficients(coeffs, contact, basis, y, v, cosine, sine):
 
 
 def powers(step_fraction):
-    """1, s, s^2, ..., s^DEGREE, first axis."""
+    """Return the powers of the scaled time.
+
+    Parameters
+    ----------
+    step_fraction : array
+        Scaled time s.
+
+    Returns
+    -------
+    array
+        1, s, s^2, ..., s^DEGREE along the first axis.
+    """
     rows, factor = jnp.stack([jnp.ones_like(step_fraction), step_fraction]), step_fraction * step_fraction
     while len(rows) <= DEGREE:
         rows, factor = jnp.concatenate([rows, rows * factor]), factor * factor
@@ -67,24 +115,68 @@ def powers(step_fraction):
 
 
 def sum_along_axis(terms, axis=0):
-    """The sum along an axis, as the last of running sums: of many lanes the emitter of a whole loop as one kernel
-    has no other over an axis that is not theirs."""
+    """Return the sum along an axis, as the last cumulative sum.
+
+    With many lanes, the emitter of a whole loop as one kernel supports no other sum along an axis that is not a lane
+    axis.
+    """
     return lax.index_in_dim(lax.cumsum(terms, axis), -1, axis, keepdims=False)
 
 
 def evaluate(coefficients, powers):
-    """Of a polynomial where s has these powers."""
+    """Evaluate a polynomial.
+
+    Parameters
+    ----------
+    coefficients : array
+        Coefficients, powers first.
+    powers : array
+        Result of `powers`.
+
+    Returns
+    -------
+    array
+        Values.
+    """
     return sum_along_axis(coefficients * powers[: len(coefficients)])
 
 
 def differentiate(coefficients):
-    """The coefficients of its derivative by s."""
+    """Return the coefficients of the derivative of a polynomial with respect to s.
+
+    Parameters
+    ----------
+    coefficients : array
+        Coefficients, powers first.
+
+    Returns
+    -------
+    array
+        Coefficients of the derivative, one row fewer.
+    """
     exponents = jnp.asarray(POWERS[1 : len(coefficients)], coefficients.dtype)
     return coefficients[1:] * exponents.reshape(-1, *[1] * (coefficients.ndim - 1))
 
 
 def contact_response(coeffs, contact, basis, time):
-    """The `soft_contact.StayResponse` of each lane over any time, a constant, by steps that are doubled."""
+    """Compute the response of each lane over a contact phase by doubling.
+
+    Parameters
+    ----------
+    coeffs : FlowCoefficients
+        Coefficients of each lane, see `soft_contact.coeffs_by_lane`.
+    contact : array
+        Contact code times the sign of the wall.
+    basis : list of array
+        Result of `polynomial_basis`.
+    time : array
+        Duration of any length, a constant for derivatives, in units of t.
+
+    Returns
+    -------
+    ContactResponse
+        Response of each lane, see `soft_contact.ContactResponse`.
+    """
     max_step = lax.stop_gradient(coeffs.max_step)
     n_doublings = jnp.maximum(jnp.ceil(jnp.log2(lax.stop_gradient(time) / max_step)), 0.0)
     step = time * jnp.exp2(-n_doublings)
@@ -118,6 +210,6 @@ def contact_response(coeffs, contact, basis, time):
 
 
 def _rotation(angle):
-    """(cos - 1, sin) of an angle."""
+    """Return (cos - 1, sin) of an angle."""
     half_sine = jnp.sin(0.5 * angle)
     return -2.0 * half_sine * half_sine, jnp.sin(angle)

@@ -1,8 +1,9 @@
-"""When a mass within a soft wall first comes back to it, from the motion's polynomial over one step after another.
+"""Locate the first exit of a mass from a soft wall, from the polynomial of its motion over successive steps.
 
-In Bernstein's form of a polynomial the changes of sign are no fewer than its roots, and but for an even number as many
-(Descartes): with none the mass stays within over the whole step, with one it leaves once; with more the step is halved.
-A step is a few operations on arrays, so that the equations of orbits, asked for a branch point by point, are cheap.
+In Bernstein form the number of sign changes of the coefficients is the number of roots plus 0 or an even number
+(Descartes). Without sign change the mass stays inside over the whole step. With one sign change it leaves once. With
+more the step is halved. A step is a few operations on arrays, so that the equations of orbits are cheap to evaluate at
+each point of a branch.
 """
 
 import math
@@ -17,16 +18,39 @@ from .flight_state import Path, SlowMotion, subtract_time
 from .soft_contact import is_inside
 from .soft_polynomial import DEGREE
 
-MIN_STEP_FRACTION = 2.0**-26  # of the longest step: there what is left of a sign is rounding
-ROOT_TOLERANCE = 2.0**-50  # of itself: the root
+MIN_STEP_FRACTION = 2.0**-26  # least step, in longest steps; signs below it are due to rounding
+ROOT_TOLERANCE = 2.0**-50  # relative tolerance of the root
 BERNSTEIN = np.array([[math.comb(j, k) / math.comb(DEGREE, k) for k in range(DEGREE + 1)] for j in range(DEGREE + 1)])
 CUMULATIVE_SUM = np.tri(DEGREE + 1)
 
 
 def first_exit_time(coeffs, contact, v, cosine, sine, max_time, y=None):
-    """The time until lanes that enter a wall with the velocity v leave it, at most the longest; contact: their contact,
-    0 of lanes that enter none; y: how far past the wall they are, None at it. No derivatives; right to some roundings
-    of the motion."""
+    """Compute the time from the entry into a wall to the exit.
+
+    The result is correct up to some rounding errors of the motion and has no derivatives.
+
+    Parameters
+    ----------
+    coeffs : FlowCoefficients
+        Coefficients of the scene.
+    contact : array
+        Contact code times the sign of the wall, 0 in lanes that enter no wall.
+    v : array
+        Velocity of entry relative to the wall.
+    cosine : array
+        Cosine of the drive angle at the entry.
+    sine : array
+        Sine of the drive angle at the entry.
+    max_time : array
+        Largest time.
+    y : array, optional
+        Initial displacement past the wall. None stands for 0.
+
+    Returns
+    -------
+    array
+        Time to the exit, at most `max_time`.
+    """
     zero = lax.full_like(v, 0.0)
     time_remaining = choose(is_inside(contact), max_time, 0.0)
     y = zero if y is None else y
@@ -100,13 +124,13 @@ def first_exit_time(coeffs, contact, v, cosine, sine, max_time, y=None):
 
 
 def _multiply(matrix, values):
-    """A constant matrix times the first axis of some values."""
+    """Multiply a constant matrix by the first axis of some values."""
     weights = jnp.asarray(matrix, values.dtype).reshape(*matrix.shape, *[1] * (values.ndim - 1))
     return soft_polynomial.sum_along_axis(weights * values, 1)
 
 
 def _first_root(coefficients, has_exited):
-    """Where polynomials that are positive at first are so no more, before 1: by Newton's method, kept between."""
+    """Return the first sign change before 1 of polynomials that are positive at first, by safeguarded Newton steps."""
     derivative, zero = soft_polynomial.differentiate(coefficients), jnp.zeros_like(has_exited)
 
     def is_unfinished(carry):

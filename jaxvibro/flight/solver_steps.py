@@ -1,9 +1,10 @@
-"""Free flight under a force of the user's own by steps of one of diffrax's solvers, loaded where a force asks for it.
+"""Step the free flight under a user-defined force with a solver of diffrax. The module is imported on demand only.
 
-A step is as long as its estimated error allows: that of its end, which the solver tells, and that of the polynomial
-between. This is the quintic through x, v and the acceleration at both ends; its error is h^6 x^(6) (s (1 - s))^3 / 720
-at the place s of a step h, so that it is 1/24 of h^2 times what the acceleration is off in the middle; or less under a
-force that damps fast, which holds the error of v, and not of its change, to as much over its rate.
+A step is as long as its estimated error allows. The error has two parts: that at the end of the step, which the solver
+estimates, and that of the interpolating polynomial. This is the quintic through x, v and the acceleration at both ends.
+Its error is h^6 x^(6) (s (1 - s))^3 / 720 at the fraction s of a step h, which is 1/24 of h^2 times the error of the
+acceleration in the middle. Under strong damping it is smaller: the damping limits the error of v to the error of the
+acceleration over the damping rate.
 """
 
 import math
@@ -34,30 +35,27 @@ from .taylor_steps import (
 )
 from .wall_motion import wall_jet
 
-MAX_TRIALS = 60  # of a step: each that fails is shorter than the last
-MIN_SHRINK, MAX_SHRINK = 0.05, 0.8  # of the last try
-SAFETY_FACTOR = 0.9
-MIN_CONVERGENCE_ORDER = (
-    1.5  # least order at which error / motion decreases with the step; rounding errors have order 0 or 1
-)
-ROUNDING_UNITS = 64.0  # of x; smaller errors are always accepted
-PRESS_SHRINK = 0.3  # of the last step at which the press on a wall was looked at
-POLYNOMIAL_ERROR_RATIO = 24.0  # of the polynomial's error, see above
-MAX_EXACT_ORDER = 4  # the last derivative of x that is taken from the force, by its own derivatives
-CHEBYSHEV_NODES = 0.5 * (
-    1.0 - np.cos(np.pi * np.arange(1, event.N_TERMS + 1) / event.N_TERMS)
-)  # of a step, Chebyshev's
-INVERSE_VANDERMONDE = np.linalg.inv(
-    np.vander(CHEBYSHEV_NODES, increasing=True)
-)  # of the values there in a polynomial's coefficients
-TOLERANCE_SENTINEL = diffrax.with_stepsize_controller_tols(diffrax.VeryChord)().rtol  # stands for a tolerance
+MAX_TRIALS = 60  # largest number of trials of a step; each is shorter than the previous one
+MIN_SHRINK, MAX_SHRINK = 0.05, 0.8  # ratio of a trial step to the previous one
+SAFETY_FACTOR = 0.9  # of the optimal step
+# least order at which error / motion decreases with the step; rounding errors have order 0 or 1
+MIN_CONVERGENCE_ORDER = 1.5
+ROUNDING_UNITS = 64.0  # roundoffs of x; smaller errors are always accepted
+PRESS_SHRINK = 0.3  # ratio of a trial step of the contact force to the previous one
+POLYNOMIAL_ERROR_RATIO = 24.0  # step^2 times the error of the acceleration over that of the polynomial, see above
+MAX_EXACT_ORDER = 4  # highest derivative of x that is computed from derivatives of the force
+# Chebyshev nodes of a step
+CHEBYSHEV_NODES = 0.5 * (1.0 - np.cos(np.pi * np.arange(1, event.N_TERMS + 1) / event.N_TERMS))
+# maps values at the nodes to coefficients of a polynomial
+INVERSE_VANDERMONDE = np.linalg.inv(np.vander(CHEBYSHEV_NODES, increasing=True))
+TOLERANCE_SENTINEL = diffrax.with_stepsize_controller_tols(diffrax.VeryChord)().rtol  # marks an unset tolerance
 
 
 Matrix = Float[jax.Array, "2 2"]
 
 
 class CramerSolver(lx.AbstractLinearSolver):
-    """Solves the two linear equations of a step by Cramer's rule: what LAPACK does has no place within a kernel."""
+    """Solver of the two linear equations of a step by Cramer's rule, because a kernel cannot call LAPACK."""
 
     def init(self, operator: lx.AbstractLinearOperator, options: dict[str, Any]) -> Matrix:
         return operator.as_matrix()
@@ -82,7 +80,7 @@ class CramerSolver(lx.AbstractLinearSolver):
 
 @lru_cache(64)
 def _configure_solver(solver, tolerance):
-    """A solver that can be differentiated forward, its equations solved to a tolerance."""
+    """Return a solver with forward-mode derivatives that solves its equations to a tolerance."""
     if getattr(solver, "scan_kind", "") is None:
         solver = eqx.tree_at(lambda tree: tree.scan_kind, solver, "lax", is_leaf=lambda leaf: leaf is None)
     if isinstance(solver, diffrax.AbstractImplicitSolver):
@@ -95,7 +93,7 @@ def _configure_solver(solver, tolerance):
 
 
 class LaneForce(NamedTuple):
-    """Force and drive of one lane or of several; the drive is as in `coefficients.Frame`."""
+    """Force and drive of one or more lanes; the drive is as in `coefficients.FlowCoefficients`."""
 
     force_law: Force
     frequency: Float[jax.Array, "..."]
@@ -104,7 +102,7 @@ class LaneForce(NamedTuple):
 
 
 def _map_lanes(function, coeffs, *arguments):
-    """function(lane, *given), of one state, for each lane."""
+    """Apply a function (lane force, *arguments) of one state to each lane."""
     force_leaves, treedef = jax.tree.flatten(
         LaneForce(coeffs.force_law, coeffs.frequency, coeffs.amplitude, coeffs.drive_terms)
     )
@@ -115,14 +113,14 @@ def _map_lanes(function, coeffs, *arguments):
             function(treedef.unflatten(operands[:n_leaves]), *operands[n_leaves:])
         )
         result_treedef[:] = [treedef_of_result]
-        return tuple(leaves)  # all that vectorize takes of lanes with axes of one
+        return tuple(leaves)  # the only results that vectorize accepts for lanes with axes of length one
 
     leaves = jnp.vectorize(call_for_lane)(*force_leaves, *arguments)
     return result_treedef[0].unflatten(leaves)
 
 
 def _acceleration(lane_force, cosine, sine, delay, x, v):
-    """The acceleration a time after the drive was at this cosine and sine."""
+    """Return the acceleration after a delay, given the present phasor of the drive."""
     force_law, frequency, amplitude, drive_terms = lane_force
     c, s = flow.rotate_by_angle(cosine, sine, frequency * delay)
     acceleration = (
@@ -132,7 +130,7 @@ def _acceleration(lane_force, cosine, sine, delay, x, v):
 
 
 def _solver_step(lane_force, x, v, cosine, sine, length_scale, step):
-    """(x, v after a step, the acceleration there, the estimated error over the size)."""
+    """Return (x, v, acceleration, estimated error over the length scale) after a step."""
     solver = _configure_solver(lane_force.force_law.solver, lane_force.force_law.tolerance)
 
     def vector_field(delay, y, _):
@@ -150,7 +148,7 @@ def _solver_step(lane_force, x, v, cosine, sine, length_scale, step):
 
 
 def flight_series(coeffs, x, v, cosine, sine):
-    """The `taylor_steps.Ahead` of lanes, a constant for derivatives."""
+    """Return the `taylor_steps.FlightSeries` of lanes, a constant for derivatives."""
     coeffs, x, v, cosine, sine = lax.stop_gradient((coeffs, x, v, cosine, sine))
     acceleration = _lane_acceleration(coeffs, x, v, cosine, sine)
     length_scale = error_scale(coeffs, x, v, acceleration)
@@ -160,12 +158,12 @@ def flight_series(coeffs, x, v, cosine, sine):
 
 
 def _lane_acceleration(coeffs, x, v, cosine, sine):
-    """The acceleration of lanes."""
+    """Return the acceleration of lanes."""
     return _map_lanes(_acceleration, coeffs, cosine, sine, jnp.zeros_like(x), x, v)
 
 
 def force_gradient(coeffs, x, v, cosine, sine):
-    """How fast the force grows with x."""
+    """Return the derivative of the force with respect to x."""
 
     def lane_gradient(lane_force, x, v, cosine, sine):
         acceleration = partial(_acceleration, lane_force, cosine, sine, jnp.zeros_like(x))
@@ -175,11 +173,11 @@ def force_gradient(coeffs, x, v, cosine, sine):
 
 
 def _select_step(lane_force, x, v, cosine, sine, acceleration, length_scale, max_step):
-    """Select the step length of one lane; return (terms, length, remainder), see `taylor_steps.Ahead`.
+    """Select the step length of one lane; return (terms, length, remainder) of a `taylor_steps.FlightSeries`.
 
-    The error of an accepted step is at most `tolerance * size`. Steps are shortened further until the error is also at
-    most `sqrt(tolerance)` times the motion, so that small motions keep half of the digits. This ends where a shorter
-    step does not reduce the error: then rounding dominates, or the residual of an implicit solver's equations.
+    The error of an accepted step is at most `tolerance * length_scale`. Steps are shortened further until the error is
+    also at most `sqrt(tolerance)` times the motion, so that small motions keep half of the digits. This ends if a
+    shorter step does not reduce the error: then rounding dominates, or the residual of an implicit solver's equations.
     """
     force_law, acceleration_at = lane_force.force_law, partial(_acceleration, lane_force, cosine, sine)
     exponent = -1.0 / min(_configure_solver(force_law.solver, force_law.tolerance).order(None), 5)
@@ -234,7 +232,7 @@ def _select_step(lane_force, x, v, cosine, sine, acceleration, length_scale, max
 
 
 def quintic_coefficients(x, v, acceleration, end_x, end_v, end_acceleration, step):
-    """The coefficients, from the constant on, of the polynomial with this x, v and acceleration at 0 and at a time."""
+    """Return the coefficients, from the constant on, of the quintic with given x, v and acceleration at both ends."""
     x_defect = (end_x - x) - step * (v + 0.5 * step * acceleration)
     v_defect = step * ((end_v - v) - step * acceleration)
     acceleration_defect = step * step * (end_acceleration - acceleration)
@@ -253,7 +251,7 @@ def quintic_coefficients(x, v, acceleration, end_x, end_v, end_acceleration, ste
 
 
 def step_increments(coeffs, x, v, cosine, sine, step, terms=None):
-    """(what x gains, what v gains) by a step of the solver."""
+    """Return (increment of x, increment of v) of a step of the solver."""
     length_scale = lax.stop_gradient(error_scale(coeffs, x, v, _lane_acceleration(coeffs, x, v, cosine, sine)))
 
     def lane_increments(lane_force, x, v, cosine, sine, length_scale, step):
@@ -264,7 +262,7 @@ def step_increments(coeffs, x, v, cosine, sine, step, terms=None):
 
 
 def derivatives(coeffs, x, v, cosine, sine, order):
-    """x and its derivatives up to an order: beyond some those of a step's polynomial."""
+    """Return x and its derivatives up to an order; the high ones are those of a step's polynomial."""
     n_exact = min(order, MAX_EXACT_ORDER) - 1
     jet = [x, v, *_map_lanes(partial(_acceleration_jet, n_derivatives=n_exact), coeffs, x, v, cosine, sine)]
     if order > MAX_EXACT_ORDER:
@@ -273,7 +271,7 @@ def derivatives(coeffs, x, v, cosine, sine, order):
 
 
 def _acceleration_jet(lane_force, x, v, cosine, sine, n_derivatives):
-    """The acceleration and its first derivatives along the motion, so many in all."""
+    """Return the acceleration and its derivatives along the motion, n_derivatives values."""
     acceleration = partial(_acceleration, lane_force, cosine, sine)
 
     def total_derivative(function):
@@ -289,7 +287,7 @@ def _acceleration_jet(lane_force, x, v, cosine, sine, n_derivatives):
 
 
 def _contact_force(coeffs, wall, cosine, sine, delay):
-    """The press on a wall a time after the drive was at this cosine and sine."""
+    """Return the contact force on a wall after a delay, given the present phasor of the drive."""
     wall_position, wall_velocity, wall_acceleration = wall_jet(
         wall, coeffs.frequency, *flow.rotate_by_angle(cosine, sine, coeffs.frequency * delay), 2
     )
@@ -301,7 +299,7 @@ def _contact_force(coeffs, wall, cosine, sine, delay):
 
 
 def contact_force_terms(coeffs, wall, cosine, sine, order):
-    """The Taylor coefficients of the press on a wall, see `press`, up to an order."""
+    """Return the Taylor coefficients of the contact force on a wall up to an order."""
 
     def total_derivative(function):
         return lambda delay: jax.jvp(function, (delay,), (jnp.ones_like(delay),))[1]
@@ -314,7 +312,10 @@ def contact_force_terms(coeffs, wall, cosine, sine, order):
 
 
 def contact_force_jet(coeffs, wall, cosine, sine):
-    """The `taylor_steps.Press` on a wall, from the press at some times of a step, which is shortened to them."""
+    """Return the `taylor_steps.ContactForceJet` on a wall, from values at nodes of a step.
+
+    The step is shortened until the nodes resolve the contact force.
+    """
     initial_force = _contact_force(coeffs, wall, cosine, sine, jnp.zeros_like(cosine))
 
     def fit_terms(step):
@@ -352,5 +353,5 @@ def contact_force_jet(coeffs, wall, cosine, sine):
 
 
 def sampling_step(coeffs, step):
-    """How far the polynomials of steps so long are right to 1e-4 of their size."""
+    """Return the step up to which the polynomial of a step is correct to 1e-4 of its size."""
     return step * (1e-4 / coeffs.force_law.tolerance) ** (1.0 / 6.0)

@@ -1,6 +1,6 @@
-"""One step of a path: it flies to the next event or as far as is certain, lands, rebounds, rests or is released.
+"""Take one certified step of a path: fly to the next event or as far as is certain, then rebound, stick or release.
 
-Each step is a handful of stages on lanes; a stage's results are stored, see `compiler_hints.stage`.
+A step consists of a few stages on lanes. The results of a stage are stored, see `compiler_hints.stage`.
 """
 
 from typing import NamedTuple
@@ -18,11 +18,25 @@ from .flows import flow_of
 from .soft_wall_lanes import in_soft_wall
 from .wall_motion import select_by_side, select_lists_by_side, subtract, wall_jet, wall_jet_on_side
 
-SLOW_FRACTION = 0.25  # of the speed that the acceleration makes over the longest step
+SLOW_FRACTION = 0.25  # speed limit, relative to the speed gained by the acceleration in the longest step
 
 
 class StepResult(NamedTuple):
-    """What a step did: its time, the path before any impact and after, the side of the impact (0: none), the strike."""
+    """Result of a step.
+
+    Attributes
+    ----------
+    time : array
+        Length of the step.
+    pre_impact_path : Path
+        Path at the end of the flight, before an impact.
+    path : Path
+        Path after the step.
+    side : array
+        Side of the event, 0 without one.
+    outcome : EventOutcome
+        Outcome of the event.
+    """
 
     time: Float[jax.Array, "*lanes"]
     pre_impact_path: Path
@@ -32,7 +46,20 @@ class StepResult(NamedTuple):
 
 
 def certified_step(coeffs, path):
-    """One certified step of every lane that has time to go; a lane that has none stays as it is."""
+    """Take one certified step of every lane with time remaining.
+
+    Parameters
+    ----------
+    coeffs : FlowCoefficients
+        Coefficients of the scene.
+    path : Path
+        Paths of the lanes.
+
+    Returns
+    -------
+    StepResult
+        Result of the step. Lanes without time remaining do not change.
+    """
     flow, contact_law, free_coeffs = flow_of(coeffs), contact_law_of(coeffs), coeffs
     coeffs, lookahead = flow.look_ahead(coeffs, path)
     if not coeffs.walls:
@@ -68,9 +95,12 @@ def certified_step(coeffs, path):
 
 
 def _target_side(coeffs, path, acceleration, jerk):
-    """The wall to aim at: the nearer if it holds the mass (`_holds_mass`), else that reached first at the present
-    speed; without one the nearer, and of two as near that to which the mass is pulled: a mirror image aims at the
-    other."""
+    """Return the side of the wall whose event is certified.
+
+    It is the nearer wall if that wall holds the mass (`_holds_mass`), otherwise the wall that the mass reaches first at
+    its present velocity. Without relative velocity it is the nearer wall. At equal distances it is the wall towards
+    which the mass accelerates, so that a mirror image selects the other wall.
+    """
     wall_states = []
     for wall in coeffs.walls:
         wall_position, wall_velocity, approach_accel, approach_jerk = wall_jet(
@@ -103,7 +133,7 @@ def _target_side(coeffs, path, acceleration, jerk):
 
 
 def _holds_mass(coeffs, contact, clearance, approach_speed, approach_accel, approach_jerk):
-    """Whether the mass rests on a wall, hops back to it, or is so near and slow that only a short horizon helps."""
+    """Return True if the mass sticks, bounces back, or is so close and slow that only a short horizon helps."""
     speed_limit = SLOW_FRACTION * coeffs.max_step * (lax.abs(approach_accel) + coeffs.max_step * lax.abs(approach_jerk))
     is_slow = (lax.abs(approach_speed) < speed_limit) & (clearance < coeffs.max_step * speed_limit)
     hops_back = (contact == Contact.LANDED) & (2.0 * lax.abs(approach_speed) < coeffs.max_step * approach_accel)
@@ -111,7 +141,7 @@ def _holds_mass(coeffs, contact, clearance, approach_speed, approach_accel, appr
 
 
 def _wall_progress(coeffs, path, derivatives, side, bounds):
-    """The `event.Progress` towards the wall on a side; bounds: what the flow says is beyond the derivatives."""
+    """Return the `event.Progress` towards the wall on a side; `bounds` come from `lookahead_bounds` of the flow."""
     flow, walls, contact = flow_of(coeffs), coeffs.walls, path.contact * side
     force_lists, force_remainders = zip(*flow.contact_forces_ahead(coeffs, path, bounds), strict=True)
     contact_force = select_lists_by_side(side, walls, force_lists)
@@ -145,13 +175,13 @@ def _wall_progress(coeffs, path, derivatives, side, bounds):
 
 
 def _other_progress_bound(coeffs, path, derivatives, side, bounds):
-    """The `event.Bound` towards the wall that is not aimed at."""
+    """Return the `event.ProgressBound` towards the other wall."""
     progress = _wall_progress(coeffs, path, derivatives, -side, bounds)
     return event.bound_progress(progress, event.cubic_bound(progress))
 
 
 def _other_wall_step(path, is_inside_wall, bound):
-    """A step that is certain not to meet the wall that is not aimed at."""
+    """Return a step that certainly does not reach the other wall."""
     is_held = lax.abs(path.contact) == Contact.STUCK
     if is_inside_wall is not None:
         is_held |= is_inside_wall
@@ -159,7 +189,7 @@ def _other_wall_step(path, is_inside_wall, bound):
 
 
 def _hit_side(coeffs, path, progress, root, root_error, other_wall_step, side):
-    """The side of the wall that is met at the root, 0 where the root is not near enough or not the next event."""
+    """Return the side of the wall hit at the root, or 0 if the root is inaccurate or not the next event."""
     terms = progress.terms
     time_remaining = path.time_remaining * coeffs.inverse_max_step
     time_rounding = 4.0 * event.unit_roundoff(time_remaining.dtype) * coeffs.period * coeffs.inverse_max_step
@@ -172,12 +202,12 @@ def _hit_side(coeffs, path, progress, root, root_error, other_wall_step, side):
 
 
 def _step_time(coeffs, path, hit_side, root, root_error, horizon_step, other_wall_step):
-    """How long the step is."""
+    """Return the length of the step."""
     safe_time = minimum(maximum(horizon_step, choose(root_error >= 0, root - root_error, 0.0)), other_wall_step)
     return positive_part(minimum(choose(hit_side != 0, root, safe_time) * coeffs.max_step, path.time_remaining))
 
 
 def _advance_path(coeffs, path, step_time, contact, lookahead):
-    """The path a free flight later."""
+    """Return the path after a free flight."""
     motion = flow_of(coeffs).advance_motion(coeffs, path.motion, step_time, contact, lookahead)
     return Path(*stage(motion_state, coeffs, motion), motion, *stage(subtract_time, path, step_time), path.contact)

@@ -1,4 +1,4 @@
-"""Taylor polynomials near a known time, as long as the order of the derivatives asked for."""
+"""Evaluate Taylor polynomials near a known time, with a degree equal to the order of the requested derivatives."""
 
 import math
 from typing import NamedTuple
@@ -12,7 +12,21 @@ from .wall_motion import subtract, wall_jet_on_side
 
 
 class ExpansionPoint(NamedTuple):
-    """x, v and the drive's phasor at a time since the start; the time is a constant."""
+    """State at which a motion is expanded.
+
+    Attributes
+    ----------
+    x : array
+        Position.
+    v : array
+        Velocity.
+    cosine : array
+        Cosine of the drive angle.
+    sine : array
+        Sine of the drive angle.
+    time : array
+        Time since the start, a constant.
+    """
 
     x: Float[jax.Array, "*lanes"]
     v: Float[jax.Array, "*lanes"]
@@ -22,12 +36,46 @@ class ExpansionPoint(NamedTuple):
 
 
 def wall_derivatives(coeffs, point, side, order):
-    """Position of the wall on a side and its derivatives, one more than the order."""
+    """Compute the derivatives of a wall's position.
+
+    Parameters
+    ----------
+    coeffs : FlowCoefficients
+        Coefficients of the scene.
+    point : ExpansionPoint
+        Point of expansion.
+    side : array
+        Side of the wall, -1 or 1.
+    order : int
+        Order of the Taylor polynomials.
+
+    Returns
+    -------
+    list of array or None
+        Position and its derivatives up to order + 1. None stands for zero.
+    """
     return wall_jet_on_side(coeffs, side, point.cosine, point.sine, order + 1)
 
 
 def wall_state(wall_derivs, delay, order):
-    """Position and velocity of a wall a time later, from its `wall_derivs`."""
+    """Compute the state of a wall after a delay.
+
+    Parameters
+    ----------
+    wall_derivs : list of array or None
+        Result of `wall_derivatives`.
+    delay : array
+        Time since the point of expansion.
+    order : int
+        Order of the Taylor polynomials.
+
+    Returns
+    -------
+    position : array
+        Position of the wall.
+    velocity : array
+        Velocity of the wall.
+    """
     wall_position, wall_velocity = (
         evaluate_taylor(wall_derivs, delay, order),
         evaluate_taylor(wall_derivs[1:], delay, order),
@@ -36,7 +84,7 @@ def wall_state(wall_derivs, delay, order):
 
 
 def taylor_coefficients(derivatives):
-    """Taylor coefficients from derivatives, None being zero."""
+    """Return Taylor coefficients from derivatives; None stands for zero."""
     return [
         None if derivative is None else derivative * (1.0 / math.factorial(k))
         for k, derivative in enumerate(derivatives)
@@ -44,7 +92,22 @@ def taylor_coefficients(derivatives):
 
 
 def evaluate_taylor(derivatives, delay, order):
-    """The Taylor polynomial of an order with these derivatives, a time later."""
+    """Evaluate a Taylor polynomial.
+
+    Parameters
+    ----------
+    derivatives : list of array or None
+        Derivatives from the value on. None stands for zero.
+    delay : array
+        Time since the point of expansion.
+    order : int
+        Degree of the polynomial.
+
+    Returns
+    -------
+    array or None
+        Value of the polynomial. None if all derivatives are zero.
+    """
     coefficients = taylor_coefficients(derivatives[: order + 1])
     value = coefficients[-1]
     for term in coefficients[-2::-1]:
@@ -53,7 +116,20 @@ def evaluate_taylor(derivatives, delay, order):
 
 
 def locate_root(derivatives, order):
-    """The root near 0 of the polynomial with these derivatives, right to an order in its value at 0."""
+    """Locate the root near 0 of a polynomial.
+
+    Parameters
+    ----------
+    derivatives : list of array or None
+        Derivatives at 0 from the value on. None stands for zero.
+    order : int
+        Order in the value at 0 to which the root is correct.
+
+    Returns
+    -------
+    array
+        Root.
+    """
     coefficients = taylor_coefficients(derivatives)
     delay = -coefficients[0] / coefficients[1]
     coefficients = [jnp.zeros_like(delay) if term is None else term for term in coefficients]

@@ -1,5 +1,7 @@
-"""Steps of the flight under a force of the user's own by Taylor's polynomials, as long as their last terms allow (Jorba
-and Zou 2005)."""
+"""Step the flight under a user-defined force by Taylor polynomials.
+
+A step is as long as the last terms of its polynomial allow (Jorba and Zou 2005).
+"""
 
 import math
 from functools import reduce
@@ -16,15 +18,24 @@ from .drive import angular_rate, harmonic_phasor
 from .series import Series, evaluate_polynomial
 from .wall_motion import wall_jet
 
-MIN_ORDER = event.N_TERMS + 2  # terms of a step, beyond those of an event
-CONTACT_FORCE_ORDER = event.N_TERMS + 4  # the same of the press on a wall
-SPEED_SHARE = 2.0**-20  # of the speed gained in the longest step, see `error_scale`
-MAX_REMAINDER_SHARE = 1e-3  # of the press, as much may be beyond an event's terms over a step
+MIN_ORDER = event.N_TERMS + 2  # least degree of a step, which exceeds that of an event
+CONTACT_FORCE_ORDER = event.N_TERMS + 4  # degree of the contact force
+SPEED_SHARE = 2.0**-20  # fraction of the speed gained in the longest step, see `error_scale`
+MAX_REMAINDER_SHARE = 1e-3  # largest remainder of the contact force over a step, relative to its terms
 
 
 class FlightSeries(NamedTuple):
-    """The flight ahead: the coefficients of x, from the constant on; how far they are good, in t; a bound on what is
-    beyond the terms of an event, in lengths."""
+    """Taylor polynomial of the flight ahead.
+
+    Attributes
+    ----------
+    terms : list of array
+        Coefficients of x from the constant on.
+    max_step : array
+        Time up to which they hold, in units of t.
+    remainder_bound : array
+        Bound on the terms beyond those of an event, in lengths.
+    """
 
     terms: list[Float[jax.Array, "*lanes"]]
     max_step: Float[jax.Array, "*lanes"]
@@ -32,8 +43,17 @@ class FlightSeries(NamedTuple):
 
 
 class ContactForceJet(NamedTuple):
-    """The press on a wall, and its derivatives, as many as an event has terms; a bound on what is beyond them over a
-    step, and on its slope over as many; the longest step at which that is small."""
+    """Contact force on a wall near a time.
+
+    Attributes
+    ----------
+    derivatives : list of array
+        Contact force and its derivatives, as many as an event has terms.
+    remainder_bound : array
+        Bound on the further terms over a step, and on their slope over as many terms.
+    max_step : array
+        Longest step for which this bound is small.
+    """
 
     derivatives: list[Float[jax.Array, "*lanes"]]
     remainder_bound: Float[jax.Array, "*lanes"]
@@ -41,19 +61,19 @@ class ContactForceJet(NamedTuple):
 
 
 def step_order(coeffs):
-    """The last power of a step's polynomial: the cheapest for its tolerance."""
+    """Return the degree of a step's polynomial, the cheapest for its tolerance."""
     return max(MIN_ORDER, math.ceil(1.0 - 0.5 * math.log(coeffs.force_law.tolerance)))
 
 
 def motion_coefficients(coeffs, x, v, cosine, sine, order):
-    """The Taylor coefficients of x, from the constant up to an order, where the drive is at this cosine and sine."""
+    """Return the Taylor coefficients of x up to an order, at a phasor of the drive."""
     time = stage(_drive_time, coeffs.frequency, cosine, sine)
     drive_terms = _drive_coefficients(coeffs, cosine, sine, order - 1)
     return traced_force.motion_coefficients(coeffs.force_law, time, x, v, drive_terms, order)
 
 
 def _drive_coefficients(coeffs, cosine, sine, n_terms):
-    """The first coefficients of the drive's force."""
+    """Return the first Taylor coefficients of the drive's force."""
     total_force = traced_force.drive_coefficients(coeffs.amplitude, coeffs.frequency, cosine, sine, n_terms)
     for term in coeffs.drive_terms:
         term_force = traced_force.drive_coefficients(
@@ -64,16 +84,17 @@ def _drive_coefficients(coeffs, cosine, sine, n_terms):
 
 
 def _drive_time(frequency, cosine, sine):
+    """Return the time at which the drive has a phasor."""
     return lax.atan2(sine, cosine) / frequency
 
 
 def derivatives(coeffs, x, v, cosine, sine, order):
-    """x and its derivatives up to an order."""
+    """Return x and its derivatives up to an order."""
     return as_derivatives(motion_coefficients(coeffs, x, v, cosine, sine, order))
 
 
 def force_gradient(coeffs, x, v, cosine, sine):
-    """How fast the force grows with x."""
+    """Return the derivative of the force with respect to x."""
     time = Series(None, stage(_drive_time, coeffs.frequency, cosine, sine))
     gradient = traced_force.force_series(
         coeffs.force_law, time, Series(lambda series, k: None, x, 1.0), Series(None, v)
@@ -82,18 +103,19 @@ def force_gradient(coeffs, x, v, cosine, sine):
 
 
 def as_derivatives(terms):
-    """Derivatives from Taylor coefficients."""
+    """Return derivatives from Taylor coefficients."""
     return [term * float(math.factorial(k)) for k, term in enumerate(terms)]
 
 
 def contact_force_jet(coeffs, wall, cosine, sine):
-    """The `ContactForceJet` on a wall."""
+    """Return the `ContactForceJet` on a wall."""
     return stage(
         _contact_force_jet, coeffs.max_step, contact_force_terms(coeffs, wall, cosine, sine, CONTACT_FORCE_ORDER)
     )
 
 
 def _contact_force_jet(max_step, terms):
+    """Return the `ContactForceJet` of Taylor coefficients."""
     magnitudes, last_terms = [lax.abs(term) for term in terms[: event.N_TERMS]], terms[event.N_TERMS :]
     magnitude, step, remainder_bound = (
         reduce(maximum, magnitudes) + float(jnp.finfo(magnitudes[0].dtype).tiny),
@@ -108,7 +130,7 @@ def _contact_force_jet(max_step, terms):
 
 
 def contact_force_terms(coeffs, wall, cosine, sine, order):
-    """The Taylor coefficients of the press on a wall, see `press`, up to an order."""
+    """Return the Taylor coefficients of the contact force on a wall up to an order."""
     wall_derivs = wall_jet(wall, coeffs.frequency, cosine, sine, order + 2)
     zero = jnp.zeros_like(cosine)
     wall_terms = [
@@ -128,7 +150,7 @@ def contact_force_terms(coeffs, wall, cosine, sine, order):
 
 
 def flight_series(coeffs, x, v, cosine, sine):
-    """The `FlightSeries` of lanes."""
+    """Return the `FlightSeries` of lanes."""
     degree = step_order(coeffs)
     terms = motion_coefficients(coeffs, x, v, cosine, sine, degree)
     length_scale = error_scale(coeffs, x, v, 2.0 * terms[2])
@@ -147,10 +169,10 @@ def flight_series(coeffs, x, v, cosine, sine):
 
 
 def error_scale(coeffs, x, v, acceleration):
-    """The length that a step's error is relative to; acceleration: the acceleration.
+    """Return the length to which the error of a step is relative.
 
-    A mass at rest at 0, with no length in its scene, is measured by a small part of the speed that it gains in the
-    longest step.
+    For a mass at rest at 0 in a scene without length scale it is a small fraction of the speed gained in the longest
+    step.
     """
     return maximum(
         maximum(lax.abs(x), lax.abs(v)),
@@ -159,13 +181,16 @@ def error_scale(coeffs, x, v, acceleration):
 
 
 def step_displacement(v, acceleration, step):
-    """How far a motion goes in a step, to its order. A mass that comes to an equilibrium on a wall is soon nearer to it
-    than the tolerance of the scene's size; its steps would become ever shorter if its own size did not count then."""
+    """Return the order of magnitude of the displacement in a step.
+
+    A mass that approaches an equilibrium on a wall is soon closer to it than the tolerance of the scene's size. Unless
+    its own displacement counts then, its steps would become ever shorter.
+    """
     return step * maximum(lax.abs(v), step * lax.abs(acceleration))
 
 
 def _max_step(penultimate_term, last_term, max_step, length_scale, order, tolerance):
-    """A step at which the error of x, estimated by the last terms, and that of v over so many steps are tolerated."""
+    """Return a step for which the error of x, from the last terms, and that of v over as many steps are tolerable."""
     for k, term in ((order - 1, penultimate_term), (order, last_term)):
         error_ratio = tolerance * length_scale / lax.abs(term)
         log_step_x, log_step_v = lax.log(error_ratio) / float(k), lax.log(error_ratio / k) / (k - 1.0)
@@ -176,15 +201,19 @@ def _max_step(penultimate_term, last_term, max_step, length_scale, order, tolera
 def error_bound(displacement, error, length_scale, tolerance):
     """Bound the error of a step's polynomial.
 
-    The bound is twice the tolerance times the scene's size. A motion smaller than this, `displacement` (see
-    `step_displacement`), is bounded by the larger of its estimated error and the tolerance times the motion."""
+    The bound is twice the tolerance times the length scale. A motion smaller than this, `displacement` (see
+    `step_displacement`), is bounded by the larger of its estimated error and the tolerance times the motion.
+    """
     return 2.0 * choose(
         displacement < tolerance * length_scale, maximum(tolerance * displacement, error), tolerance * length_scale
     )
 
 
 def _remainder_bound(terms, step, length_scale, tolerance):
-    """A bound on the terms beyond an event's over a step, and on their slope over as many; what is left out as well."""
+    """Return a bound on the terms beyond an event's, and on their slope over as many terms.
+
+    The bound includes the truncation error.
+    """
     displacement, degree = step_displacement(terms[1], 2.0 * terms[2], step), len(terms) - 1
     error = maximum(lax.abs(terms[-2]) * step ** (degree - 1), lax.abs(terms[-1]) * step**degree)
     bound, step_power = error_bound(displacement, error, length_scale, tolerance), step**event.N_TERMS
@@ -195,17 +224,18 @@ def _remainder_bound(terms, step, length_scale, tolerance):
 
 
 def sampling_step(coeffs, step):
-    """How far the polynomials of steps so long are right to 1e-4 of their size: no farther than they are taken."""
+    """Return the step up to which the polynomial of a step is correct to 1e-4 of its size: the step itself."""
     return step
 
 
 def step_increments(coeffs, x, v, cosine, sine, step, terms=None):
-    """(what x gains, what v gains) after a time no longer than a step; terms: the coefficients of x, where known."""
+    """Return (increment of x, increment of v) after at most one step; `terms` are the coefficients of x if known."""
     if terms is None:
         terms = motion_coefficients(coeffs, x, v, cosine, sine, step_order(coeffs))
     return stage(_evaluate_increments, terms, step)
 
 
 def _evaluate_increments(terms, step):
+    """Return the increments of x and v from the coefficients of x."""
     x = evaluate_polynomial(terms[1:], step) * step
     return x, evaluate_polynomial([k * term for k, term in enumerate(terms)][2:], step) * step

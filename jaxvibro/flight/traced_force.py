@@ -1,4 +1,4 @@
-"""The Taylor series of a motion under a force of the user's own, operation by operation of what JAX traces of it."""
+"""Compute the Taylor series of a motion under a user-defined force, operation by operation of its jaxpr."""
 
 from functools import lru_cache
 
@@ -13,7 +13,7 @@ from .series import RULES, Series, Square, add_coefficients, scale_coefficient
 
 @lru_cache(256)
 def is_series_of_root(function, names, dtype):
-    """Whether the push of a wall is a power series in the root of the depth, also at the depth 0."""
+    """Return True if the force of a wall is a power series in the root of the depth, also at the depth 0."""
     closed_jaxpr, ones = cached_jaxpr(function, names, dtype, 2), np.ones((), dtype)
     with jax.ensure_compile_time_eval():
         depth = Square(Series(lambda series, k: None, 0.0 * ones, ones))
@@ -23,25 +23,26 @@ def is_series_of_root(function, names, dtype):
 
 
 def force_series(force, time, x, v):
-    """The `Series` of a force where t, x and v are these `Series`."""
+    """Return the `Series` of a force, given those of t, x and v."""
     return _function_series(force, np.dtype(jnp.result_type(*jax.tree.leaves((x[0], v[0])))), [time, x, v])
 
 
 def wall_push_series(law, depth, depth_rate):
-    """The `Series` of a wall's push, of a depth that is the `Square` of its root."""
+    """Return the `Series` of a wall's force, given a depth that is the `Square` of its root."""
     return _function_series(
         law, np.dtype(jnp.result_type(*jax.tree.leaves((depth[0], depth_rate[0])))), [depth, depth_rate]
     )
 
 
 def _function_series(force, dtype, variables):
-    """The `Series` of a function of these, and of its numbers."""
+    """Return the `Series` of a function of some series and of its parameters."""
     closed_jaxpr = cached_jaxpr(force.function, tuple(force.numbers), dtype, len(variables))
     (result,) = _evaluate_jaxpr(closed_jaxpr, [*variables, *(Series(None, param) for param in force.numbers.values())])
     return result
 
 
 def _evaluate_jaxpr(closed_jaxpr, arguments):
+    """Return the `Series` of the results of a jaxpr."""
     env = dict(zip(closed_jaxpr.jaxpr.invars, arguments, strict=True))
     env |= {
         name: Series(None, value) for name, value in zip(closed_jaxpr.jaxpr.constvars, closed_jaxpr.consts, strict=True)
@@ -66,14 +67,16 @@ def _evaluate_jaxpr(closed_jaxpr, arguments):
 
 
 def _bind_constants(eqn, operands):
-    """The result of an operation on numbers that are the same at all times, lanes or not."""
+    """Return the result of an operation on numbers that do not depend on time."""
     shape = jnp.broadcast_shapes(*map(jnp.shape, operands))
     return eqn.primitive.bind(*(jnp.broadcast_to(jnp.asarray(operand), shape) for operand in operands), **eqn.params)
 
 
 def motion_coefficients(force, time, x, v, drive_terms, order):
-    """The coefficients of x, from the constant up to an order, of the motion that is at x, v at a time t; drive_terms:
-    those of another force, order - 1 of them."""
+    """Return the coefficients of x up to an order, of the motion through x, v at a time.
+
+    `drive_terms` are order - 1 coefficients of another force.
+    """
     x_series = Series(lambda series, k: _next_coefficient(acceleration[k - 2], drive_terms[k - 2], k), x, v)
     v_series = Series(lambda series, k: scale_coefficient(k + 1.0, x_series[k + 1]), v)
     acceleration = force_series(force, Series(lambda series, k: None, time, 1.0), x_series, v_series)
@@ -81,6 +84,7 @@ def motion_coefficients(force, time, x, v, drive_terms, order):
 
 
 def _next_coefficient(force_term, drive_term, k):
+    """Return the k-th coefficient of x from those of the forces."""
     return stage(_scaled_sum, force_term, drive_term, factor=1.0 / (k * (k - 1)))
 
 
@@ -89,7 +93,7 @@ def _scaled_sum(force_term, drive_term, factor):
 
 
 def drive_coefficients(force, frequency, cosine, sine, n_terms):
-    """The first coefficients of force cos(omega t), where its phasor is this."""
+    """Return the first coefficients of force cos(omega t), at a phasor of the drive."""
     return stage(_drive_coefficients, force, frequency, cosine, sine, n_terms=n_terms)
 
 

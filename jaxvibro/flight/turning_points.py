@@ -1,7 +1,7 @@
-"""How close a flight came to a wall without touching it: the clearance at the turning points of x - x_b.
+"""Measure the clearance of a flight at the turning points of x - x_b, where the mass misses a wall.
 
-A step that passes a turning point is noted, and measured only when its lane passes the next: a block of lanes would
-else measure at nearly every step.
+A step with a turning point is recorded, and measured only when its lane passes the next turning point. Otherwise a
+block of lanes would measure at almost every step.
 """
 
 import math
@@ -20,24 +20,30 @@ from .flows import flow_of
 from .soft_wall_lanes import in_soft_wall
 from .wall_motion import subtract, wall_jet, wall_jet_on_side
 
-DOUBLE_TURN_CODE = 4.0  # added to the mark of two turns, in longest steps
-N_TERMS = 9  # of the Taylor polynomial of x, an odd number
-NEWTON_STEPS = 8  # of Newton's steps on it
-ROOT_TOLERANCE = 1e-3  # of the longest step: how good its root must be
-MAX_FIRST_STEP = 1.8  # of Newton's first step from an end, no more: between two turns it would lead to the other
-OTHER_TURN_FACTOR = (
-    2.2  # times a turn's distance from where the speed turns, a little over 2, is outside of the other turn
-)
-CUBIC_ERROR = (
-    0.05  # how far a cubic through the speeds of a step's ends may be off between, over the accelerations' change
-)
+DOUBLE_TURN_CODE = 4.0  # added to the code of two turning points, in longest steps
+N_TERMS = 9  # degree of the Taylor polynomial of x, an odd number
+NEWTON_STEPS = 8  # Newton steps on this polynomial
+ROOT_TOLERANCE = 1e-3  # tolerance of its root, in longest steps
+MAX_FIRST_STEP = 1.8  # largest multiple of Newton's first step from an end; beyond it lies the other turning point
+# slightly over 2; from a turning point this leads beyond the extremum of the speed and the other turning point
+OTHER_TURN_FACTOR = 2.2
+# error of a cubic through the speeds at the ends of a step, relative to the change of the acceleration
+CUBIC_ERROR = 0.05
 
 
 class TurningPoint(NamedTuple):
-    """A turning point: the motion at its step's start, the step's time, and a mark.
+    """Step with a turning point.
 
-    guess_code: the wall's sign times (a guess of the time from there + the longest step), 0 where there is none; BOTH
-    longest steps more where the motion turns back from the other wall too within the step."""
+    Attributes
+    ----------
+    motion : SlowMotion
+        Motion at the start of the step.
+    step_time : array
+        Length of the step.
+    guess_code : array
+        Sign of the wall times (a guess of the time since the start + the longest step), 0 without a turning point. The
+        magnitude is larger by `DOUBLE_TURN_CODE` longest steps if the motion turns back from the other wall as well.
+    """
 
     motion: SlowMotion
     step_time: Float[jax.Array, "*lanes"]
@@ -45,7 +51,17 @@ class TurningPoint(NamedTuple):
 
 
 class ClosestApproaches(NamedTuple):
-    """The least clearance so far, the turning points not yet measured, and those of the last step."""
+    """Smallest clearance and recorded turning points.
+
+    Attributes
+    ----------
+    least_clearance : array
+        Smallest clearance.
+    pending : TurningPoint
+        Turning points to be measured.
+    latest : TurningPoint
+        Turning points of the last step.
+    """
 
     least_clearance: Float[jax.Array, "*lanes"]
     pending: TurningPoint
@@ -53,14 +69,14 @@ class ClosestApproaches(NamedTuple):
 
 
 def no_turning_points(template):
-    """No turning point, for lanes like these."""
+    """Return the record without turning points, for lanes with the shape of a template."""
     zero = jnp.zeros_like(template)
     turning_point = TurningPoint(SlowMotion(*[zero] * 6), zero, zero)
     return ClosestApproaches(jnp.full_like(template, jnp.inf), turning_point, turning_point)
 
 
 def record_turning_point(coeffs, path, step, approaches):
-    """The calls with the turning points of one step more, noted where a lane has no other noted."""
+    """Return the approaches with the turning points of a step, pending where no other turning point is."""
     new_code = stage(_turning_code, coeffs, path, step.pre_impact_path, step.time)
     record_mask, latest_code = stage(_split_new, approaches.pending.guess_code, new_code)
     pending = jax.tree.map(
@@ -72,21 +88,21 @@ def record_turning_point(coeffs, path, step, approaches):
 
 
 def _split_new(pending_code, new_code):
-    """The lanes that have no other noted, and the marks of those that have."""
+    """Return the mask of lanes without a pending turning point, and the codes of the other lanes."""
     return bit_mask((pending_code == 0) & (new_code != 0), new_code), choose(pending_code == 0, 0.0, new_code)
 
 
 def needs_measurement(approaches):
-    """The lanes that have passed a turning point while another is noted: then `measure_pending` is due."""
+    """Return the lanes with a second turning point while one is pending, for which `measure_pending` is due."""
     return approaches.latest.guess_code != 0
 
 
 def measure_pending(coeffs, approaches):
-    """The calls with what is noted measured; noted is then its turn from the other wall, if it has one, else what is
-    fresh.
+    """Measure pending turning points.
 
-    The time is found on the speed's Taylor polynomial, then by one of Halley's steps along the flow: the polynomial
-    leaves an error below 1e-3 of the longest step, and that of the clearance is its fourth power.
+    The pending record becomes the turning point at the other wall if the step has one, and the latest one otherwise.
+    The time comes from the Taylor polynomial of the speed, then from one Halley step along the flow. The polynomial has
+    an error below 1e-3 of the longest step. The error of the clearance is of the fourth power of this.
     """
     motion, step_time, guess_code = approaches.pending
     side, flow = choose(guess_code < 0, lax.full_like(guess_code, -1.0), 1.0), flow_of(coeffs)
@@ -103,9 +119,8 @@ def measure_pending(coeffs, approaches):
         + correction * (relative_jet[1] + correction * (0.5 * relative_jet[2] + correction * (relative_jet[3] / 6.0)))
     )
     time, edge_tolerance = time + correction, coeffs.max_step * event.unit_roundoff(time.dtype) ** 0.5
-    is_converged = (
-        lax.abs(correction) <= coeffs.max_step * ROOT_TOLERANCE
-    )  # short beside a pull of zero too, where the speed is not
+    # the correction is also small at zero acceleration, where the speed need not be; hence the test of the speed
+    is_converged = lax.abs(correction) <= coeffs.max_step * ROOT_TOLERANCE
     is_real = (
         (guess_code != 0)
         & is_converged
@@ -122,7 +137,7 @@ def measure_pending(coeffs, approaches):
 
 
 def _decode_guess(coeffs, guess_code):
-    """Whether a mark is of two turns, and its guess of the time."""
+    """Return (True for a code of two turning points, guess of the time)."""
     magnitude = lax.abs(guess_code)
     is_double = magnitude > (DOUBLE_TURN_CODE - 1.0) * coeffs.max_step
     return is_double, magnitude - choose(
@@ -131,7 +146,7 @@ def _decode_guess(coeffs, guess_code):
 
 
 def _other_turn_code(coeffs, side, speed_terms, time, step_time):
-    """The mark of the turn from the other wall: as far on the other side of where the speed turns."""
+    """Return the code of the turning point at the other wall, as far beyond the extremum of the speed."""
     _, acceleration = event.horner_with_slope(speed_terms, time)
     curvature = event.horner_with_slope([k * term for k, term in enumerate(speed_terms)][1:], time)[1]
     time_guess = lax.clamp(lax.full_like(time, 0.0), time - OTHER_TURN_FACTOR * acceleration / curvature, step_time)
@@ -139,21 +154,22 @@ def _other_turn_code(coeffs, side, speed_terms, time, step_time):
 
 
 def _speed_terms(coeffs, side, motion, derivatives):
-    """Taylor coefficients of the speed of x - x_b."""
+    """Return the Taylor coefficients of the speed of x - x_b."""
     wall_derivs = wall_jet_on_side(coeffs, side, motion.cosine, motion.sine, N_TERMS)
     return [subtract(derivatives[k], wall_derivs[k]) * (1.0 / math.factorial(k - 1)) for k in range(1, N_TERMS + 1)]
 
 
 def _newton_step(speed_terms, time):
+    """Improve the time of a turning point by one Newton step."""
     speed, acceleration = event.horner_with_slope(speed_terms, time)
     return time - speed / acceleration
 
 
 def _turning_code(coeffs, path, end_path, step_time):
-    """The mark of a step's turning point; of more than one, that nearest to its wall at first.
+    """Return the code of the turning point of a step; of several, the one closest to its wall first.
 
-    The guess is an end from which Newton's steps come down one slope; the secant's where the speed falls throughout;
-    or, where x - x_b turns twice within the step, a parabola's.
+    The guess is an end of the step from which Newton steps converge monotonically. It is that of the secant if the
+    speed decreases throughout, and that of a parabola if x - x_b turns twice within the step.
     """
     is_free = lax.abs(path.contact) != Contact.STUCK
     is_inside_wall = in_soft_wall(coeffs, path.contact)
@@ -162,9 +178,8 @@ def _turning_code(coeffs, path, end_path, step_time):
     guess_code, least_distance = (lax.full_like(step_time, value) for value in (0.0, jnp.inf))
     n_turns = lax.full_like(step_time, 0.0)
     walls_fixed = all(wall.amplitude is None for wall in coeffs.walls)
-    for wall_group in (
-        [coeffs.walls] if walls_fixed else [(wall,) for wall in coeffs.walls]
-    ):  # still walls see the same speed
+    # fixed walls share one relative speed
+    for wall_group in [coeffs.walls] if walls_fixed else [(wall,) for wall in coeffs.walls]:
         start_motion, end_motion = (
             _relative_motion(coeffs, wall_group[0], path),
             _relative_motion(coeffs, wall_group[0], end_path),
@@ -209,7 +224,7 @@ def _turning_code(coeffs, path, end_path, step_time):
 
 
 def _nearer_wall(walls, offset):
-    """(sign of the wall that is nearer, the clearance to it): past, how far x is to the right of the first wall."""
+    """Return (sign of the nearer wall, clearance to it); `offset` is x relative to the first wall."""
     wall_sign = lax.full_like(offset, float(walls[0].sign))
     if len(walls) == 1:
         return wall_sign, -walls[0].sign * offset
@@ -218,14 +233,14 @@ def _nearer_wall(walls, offset):
 
 
 def _cubic_extremum(v0, a0, v1, a1, crest_time):
-    """The cubic with these values and slopes at 0 and 1 where its slope, were it straight, would pass zero."""
+    """Evaluate the cubic with given values and slopes at 0 and 1 where its slope, if linear, would vanish."""
     return v0 + crest_time * (
         a0 + crest_time * (3.0 * (v1 - v0) - 2.0 * a0 - a1 + crest_time * (2.0 * (v0 - v1) + a0 + a1))
     )
 
 
 def _relative_motion(coeffs, wall, path):
-    """x - x_b, its speed and its acceleration."""
+    """Return x - x_b, its speed and its acceleration."""
     acceleration, _ = flow_of(coeffs).acceleration_and_jerk(coeffs, path.x, path.v, path.cosine, path.sine)
     wall_position, wall_velocity, wall_acceleration = wall_jet(wall, coeffs.frequency, path.cosine, path.sine, 2)
     return (
@@ -236,11 +251,12 @@ def _relative_motion(coeffs, wall, path):
 
 
 def _halley_correction(speed, acceleration, jerk):
+    """Return the correction of a Halley step."""
     return -2.0 * speed * acceleration / (2.0 * acceleration * acceleration - speed * jerk)
 
 
 def _relative_jet(coeffs, side, motion):
-    """x - x_b of the wall on a side, and its first three derivatives."""
+    """Return x - x_b for the wall on a side and its first three derivatives."""
     x, x_low, v = motion_state(coeffs, motion)
     wall_derivs = wall_jet_on_side(coeffs, side, motion.cosine, motion.sine, 3)
     mass_derivs = x, v, *flow_of(coeffs).acceleration_and_jerk(coeffs, x, v, motion.cosine, motion.sine)

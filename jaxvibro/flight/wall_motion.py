@@ -1,4 +1,4 @@
-"""A wall along a flight: where it is, how it moves, and the jet of the clearance that the mass keeps to it."""
+"""Compute the motion of a wall along a flight, and the contact force on a mass that sticks to it."""
 
 from dataclasses import dataclass, field
 
@@ -16,10 +16,32 @@ from .drive import harmonic_phasor
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class WallCoefficients:
-    """One wall, its numbers scalars or lanes: x_b = position + swing cos(harmonic omega t + phase).
+    """Coefficients of a wall: x_b = position + amplitude cos(harmonic omega t + phase).
 
-    sign: -1 for the left wall, +1 for the right; amplitude: None where it stands still; cosine, sine: of its phase;
-    restitution: of a rigid wall; stiffness k2, damping gamma2: of a soft one, which has them in its place, or a law.
+    Numbers are scalars or lanes.
+
+    Attributes
+    ----------
+    position : array
+        Mean position.
+    restitution : array or None
+        Coefficient of restitution. None for a soft wall.
+    amplitude : array or None
+        Amplitude of the motion. None for a fixed wall.
+    cosine : array or None
+        Cosine of the phase.
+    sine : array or None
+        Sine of the phase.
+    sign : int
+        -1 for the left wall, 1 for the right wall.
+    harmonic : int
+        Multiple of the drive frequency.
+    stiffness : array or None
+        Stiffness k2 of a soft wall.
+    damping : array or None
+        Damping gamma2 of a soft wall.
+    law : Push or None
+        Force law of a soft wall, in place of stiffness and damping.
     """
 
     position: Float[jax.Array, "..."]
@@ -35,7 +57,7 @@ class WallCoefficients:
 
 
 def wall_coefficients(wall, scene, sign, dtype):
-    """The `WallCoefficients` of a scene's wall."""
+    """Return the `WallCoefficients` of a scene's wall."""
 
     def as_array(value):
         return jnp.asarray(value, dtype)
@@ -60,14 +82,30 @@ def wall_coefficients(wall, scene, sign, dtype):
 
 
 def wall_extent(wall):
-    """The largest distance of the wall from the origin, or a little more."""
+    """Return a bound on the distance of the wall from the origin."""
     return abs(wall.position) if wall.amplitude is None else abs(wall.position) + abs(wall.amplitude)
 
 
 def wall_jet(wall, frequency, cosine, sine, order):
-    """The wall's position and its derivatives to an order, where the drive is at this cosine and sine.
+    """Compute the position of a wall and its derivatives.
 
-    A derivative that is always zero is None.
+    Parameters
+    ----------
+    wall : WallCoefficients
+        Coefficients of the wall.
+    frequency : array
+        Drive frequency.
+    cosine : array
+        Cosine of the drive angle.
+    sine : array
+        Sine of the drive angle.
+    order : int
+        Order of the last derivative.
+
+    Returns
+    -------
+    list of array or None
+        Position and its derivatives. None for a derivative that is always zero.
     """
     if wall.amplitude is None:
         return [wall.position] + [None] * order
@@ -80,15 +118,28 @@ def wall_jet(wall, frequency, cosine, sine, order):
 
 
 def subtract(a, b):
-    """a - b, b being possibly None for zero."""
+    """Return a - b, where None for `b` stands for zero.
+
+    Parameters
+    ----------
+    a : array
+        Minuend.
+    b : array or None
+        Subtrahend.
+
+    Returns
+    -------
+    array
+        Difference.
+    """
     return a if b is None else a - b
 
 
 def contact_force(wall, amplitude, frequency, damping, cosine, sine, order):
-    """How hard a mass that rests on the wall is driven along x relative to it, x'' - x_b'', by force cos(omega t), and
-    its derivatives.
+    """Return the force x'' - x_b'' on a sticking mass relative to the wall, and its derivatives.
 
-    Times the wall's sign it is positive while the mass is pressed on.
+    The mass is driven by amplitude cos(omega t). Times the sign of the wall the force is positive while the mass is
+    pressed on the wall.
     """
     wall_derivs = wall_jet(wall, frequency, cosine, sine, order + 2)
     force_derivs = [amplitude * cosine, -(amplitude * sine) * frequency]
@@ -102,8 +153,10 @@ def contact_force(wall, amplitude, frequency, damping, cosine, sine, order):
 
 
 def remainder_bounds(wall, amplitude, frequency, damping, order, drive_terms=()):
-    """A bound on a derivative of `contact_force`, and of the wall's own position: (number, number); drive_terms: of the
-    drive, beside its first."""
+    """Return bounds on a derivative of `contact_force` and of the position of the wall: (bound, bound).
+
+    `drive_terms` are the further terms of the drive.
+    """
     force_bound = abs(amplitude) * frequency**order
     if drive_terms:
         force_bound = force_bound + drive.derivative_bound(drive_terms, frequency, order)
@@ -115,19 +168,68 @@ def remainder_bounds(wall, amplitude, frequency, damping, order, drive_terms=())
 
 
 def select_by_side(side, walls, values):
-    """The value that belongs to the wall on a side (-1, +1): values in the order of the walls; None stands for zero."""
+    """Select the value of the wall on a side.
+
+    Parameters
+    ----------
+    side : array
+        Side of the wall, -1 or 1.
+    walls : sequence of WallCoefficients
+        Walls, left first.
+    values : sequence of array or None
+        Value of each wall. None stands for zero.
+
+    Returns
+    -------
+    array or None
+        Value of the wall on the side of each lane. None if all values are None.
+    """
     if len(walls) == 1 or all(value is None for value in values):
         return values[0]
     return choose(side < 0, *(0.0 if value is None else value for value in values))
 
 
 def select_lists_by_side(side, walls, value_lists):
-    """`select_by_side` for each place of some lists, one list a wall."""
+    """Select the list of the wall on a side, entry by entry.
+
+    Parameters
+    ----------
+    side : array
+        Side of the wall, -1 or 1.
+    walls : sequence of WallCoefficients
+        Walls, left first.
+    value_lists : sequence of list
+        List of each wall.
+
+    Returns
+    -------
+    list of array or None
+        Entries selected by `select_by_side`.
+    """
     return [select_by_side(side, walls, values) for values in zip(*value_lists, strict=True)]
 
 
 def wall_jet_on_side(coeffs, side, cosine, sine, order):
-    """`wall_jet` of the wall on a side of each lane."""
+    """Compute the position of the wall on a side and its derivatives.
+
+    Parameters
+    ----------
+    coeffs : FlowCoefficients
+        Coefficients of the scene.
+    side : array
+        Side of the wall, -1 or 1.
+    cosine : array
+        Cosine of the drive angle.
+    sine : array
+        Sine of the drive angle.
+    order : int
+        Order of the last derivative.
+
+    Returns
+    -------
+    list of array or None
+        Position and its derivatives. None for a derivative that is always zero.
+    """
     return select_lists_by_side(
         side, coeffs.walls, [wall_jet(wall, coeffs.frequency, cosine, sine, order) for wall in coeffs.walls]
     )

@@ -1,4 +1,4 @@
-"""Where the walls are at a phase of the drive, and the state that a moved wall leaves behind."""
+"""Compute wall positions at a phase of the drive, and adapt states to moved walls."""
 
 import jax.numpy as jnp
 
@@ -13,9 +13,19 @@ WALL_SIGNS = (-1.0, 1.0)
 
 @persistent_jit(numpy_first=True)
 def wall_states(scene, phase):
-    """Position and velocity of the left and of the right wall at a phase: ((x, v), (x, v)).
+    """Compute the states of both walls at a phase.
 
-    A wall that is not there is infinitely far away, at rest. phase: rad, of the drive; it broadcasts with the scene.
+    Parameters
+    ----------
+    scene : Scene
+        Scene.
+    phase : array
+        Phase of the drive, in rad. Broadcasts with the scene.
+
+    Returns
+    -------
+    tuple of tuple of array
+        Position and velocity of the left wall, then of the right wall. A missing wall is at rest at infinity.
     """
     return tuple(
         _wall_state(getattr(scene, side), sign, scene, phase) for side, sign in zip(SIDES, WALL_SIGNS, strict=True)
@@ -23,6 +33,7 @@ def wall_states(scene, phase):
 
 
 def _wall_state(wall, sign, scene, phase):
+    """Return position and velocity of one wall."""
     if wall is None:
         return jnp.full_like(scene.amplitude, sign * jnp.inf), jnp.zeros_like(scene.amplitude)
     if wall.motion is None:
@@ -35,12 +46,24 @@ def _wall_state(wall, sign, scene, phase):
 
 
 def clamp_to_walls(scene, state):
-    """The state where it keeps between the scene's walls, else the nearest that does.
+    """Move a state between the walls of a scene if it is outside.
 
-    A mass beyond a rigid wall is put on it with the velocity that it has. One that is in contact goes along with its
-    wall; one that rests there takes the wall's velocity, and one that has landed and is met again by the wall is free
-    to rebound. A mass within a soft wall stays where it is, and is free where the wall has gone away from it. Where the
-    walls are as they were, this changes nothing.
+    Parameters
+    ----------
+    scene : Scene
+        Scene.
+    state : State
+        State, for example from another scene.
+
+    Returns
+    -------
+    State
+        Closest state between the walls. If the walls have not moved it equals `state`.
+
+    Notes
+    ----- A mass beyond a rigid wall moves onto the wall and keeps its velocity. A mass in contact moves with its wall.
+    If it sticks it takes the velocity of the wall. If it has landed and the wall catches up with it, it becomes free
+    and rebounds. A mass inside a soft wall does not move, and becomes free if the wall has receded from it.
     """
     x, v, contact = state.x, state.v, state.contact
     is_sticking = abs(contact) == Contact.STUCK

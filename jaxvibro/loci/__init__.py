@@ -1,6 +1,6 @@
-"""Loci: special points of branches along two parameters.
+"""Continue special points of branches in two parameters.
 
-In: a special point of a branch and two parameters. Out: `Locus`, with its points of codimension two; derivatives of
-the point's value; families along a third parameter; what leaves a point of codimension two. Start with `locus`; the
-equations are in `extended_system`, the loop in `track`, `switch` in `leaving`.
+In: a special point of a branch and two parameters. Out: `Locus` with its points of codimension two, derivatives of the
+value of the point, families along a third parameter, and the loci that emanate from a point of codimension two. Start
+reading at `locus`. The equations are in `extended_system`, the loop in `track`, and `switch` in `locus_switching`.
 """

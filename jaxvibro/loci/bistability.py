@@ -1,17 +1,30 @@
-"""Between which loci two stable motions exist: `coexistences`, read from the folds of branches."""
+"""Find pairs of loci between which two stable motions coexist: `coexistences`."""
 
 from itertools import pairwise
 
 from .loci import passes_through
 
-STABILITY_OFFSET = 2  # points of a branch from a special one to where its stability is looked at
+STABILITY_OFFSET = 2  # points between a special point and the point at which stability is read
 
 
 def coexistences(branches, loci):
-    """(first `Locus`, second `Locus`, "P100 and P111") wherever a branch folds back from one stable stretch to another.
+    """Find pairs of loci between which a branch folds from one stable part to another.
 
-    The two stable motions exist together between the special points at both ends of the unstable stretch between them,
-    and so between the loci of these. Left out is what has no locus.
+    Two stable motions coexist between the special points at both ends of the unstable part, and hence between the loci
+    of these points.
+
+    Parameters
+    ----------
+    branches : sequence of Branch
+        Branches of one scene.
+    loci : sequence of Locus
+        Loci of their special points.
+
+    Returns
+    -------
+    list of tuple
+        (first `Locus`, second `Locus`, text such as ``"P100 and P111"``) for each pair. Folds whose special points have
+        no locus are omitted.
     """
     locus_pairs = []
     for branch in branches:
@@ -33,7 +46,7 @@ def coexistences(branches, loci):
 
 
 def _coexistence_label(branch, index_before, index_after):
-    """What the motions at two stable points are called, None where one is not stable, or no point of the branch."""
+    """Name the motions at two points, or return None if a point is not stable or not a point of the branch."""
     if (
         index_before < 0
         or index_after >= len(branch)
@@ -48,7 +61,7 @@ def _coexistence_label(branch, index_before, index_after):
 
 
 def _is_fold(branch, first_index, last_index):
-    """Whether a branch is unstable from one point to another, and comes to both from the same side of the parameter."""
+    """Check that a branch is unstable between two points and reaches both from the same side of the parameter."""
     values = branch.values
     turns_back = (values[first_index] - values[first_index - STABILITY_OFFSET]) * (
         values[last_index] - values[last_index + STABILITY_OFFSET]

@@ -1,8 +1,9 @@
-"""The equations of an orbit whose rest just is one, along two parameters: of a CH, or of a release within a rest (RL).
+"""Define the equations of an orbit at a limit of its sticking phase (CH or RL) in two parameters.
 
-To the orbit's equations comes how far the hops before a release are from those that just end in rest, or how hard the
-wall presses where it does least. Both are known by numbers alone, the one by halving: their slopes are differences, by
-the times of the row and of its release, its speed and the parameters, as nothing else matters to them.
+One equation is added to those of the orbit. At CH, where the mass just comes to rest, it is the excess speed of the
+hops before the release. At RL, a release within a sticking phase, it is the minimum of the contact force. Both are
+computed as values only, the excess speed by bisection. Their gradients are central differences in the times of the row
+and of its release, its speed and the parameters; no other unknown affects them.
 """
 
 from functools import partial
@@ -26,13 +27,16 @@ from ..problem.equations import are_impacts, continuation_problem, evaluate_impa
 from ..scene.scene import Scene
 from .extended_system import evaluate_by_differences
 
-DIFFERENCE_STEP = 1e-5  # of 1 + abs z: the points of a difference
+DIFFERENCE_STEP = 1e-5  # relative to 1 + |z|: step of central differences
 
 
 class ChatterEquations(NamedTuple):
-    """What a locus of CH or RL is of. scene, parameter_marks, sequence: as of `OrbitEquations`; row_mask: (rows,), 1 at
-    the row whose rest just is one; is_release: 1 where its wall just holds, 0 where its hops just end; slack: as of
-    `Grazing`."""
+    """Equations of a locus of CH or RL.
+
+    `scene`, `parameter_marks` and `sequence` are those of `OrbitEquations`. `row_mask` (rows,) is 1 at the row whose
+    sticking phase is at its limit. `is_release` is 1 at RL, where the contact force vanishes, and 0 at CH, where the
+    hops just end. `slack` is that of `GrazingEquations`.
+    """
 
     scene: Scene
     parameter_marks: Scene
@@ -43,12 +47,12 @@ class ChatterEquations(NamedTuple):
 
     @property
     def impact_rows(self) -> Int[np.ndarray, " impacts"]:
-        """The rows of impacts, whose speeds are to be positive."""
+        """Rows of impacts, whose speeds must be positive."""
         return np.flatnonzero(are_impacts(self.sequence))
 
 
 def _evaluate_measure(measure, problem, z):
-    """What is zero there."""
+    """Evaluate the measure that vanishes at the limit of the sticking phase."""
     coeffs, sequence = flow_coefficients(scene_at(problem, z)), sequence_at(problem, z)
     flights = impact_equations.compute_flights(coeffs, sequence)
     tails, _ = chatter_and_release.chatter_starts(coeffs, sequence, flights)
@@ -57,7 +61,7 @@ def _evaluate_measure(measure, problem, z):
 
 
 def _relevant_directions(problem, z):
-    """The directions of z that change it: (directions, unknowns)."""
+    """Return the unit vectors of z that affect the measure. Array of shape (directions, unknowns)."""
     n_rows = len(problem.row_mask)
     last_row = jnp.sum(problem.sequence.sides != 0) - 1
     row = jnp.argmax(problem.row_mask)
@@ -67,7 +71,7 @@ def _relevant_directions(problem, z):
 
 
 def _chatter_system(measure, has_soft_walls, z, problem):
-    """(F, dF/dz); an empty row's unknowns are to be zero."""
+    """Return (F, dF/dz); the unknowns of an empty row must be zero."""
     residual, jacobian = (
         evaluate_by_differences(z, problem)[:2] if has_soft_walls else evaluate_impact_system(z, problem)
     )

@@ -1,11 +1,15 @@
-"""Points of codimension two on a locus: where it meets another, or where what crosses it changes its kind.
+"""Locate points of codimension two on a locus.
 
-On a locus of SN a cusp (CP), where w F_uu v v is zero, v and w being the right and left null vectors of F_u; on one of
-PD or SB a generalized period doubling (GPD) or degenerate symmetry breaking (DSB), where w (F_uuu v v v + 3 F_uu v h)
-is, with F_u h = -F_uu v v (Kuznetsov, Elements of Applied Bifurcation Theory, 5.4); on one of GR a resonant grazing
-(RG), where the equations with the touch as an impact are singular, those of SN and of PD together, and a nonhyperbolic
-one (SN, PD, SB), where those without it are. F is entire in times and speeds: central differences over many points give
-these derivatives to rounding.
+At these points the locus meets another, or its normal form degenerates.
+
+- SN: a cusp (CP), where ``w F_uu v v = 0``, with the right and left null vectors v and w of F_u.
+- PD or SB: a generalized period doubling (GPD) or degenerate symmetry breaking (DSB), where
+  ``w (F_uuu v v v + 3 F_uu v h) = 0`` with ``F_u h = -F_uu v v`` (Kuznetsov, Elements of Applied Bifurcation Theory,
+  5.4).
+- GR: a resonant grazing (RG), where the equations with the grazing contact as an impact are singular, those of SN and
+  of PD at once; and a nonhyperbolic grazing (SN, PD, SB), where the equations without the contact are singular.
+
+F is an entire function of times and speeds. Central differences over many points give these derivatives to rounding.
 """
 
 from typing import NamedTuple
@@ -32,12 +36,15 @@ from ..problem.diagnostics import diagnose
 from ..problem.equations import continuation_problem, scene_at, sequence_at
 from .extended_system import GrazingEquations
 
-NODE_SPACING = 0.03  # between the nearest of the points of a difference, times the fastest rate
+NODE_SPACING = 0.03  # distance of neighbouring nodes of a difference, times the fastest rate
 STENCIL_NODES = np.array([-8, -6, -4, -3, -2, -1, 0, 1, 2, 3, 4, 6, 8])
 
 
 def _richardson_weights(nine_point_weights, order, error_order):
-    """Of a derivative at PLACES: of nine points, and of nine twice as far apart, so that the first error falls out."""
+    """Return Richardson-extrapolated weights at `STENCIL_NODES`.
+
+    They combine nine points with nine points twice as far apart, so that the leading error cancels.
+    """
     near_weights, far_weights = (
         np.array([nine_point_weights[k // n + 4] if k % n == 0 and abs(k) <= 4 * n else 0.0 for k in STENCIL_NODES])
         for n in (1, 2)
@@ -45,7 +52,7 @@ def _richardson_weights(nine_point_weights, order, error_order):
     return (2.0**error_order * near_weights - far_weights / 2.0**order) / (2.0**error_order - 1.0)
 
 
-# places and weights of the second and the third derivative: to rounding, and for a sign alone
+# Nodes and weights of the second and third derivative: accurate to rounding, and accurate enough for a sign.
 FINE_STENCIL = (
     STENCIL_NODES,
     _richardson_weights([-1 / 560, 8 / 315, -1 / 5, 8 / 5, -205 / 72, 8 / 5, -1 / 5, 8 / 315, -1 / 560], 2, 8),
@@ -56,18 +63,18 @@ COARSE_STENCIL = (
     np.array([1 / 90, -3 / 20, 3 / 2, -49 / 18, 3 / 2, -3 / 20, 1 / 90]),
     np.array([1 / 8, -1, 13 / 8, 0, -13 / 8, 1, -1 / 8]),
 )
-DERIVATIVE_ORDERS = {"CP": 2, "GPD": 3, "DSB": 3}  # of the derivative that is zero there
-DIFFERENCE_STEP = 1e-5  # of 1 + abs z: the points of a difference, for Newton's method
-MIN_MULTIPLIER_SLOPE = 1e-10  # `_Bend.across`: as small, an impact has no speed, and the third derivative no value
-SAME_POINT_TOLERANCE = 1e-7  # of z: two points as near are one
-LANES = 132  # points of a compiled call
+DERIVATIVE_ORDERS = {"CP": 2, "GPD": 3, "DSB": 3}  # order of the derivative that vanishes
+DIFFERENCE_STEP = 1e-5  # relative to 1 + |z|: step of central differences for Newton's method
+# Below this `multiplier_derivative` an impact has zero speed, and the third derivative is undefined.
+MIN_MULTIPLIER_SLOPE = 1e-10
+SAME_POINT_TOLERANCE = 1e-7  # in scaled z: points closer than this coincide
+LANES = 132  # points per compiled call
 
 
 def locate_events(task, points, diagnostics):
-    """The `Event`s between points in a row, of which the `Diagnostics` is known; task: the `driver.Task` of the
-    locus."""
+    """Return the `Event` records between consecutive points with known `Diagnostics`; `task` is that of the locus."""
     problem, events = task.args, []
-    if problem.sequence.releases is not None:  # what forgets has no fold, and does not double
+    if problem.sequence.releases is not None:  # a sticking orbit neither folds nor doubles its period
         return events
     for kind, values in _test_functions(problem, points, diagnostics).items():
         for index in np.flatnonzero(values[:-1] * values[1:] < 0):
@@ -81,7 +88,7 @@ def locate_events(task, points, diagnostics):
 
 
 def _test_functions(problem, points, diagnostics):
-    """{kind: values at points that change their sign there}."""
+    """Return the values of the test function of each kind at the points."""
     if not isinstance(problem, GrazingEquations):
         if float(problem.multiplier) > 0:
             tangent_products = np.sum(points.tangent[1:, -2:] * points.tangent[:-1, -2:], axis=1)
@@ -100,9 +107,12 @@ def _test_functions(problem, points, diagnostics):
 
 
 def _tests_without_grazing(problem, zs, diagnostics):
-    """What is zero on a GR where the orbit without the touch is an SN, and where a PD or SB; None where that has no
-    impacts and the touch does something. With a smooth touch the equations of the impacts are always singular: there it
-    is the monodromy matrix less or plus 1, its determinant."""
+    """Return test functions of a GR that vanish where the orbit without the grazing contact is an SN, and a PD or SB.
+
+    Returns None if that orbit has no impacts and the contact is not smooth. At a smooth contact the equations of the
+    impacts are always singular. The test functions are then the determinants of the monodromy matrix minus and plus the
+    identity.
+    """
     if problem.sequence.grazing is not None:
         closure_sign = -1.0 if float(problem.sequence.closure_sign) < 0 else 1.0
         return tuple(1.0 + diagnostics.determinant - sign * closure_sign * diagnostics.trace for sign in (1.0, -1.0))
@@ -141,7 +151,7 @@ def _locate_event(task, kind, points, index, values):
 
 
 def _solve_event(problem, kind, z):
-    """Newton's method on the locus and the event's equation: `locate.Located`."""
+    """Apply Newton's method to the equations of the locus and of the event; return a `PointSolution`."""
     start_values, null_vectors = _event_values(problem, kind, z[None])
     normalisation = abs(start_values[0]) or 1.0
 
@@ -160,7 +170,7 @@ def _solve_event(problem, kind, z):
 
 
 def _event_values(problem, kind, zs, reference_vectors=None):
-    """(what is zero at an event, at some points; the null vectors that give it its sign, as `_NormalFormTerm`)."""
+    """Return the test function of an event at points, and the null vectors that fix its sign."""
     if kind in DERIVATIVE_ORDERS:
         normal_forms = _normal_forms(problem, zs, DERIVATIVE_ORDERS[kind], True, reference_vectors)
         return normal_forms.value, (normal_forms.right_null[0], normal_forms.left_null[0])
@@ -172,10 +182,12 @@ def _event_values(problem, kind, zs, reference_vectors=None):
 
 
 class _NormalFormTerm(NamedTuple):
-    """value: the derivative of second or third order along the null vectors v and w; multiplier_derivative: how w F_u v
-    changes with the closing; where that is positive the sign of the third derivative is a normal form's. Near an impact
-    without speed h and the third derivative grow like 1 / speed: so h is a direction of its own, taken with length
-    1."""
+    """Derivative of second or third order along the null vectors v and w.
+
+    `multiplier_derivative` is the derivative of w F_u v with respect to the multiplier of the closure. If it is
+    positive, the sign of the third derivative is that of a normal form. Near an impact with zero speed, h and the third
+    derivative grow like 1 / speed. Therefore h is treated as a direction of length 1.
+    """
 
     value: Float[Array, "*points"]
     right_null: Float[Array, "*points unknowns"]
@@ -184,8 +196,11 @@ class _NormalFormTerm(NamedTuple):
 
 
 def _normal_forms(problem, zs, order, high_accuracy, reference_vectors=None):
-    """The `_NormalFormTerm` at each point. high_accuracy: to rounding, else to seven digits or so; reference_vectors:
-    the (v, w) that give these their signs."""
+    """Return the `_NormalFormTerm` at each point.
+
+    With `high_accuracy` the derivatives are accurate to rounding, else to about seven digits. `reference_vectors` are
+    the (v, w) that fix the signs.
+    """
     reference_vectors = (
         tuple(np.zeros((2, 2 * len(problem.sequence.sides)))) if reference_vectors is None else reference_vectors
     )
@@ -240,7 +255,7 @@ def _normal_form_at(problem, z, reference_vectors, order, high_accuracy):
     nodes, *weights = FINE_STENCIL if high_accuracy else COARSE_STENCIL
 
     def differentiate(correction):
-        """The second and the third derivative along v + h."""
+        """Return the second and the third derivative along v + h."""
         residuals = jax.vmap(
             lambda node: _shifted_residual(problem, coeffs, z, right_null, correction, node * node_spacing)
         )(jnp.array(nodes, z.dtype))
@@ -249,7 +264,7 @@ def _normal_form_at(problem, z, reference_vectors, order, high_accuracy):
             for derivative_order, order_weights in zip((2, 3), weights, strict=True)
         ]
 
-    def accumulate(k, carry):  # along v, then v + h and v - h, h of length 1
+    def accumulate(k, carry):  # along v, then v + h and v - h with h of length 1
         second_derivative, third_derivative, mixed_derivative, _ = carry
         correction = jnp.where(k > 0, -solve(cyclic_system.dense_matrix(jacobian), second_derivative).x, 0.0)
         correction_norm = jnp.sqrt(jnp.sum(correction * correction))
@@ -278,7 +293,7 @@ def _normal_form_at(problem, z, reference_vectors, order, high_accuracy):
 
 
 def _fastest_rate(coeffs, contact_map, sides):
-    """The fastest of the flights', and of what is felt within soft walls."""
+    """Return the fastest rate of the flights and of the oscillations inside soft walls."""
     max_rate = flow.max_rate(coeffs.frequency, coeffs.damping)
     if coeffs.drive_terms:
         max_rate = jnp.maximum(max_rate, coeffs.frequency * float(drive.highest_harmonic(coeffs.drive_terms)))
@@ -290,7 +305,10 @@ def _fastest_rate(coeffs, contact_map, sides):
 
 
 def _shifted_residual(problem, coeffs, z, right_null, correction, distance):
-    """F of the impacts moved by s (v + h), the first impact of the next time round by v as its closing says."""
+    """Return F of the impacts moved by s (v + h).
+
+    In the next cycle, the first impact moves by v times the multiplier of the closure.
+    """
     n_rows, shifts = (
         len(problem.sequence.sides),
         ((distance * right_null, problem.multiplier), (distance * correction, 1.0)),

@@ -1,8 +1,9 @@
-"""Where a locus of grazings ends in a degenerate one (DG): the touch has neither speed nor acceleration.
+"""Locate the degenerate grazing (DG) that ends a locus of grazings: the contact has neither speed nor acceleration.
 
-Beyond, the wall presses as the mass comes to it, which rests at once: nothing grazes any more. Towards the point the
-hops behind the touch, by which the mass comes to rest, lose their speed and time with its acceleration, so that the
-equations with them are singular there. Those without are not: the touch is the last row before the release.
+Beyond it the contact force is positive as soon as the mass reaches the wall, and the mass sticks at once, without a
+grazing. Towards the point, the hops between the contact and the sticking phase lose their speed and duration with the
+acceleration of the contact. The equations with these hops are singular at the point. The equations without them are
+regular: the contact is then the last row before the release.
 """
 
 import numpy as np
@@ -15,12 +16,12 @@ from ..problem.grazing import padded_sequence, replace_sequence
 from ..problem.grazing_contact import approach_acceleration, locate_zero
 from .extended_system import GrazingEquations
 
-MAX_HOP_SPEED = 1e-3  # of the scene's length per t: hops that are as slow may be about to vanish
-END_TOLERANCE = 1e-4  # of 1 + abs of the parameters: so far from its end is the point
+MAX_HOP_SPEED = 1e-3  # in lengths of the scene per unit time: slower hops may be vanishing
+END_TOLERANCE = 1e-4  # relative to 1 + |parameter|: largest distance of the point from the end
 
 
 def locate_degenerate_end(direction, segment):
-    """The `Stretch` along a `LocusWay` with its end put to the DG that it comes to, None where it comes to none."""
+    """Return the segment along a `LocusDirection` with its end moved to the DG that it approaches, or None."""
     problem = direction.problem
     if segment.end is not End.STEP or not isinstance(problem, GrazingEquations) or problem.sequence.releases is None:
         return None
@@ -60,7 +61,7 @@ def locate_degenerate_end(direction, segment):
 
 
 def _vanishing_hop_rows(problem, z, grazing_row, scene_length):
-    """The rows of the hops between a touch and the release that follows, where all are slow; none elsewhere."""
+    """Return the rows of the hops between a contact and the next release if all are slow, else no row."""
     n_rows, n_impacts = len(problem.sequence.sides), int(np.sum(problem.sequence.sides != 0))
     sides, is_impact, hop_rows = side_codes(problem.sequence)[:n_impacts], are_impacts(problem.sequence), []
     for row_offset in range(1, n_impacts):

@@ -1,17 +1,19 @@
-"""The equations of a special point along two parameters of the scene, as `continuation` takes them.
+"""Define the equations of a special point in two parameters of the scene as a `continuation` problem.
 
-z = (times, speeds, first parameter, second). To the orbit's equations comes one more: an impact has no speed (GR), or
-the equations, or those of a change that is the opposite each time round, are singular in times and speeds (SN; PD). A
-symmetric orbit is followed by half of it, whose change then closes as itself at SN, as its opposite at SB: both are
-regular there, while for the whole orbit a pitchfork is not.
+The unknowns are z = (times, speeds, first parameter, second parameter). One equation is added to those of the orbit: an
+impact has zero speed (GR), or the equations are singular in times and speeds for a perturbation that returns as itself
+(SN) or as its opposite (PD). A symmetric orbit is represented by one half, whose perturbation returns as itself at SN
+and as its opposite at SB. Both are regular points of these equations, while a pitchfork is a singular point of the
+equations of the whole orbit.
 
-Between soft walls the derivatives by the parameters, and of the slopes, are differences (`evaluate_by_differences`):
-the equations are compiled once in place of many times. They only point the way: where a locus lies is decided by the
-equations and their first derivatives by times and speeds, which are exact. A touch of a soft wall that is smooth
-(`soft_grazing.is_smooth`) is an impact that does nothing, as at speed zero the equations with a stay are singular.
+With soft walls, the derivatives with respect to the parameters, and those of the Jacobian, are central differences
+(`evaluate_by_differences`), so that the equations are compiled once instead of many times. They only determine the
+search direction: the position of a locus follows from the equations and their first derivatives with respect to times
+and speeds, which are exact. A smooth grazing contact with a soft wall (`soft_grazing.is_smooth`) is an impact without
+effect, because the equations with a contact phase are singular at zero speed.
 
-An orbit that rests has no ring: before a release nothing hangs on what was before, and beside a grazing a row alone has
-no pivot. Its equations are solved as one matrix.
+The equations of a sticking orbit have no cyclic structure: a release does not depend on what precedes it, and next to a
+grazing a single row has no pivot. They are solved as one dense matrix.
 """
 
 from functools import partial
@@ -43,13 +45,16 @@ from ..problem.equations import (
 )
 from ..scene.scene import Scene
 
-DIFFERENCE_STEP = 1e-5  # of 1 + abs z: the points of a difference
+DIFFERENCE_STEP = 1e-5  # relative to 1 + |z|: step of central differences
 
 
 class GrazingEquations(NamedTuple):
-    """What a locus of GR is of. scene, parameter_marks, sequence: as of `OrbitEquations`, the touch being an impact;
-    row_mask: (rows,), 1 at the impact without speed; slack: how deep behind a wall a flight may be, as the touch has a
-    rounding."""
+    """Equations of a locus of GR.
+
+    `scene`, `parameter_marks` and `sequence` are those of `OrbitEquations`, with the grazing contact as an impact.
+    `row_mask` (rows,) is 1 at the impact with zero speed. `slack` is the admissible penetration of a flight, which
+    allows for rounding at the contact.
+    """
 
     scene: Scene
     parameter_marks: Scene
@@ -59,7 +64,7 @@ class GrazingEquations(NamedTuple):
 
     @property
     def impact_rows(self) -> Int[np.ndarray, " impacts"]:
-        """The rows of impacts whose speeds are to be positive."""
+        """Rows of impacts, except the grazing contact, whose speeds must be positive."""
         return np.flatnonzero(are_impacts(self.sequence) & (self.row_mask == 0))
 
 
@@ -67,20 +72,23 @@ class GrazingEquations(NamedTuple):
 def _(problem: GrazingEquations, diagnostics):
     return diagnostics.sticking_time, np.where(
         problem.row_mask > 0, np.inf, diagnostics.min_contact_force
-    )  # at the touch the wall may begin to press: a DG
+    )  # at the grazing contact the contact force may become positive: a DG
 
 
 class SingularEquations(NamedTuple):
-    """What a locus of SN, PD or SB is of. scene, parameter_marks, sequence: as of `OrbitEquations`; multiplier: 1 where
-    a change of the orbit comes back as itself, -1 where as its opposite."""
+    """Equations of a locus of SN, PD or SB.
+
+    `scene`, `parameter_marks` and `sequence` are those of `OrbitEquations`. `multiplier` is 1 if a perturbation of the
+    orbit returns as itself, -1 if it returns as its opposite.
+    """
 
     scene: Scene
     parameter_marks: Scene
     sequence: ImpactSequence
     multiplier: Float[Array, ""]
 
-    impact_rows = OrbitEquations.impact_rows  # type: ignore[misc]  # properties that both have
-    slack = OrbitEquations.slack  # type: ignore[misc]  # so too
+    impact_rows = OrbitEquations.impact_rows  # type: ignore[misc]  # shared property
+    slack = OrbitEquations.slack  # type: ignore[misc]  # shared property
 
 
 def _grazing_system(z, problem):
@@ -95,9 +103,12 @@ def _speed_selector(z, problem):
 
 
 def _singular_system(z, problem):
-    """w J v, w and v being J's null vectors where it is singular, over the length of its gradient w J' v: it is then
-    about the distance from its zero. As second derivatives commute, that by times and speeds is w times the derivative
-    of the equations' slopes along v (Govaerts, Numerical Methods for Bifurcations of Dynamical Equilibria, 4.1.2)."""
+    """Append w J v, divided by the length of its gradient w J' v, to the equations of the orbit.
+
+    w and v are the null vectors of J where it is singular. The appended value is approximately the distance from its
+    zero. Second derivatives commute, so that the gradient with respect to times and speeds is w times the derivative of
+    the Jacobian along v (Govaerts, Numerical Methods for Bifurcations of Dynamical Equilibria, 4.1.2).
+    """
     residual, jacobian, jacobian_derivatives = evaluate_with_variations(z, problem)
     left_null, right_null = cyclic_system.null_vectors(jacobian, problem.multiplier)
     coeffs, n_unknowns = flow_coefficients(scene_at(problem, z)), len(left_null)
@@ -112,7 +123,7 @@ def _singular_system(z, problem):
 
 
 def _append_singularity(problem, residual, jacobian, jacobian_derivatives, curvature, left_null, right_null):
-    """(F with w J v, over the length of its gradient, at its end; their slopes)."""
+    """Return F with the normalised w J v appended, and their derivatives."""
     parameter_gradient = jnp.stack(
         [
             cyclic_system.bilinear_form(left_null, derivative, right_null, problem.multiplier)
@@ -144,8 +155,11 @@ def _soft_singular_system(z, problem):
 
 
 def evaluate_by_differences(z, problem, multiplier=None):
-    """(F, its `cyclic_system.Ring`, how the ring's own and following change with each parameter and, where a closing is
-    given, along its right null vector), by central differences."""
+    """Evaluate the equations and their derivatives by central differences.
+
+    Returns F, its `CyclicBlockMatrix`, and the derivatives of this matrix with respect to each parameter and, if a
+    multiplier is given, along its right null vector.
+    """
     n_rows, n_orbit_unknowns = len(problem.sequence.sides), 2 * len(problem.sequence.sides)
     n_null_directions, last_row = int(multiplier is not None), jnp.sum(problem.sequence.sides != 0) - 1
     spacing = DIFFERENCE_STEP * (
@@ -157,7 +171,7 @@ def evaluate_by_differences(z, problem, multiplier=None):
         step = lax.dynamic_index_in_dim(jnp.asarray(directions, z.dtype), k, keepdims=False) * spacing
         shifted_z = jnp.concatenate([z[:n_orbit_unknowns], z[n_orbit_unknowns:] + step[: len(z) - n_orbit_unknowns]])
         coeffs, sequence = flow_coefficients(scene_at(problem, shifted_z)), sequence_at(problem, z)
-        if n_null_directions:  # none at the first turn, at z itself, before the null vector is known
+        if n_null_directions:  # zero at k = 0, at z itself, where the null vector is not known yet
             right_null = _normalise(cyclic_system.null_vectors(_cyclic_matrix(results, 0, last_row), multiplier)[1])
             null_shift = jnp.where(step[-1] == 0, 0.0, step[-1] * right_null)
             sequence = impact_equations.unroll_sequence(sequence, coeffs.period, ((null_shift, multiplier),))
@@ -194,12 +208,12 @@ def _normalise(vector):
 
 
 def _cyclic_matrix(results, k, last_row):
-    """The `Ring` of a turn of `evaluate_by_differences`, by: F."""
+    """Return the `CyclicBlockMatrix` of evaluation k; its parameter block holds F."""
     return cyclic_system.CyclicBlockMatrix(*(blocks[k] for blocks in results), last_row)
 
 
 def _matrix_derivative(results, k, spacing, last_row):
-    """How the same change along a way."""
+    """Return the central difference of the matrix along direction k."""
     n_directions = len(spacing)
     return cyclic_system.CyclicBlockMatrix(
         *((blocks[1 + k] - blocks[1 + n_directions + k]) / (2.0 * spacing[k]) for blocks in results), last_row
@@ -216,7 +230,7 @@ def _solve_bordered(jacobian, border_row, right_sides):
 
 
 def _dense_system(system, z, problem):
-    """(F, dF/dz) of one of these systems; an empty row's unknowns are to be zero."""
+    """Return (F, dF/dz) of one of these systems; the unknowns of an empty row must be zero."""
     residual, (cyclic_matrix, extra_row) = system(z, problem)
     is_empty = jnp.tile(problem.sequence.sides == 0, 2)
     orbit_residual = jnp.where(is_empty, z[: len(is_empty)], residual[:-1])

@@ -1,4 +1,4 @@
-"""`family`: the loci of a special point for values of a third parameter, tracked together."""
+"""Continue a special point in two parameters for several values of a third parameter: `family`."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -35,22 +35,67 @@ def family(
     max_points: int | None = None,
     max_seconds: float | None = None,
 ) -> Results[Locus | None]:
-    """The loci of a special point for values of a third parameter: a tuple, for each value a `Locus` or None.
+    """Continue a special point in two parameters for several values of a third parameter.
 
-    special, names, bounds, first_step, largest_step, tolerance: as in `locus`; third: a parameter of the scene other
-    than these two; values: of it, a row of one at least, in any order.
+    Parameters
+    ----------
+    special : Special
+        Special point of a branch, as in `locus`.
+    names : sequence of str
+        Names of the two parameters, as in `locus`.
+    bounds : dict of str to tuple of float
+        Lower and upper bound of each of the two parameters, by name.
+    third : str
+        Name of a parameter of the scene that is not one of `names`.
+    values : array_like
+        Values of the third parameter in any order. Array of shape (n,) with n at least 1.
+    first_step : float, optional
+        First arclength step, as in `locus`.
+    largest_step : float, optional
+        Largest arclength step, as in `locus`.
+    tolerance : float, optional
+        Tolerance of Newton's method, as in `locus`.
+    max_points : int, optional
+        Largest number of points of each locus. Each direction takes half of them. By default the number is unlimited.
+    max_seconds : float, optional
+        Wall-clock time in s for all loci together. By default the time is unlimited.
 
-    The point is carried to each value along its locus in one of names (that of its branch, or the first) and third,
-    the other one fixed; where that passes the value more than once, the first time along it counts. None stands where
-    it does not come to the value: it ends before, at a bound, a grazing or where the point exists no more. The loci
-    of all values are then tracked as lanes of one compiled call; each is that which `locus` gives from its point.
+    Returns
+    -------
+    tuple of Locus or None
+        The locus of each value, in the order of `values`. An entry is None if the point cannot be continued to the
+        value. The attribute ``stopped`` of the tuple is empty, or states how many values are complete if the time
+        expired.
 
-    max_points, max_seconds: as in `locus`; max_points holds for each locus, half of it each way, max_seconds for all of
-    them. The
-    `reasons` of a locus say where the time was over, and the attribute `stopped` of the tuple, else "", says how many
-    are done; None may then stand where the point was not carried to a value in time.
+    Raises
+    ------
+    ArgumentError
+        If `special` is of another kind, or if another argument is invalid.
 
-    Raises ArgumentError for points of other kinds and arguments that cannot be.
+    See Also
+    --------
+    locus : Locus of a single special point.
+
+    Notes
+    -----
+    The point is continued to each value along its locus in the third parameter and one of `names`: the parameter of its
+    branch if it is one of them, else the first. The remaining parameter is fixed. If this locus passes a value several
+    times, the crossing with the smallest arclength is used. The point does not reach a value if this locus ends before:
+    at a bound, at a grazing, or where the point ceases to exist.
+
+    The loci of all values are then tracked as lanes of one compiled call. Each is the locus that `locus` gives from its
+    point.
+
+    If the time expires, the `reasons` of a locus state that it is incomplete, and an entry may also be None because the
+    point was not continued to its value in time.
+
+    Examples
+    --------
+    >>> special = branch.points("SN")[0]
+    >>> bounds = {"amplitude": (0.0, 6.0), "frequency": (2.05, 2.15)}
+    >>> curves = jv.family(special, ("amplitude", "frequency"), bounds, "damping", [0.05, 0.06])
+    >>> [curve.kind for curve in curves]
+    ['SN', 'SN']
     """
     limits = limits_of(max_points, max_seconds, None, check.ArgumentError)
     start, step_settings = (
@@ -59,10 +104,10 @@ def family(
     )
     names, values = check_parameter_pair(start.scene, names), check_values(start.scene, third, values)
     if third in names:
-        raise check.ArgumentError("third", "must be none of names", third)
+        raise check.ArgumentError("third", "must not be one of names", third)
     if start.kind == "SB" and not stays_symmetric(start.scene, third):
-        raise check.ArgumentError("third", "must keep the scene symmetric: an SB is no point of another", third)
-    both_directions(start, names, bounds, *step_settings)  # refuses what cannot be
+        raise check.ArgumentError("third", "must keep the scene symmetric, as an SB requires", third)
+    both_directions(start, names, bounds, *step_settings)  # raises ArgumentError for invalid arguments
     value_starts = transport_start(
         start, names, bounds, third, values, *step_settings[:-1], replace(limits, points=None)
     )
@@ -86,7 +131,7 @@ def family(
 
 
 def _limit_points(directions, limits):
-    """The ways on and back, each with half of the points at most."""
+    """Return the forward and backward directions, each limited to half of the points."""
     forward_direction, backward_direction = directions
     half_limits = limits.halved()
     remaining_points = None if limits.points is None else max(limits.points - half_limits.points + 1, 1)
@@ -96,7 +141,7 @@ def _limit_points(directions, limits):
 
 
 def _build_locus(start, forward_direction, backward_direction, forward_segment, backward_segment, step_settings):
-    """The `Locus` of ways on and back and what was tracked along each first."""
+    """Build the `Locus` from both directions and the first segment along each."""
     is_closed = forward_segment.end is End.CLOSED
     return build_locus(
         start,
@@ -106,11 +151,11 @@ def _build_locus(start, forward_direction, backward_direction, forward_segment, 
 
 
 def transport_start(start, names, bounds, third_name, values, *step_settings):
-    """The `first_point.LocusStart` at each value of a third parameter, None where a point's locus does not come to
-    it."""
+    """Return the `LocusStart` at each value of a third parameter, or None for values that the point does not reach."""
     free_name = start.name if start.name in names else names[0]
     own_value = float(start.scene.parameter(third_name))
-    start = start._replace(scene=start.scene.replace(**{third_name: own_value}))  # a wall's restitution then is its own
+    # A wall then has its own restitution.
+    start = start._replace(scene=start.scene.replace(**{third_name: own_value}))
     lower, upper = min(own_value, *values), max(own_value, *values)
     if lower == upper:
         return [start] * len(values)
@@ -125,8 +170,7 @@ def transport_start(start, names, bounds, third_name, values, *step_settings):
 
 
 def _start_at_value(start, tracks, names, value):
-    """The `first_point.LocusStart` where a locus both ways first has a value of its second parameter, None where it has
-    not."""
+    """Return the `LocusStart` at the first crossing of a value of the second parameter, or None."""
     crossings = []
     for track in tracks:
         length_before = 0.0
@@ -147,7 +191,7 @@ def _start_at_value(start, tracks, names, value):
 
 
 def _locus_start_at(start, problem, names, z, residual):
-    """The `first_point.LocusStart` at a point of a locus."""
+    """Return the `LocusStart` at a point of a locus."""
     times, speeds, sides, periods = whole_orbit_impacts(problem, z[None])
     scene = start.scene.replace(**dict(zip(names, z[-2:].tolist(), strict=True)))
     orbit_row = OrbitPoint(float(z[-2]), times[0], speeds[0], sides, periods, np.nan, np.nan, residual)

@@ -1,8 +1,9 @@
-"""Where a grazing touches several walls at once: which of them counts on either side, and on from wall to wall.
+"""Continue loci through grazing switchovers, at which several walls are grazed at once.
 
-Each touch alone has a locus of its own, as an impact without speed. It counts where the others come to be free. Where
-all stay touched whatever the parameters do, as P100 touches opposite walls at the same distance, one is followed. Else
-each counts on one side: the boundary has a corner there, and its derivatives are one-sided.
+Each contact has a locus of its own, with the contact as an impact with zero speed. This locus is valid on the side on
+which the other contacts open. If all contacts persist for any change of the parameters, as for P100 between walls at
+equal distances, one of them is continued. Otherwise each is valid on one side, the boundary has a corner, and its
+derivatives are one-sided.
 """
 
 import jax.numpy as jnp
@@ -19,13 +20,12 @@ from .locus_start import LocusStart, locus_directions, reverse_direction
 from .repartition_impacts import repartition_impacts
 from .track import track_locus
 
-MAX_PARTS = 64  # parts of a locus
-SAME_GRAZING_TOLERANCE = 1e-6  # of a period: touches as near are one
+MAX_PARTS = 64  # largest number of parts of a locus
+SAME_GRAZING_TOLERANCE = 1e-6  # in periods: contacts closer than this coincide
 
 
 def both_directions(start, names, bounds, *step_settings):
-    """The `track.LocusWay`s of a locus from a `LocusStart`, on and back. Raises ArgumentError for arguments that cannot
-    be."""
+    """Return the two `LocusDirection` records of a locus from a `LocusStart`. Raises ArgumentError."""
     directions = locus_directions(start, names, bounds, *step_settings)
     if len(directions) == 1:
         return directions[0], reverse_direction(directions[0])
@@ -37,14 +37,16 @@ def both_directions(start, names, bounds, *step_settings):
         (pair[0] for pair in open_directions if pair), key=lambda direction: direction.start.tangent[-1]
     )
     if len(one_sided_directions) < 2:
-        rule = "must be a grazing whose touches go on alone; here touch walls at once"
+        rule = "must be a grazing whose simultaneous contacts can be continued separately"
         raise check.ArgumentError("special", rule, len(directions))
     return one_sided_directions[-1], one_sided_directions[0]
 
 
 def track_across_walls(start, direction, step_settings, segment=None):
-    """What is tracked along a `LocusWay` and on from wall to wall, a list of (`LocusWay`, `Stretch`); segment: the
-    first, if it is known. start: the `LocusStart` of the locus; step_settings: as of `both_directions`."""
+    """Track a locus along a `LocusDirection` and across walls; return a list of (`LocusDirection`, segment).
+
+    `segment` is the first segment if it is known, `step_settings` the arguments of `both_directions`.
+    """
     parts, limits = [], None if direction is None else direction.settings.limits
     while direction is not None and len(parts) < MAX_PARTS:
         direction = direction.with_limits(limits)
@@ -69,7 +71,7 @@ def track_across_walls(start, direction, step_settings, segment=None):
 
 
 def _open_directions(directions):
-    """For each of some ways those of its two senses in which the other touches come free or stay."""
+    """Return, for each direction, those of its two senses in which the other contacts open or persist."""
     return [
         [sense for sense in (direction, reverse_direction(direction)) if sense.is_admissible]
         for direction in directions
@@ -77,7 +79,7 @@ def _open_directions(directions):
 
 
 def _direction_beyond(start, direction, segment, step_settings):
-    """The `LocusWay` on from where the motion without impacts comes to touch another wall, None elsewhere."""
+    """Return the `LocusDirection` beyond the point at which a motion without impacts touches another wall, or None."""
     problem, names = direction.problem, direction.settings.names
     if (
         segment.end is not End.GRAZE
@@ -114,7 +116,7 @@ def _direction_beyond(start, direction, segment, step_settings):
 
 
 def _is_same_grazing(problem, z, other_problem, other_z):
-    """Whether the touches of two motions without impacts are one."""
+    """Check whether two motions without impacts have the same grazing contact."""
     period_shift = (z[0] - other_z[0]) * float(at(problem, z).frequency) / (2.0 * np.pi * int(problem.sequence.periods))
     return (
         problem.sequence.sides[0] == other_problem.sequence.sides[0]

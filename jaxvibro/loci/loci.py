@@ -1,5 +1,4 @@
-"""The loci of all special points of branches, each once: `follow_loci`; whether a point lies on a locus; mirror
-images."""
+"""Continue all special points of branches, each once: `follow_loci`. Test points against loci; find mirror images."""
 
 import numpy as np
 
@@ -12,16 +11,36 @@ from ..scene.check import ArgumentError, name_tuple
 from .locus import locus
 from .locus_start import KINDS
 
-ON_CURVE_TOLERANCE = 1e-6  # of a parameter's range: a point as near to a locus is on it
-NODES_PER_SIDE = 4  # of its points on each side, through which a locus is interpolated
+ON_CURVE_TOLERANCE = 1e-6  # relative to the range of a parameter: a point closer than this is on the locus
+NODES_PER_SIDE = 4  # points on each side that interpolate a locus
 
 
 def follow_loci(branches, names, bounds, kinds=KINDS, largest_step=0.1, progress=None, max_seconds=None):
-    """(the `Locus` of each special point of branches, (special point, why) of those that cannot be followed), tuples.
+    """Continue each special point of branches in two parameters, unless a locus passes through it.
 
-    branches: of one scene; names, bounds, largest_step: as in `locus`; kinds: of the points. Left out are points
-    outside the bounds, and those that a locus found before leads through. progress: called with the points so far.
-    max_seconds: wall-clock time, s, after which the points that are left are not followed; None is no limit.
+    Parameters
+    ----------
+    branches : sequence of Branch
+        Branches of one scene.
+    names : sequence of str
+        Names of the two parameters, as in `locus`.
+    bounds : dict of str to tuple of float
+        Lower and upper bound of each parameter. Points outside are omitted.
+    kinds : str or sequence of str, optional
+        Kinds of special point.
+    largest_step : float, optional
+        Largest arclength step, as in `locus`.
+    progress : callable, optional
+        Function that is called with the number of points processed.
+    max_seconds : float, optional
+        Wall-clock time in s after which the remaining points are not continued. By default the time is unlimited.
+
+    Returns
+    -------
+    loci : tuple of Locus
+        The loci.
+    refusals : tuple of tuple
+        (special point, reason) for each point that cannot be continued.
     """
     limits = limits_of(None, max_seconds, None, ArgumentError)
     loci_found, refusals = [], []
@@ -48,7 +67,22 @@ def follow_loci(branches, names, bounds, kinds=KINDS, largest_step=0.1, progress
 
 
 def count_points(branches, bounds, kinds=KINDS):
-    """How many special points `follow_loci` looks at."""
+    """Count the special points that `follow_loci` processes.
+
+    Parameters
+    ----------
+    branches : sequence of Branch
+        Branches of one scene.
+    bounds : dict of str to tuple of float
+        Lower and upper bound of each parameter.
+    kinds : str or sequence of str, optional
+        Kinds of special point.
+
+    Returns
+    -------
+    int
+        Number of special points of these kinds within the bounds.
+    """
     kinds = name_tuple("kinds", kinds)
     return sum(
         special.kind in kinds and _is_within(special, bounds) for branch in branches for special in branch.special
@@ -60,15 +94,17 @@ def _is_within(special, bounds):
 
 
 def passes_through(locus, special):
-    """Whether a locus leads through a special point of a branch."""
+    """Check whether a locus passes through a special point of a branch."""
     if locus.kind != special.kind or locus.label not in _possible_labels(special):
         return False
     return contains_point(locus, [float(special.scene.parameter(name)) for name in locus.names])
 
 
 def _possible_labels(special):
-    """The labels that a special point's locus may have: at a grazing it counts the impacts that come in, and may be
-    that of one touch alone."""
+    """Return the labels that the locus of a special point may have.
+
+    At a grazing the locus counts the impacts that appear, and may have the label of one contact alone.
+    """
     if special.kind != "GR":
         return {special.label}
     labels = {special.label, *(text.rstrip("<>") for text in neighbour_labels(special))}
@@ -77,10 +113,10 @@ def _possible_labels(special):
 
 
 def contains_point(locus, values):
-    """Whether two values of its parameters are a point of a `Locus`, to a millionth of its bounds' widths.
+    """Check whether a point of the parameter plane lies on a `Locus`, to a millionth of the widths of its bounds.
 
-    Between its points the locus is a polynomial through the nearest of them; where these are too far apart to tell as
-    exactly, it is what they tell.
+    Between its points the locus is interpolated by a polynomial through the nearest of them. If these are too far apart
+    for this accuracy, the estimated interpolation error is allowed for.
     """
     lower, upper = np.array([locus.bounds[name] for name in locus.names]).T
     curve, point = (locus.values - lower) / (upper - lower), (np.asarray(values, float) - lower) / (upper - lower)
@@ -105,7 +141,7 @@ def contains_point(locus, values):
 
 
 def _interpolated_distance(curve, segment_index, axis, point):
-    """(how far a point is from a curve near a piece of it, along the other axis; how well that is known)."""
+    """Return the distance of a point from a curve near a segment, along the other axis, and its uncertainty."""
     nodes = _monotone_nodes(curve[:, axis], segment_index)
     if len(nodes) < 2:
         return np.inf, np.inf
@@ -117,7 +153,7 @@ def _interpolated_distance(curve, segment_index, axis, point):
 
 
 def _monotone_nodes(values, segment_index):
-    """The places of a few neighbours of a piece, as far as values go on in one direction."""
+    """Return the indices of a few neighbours of a segment between which values are monotone."""
     direction = np.sign(values[segment_index + 1] - values[segment_index])
     if not direction:
         return np.arange(0)
@@ -138,14 +174,14 @@ def _monotone_nodes(values, segment_index):
 
 
 def _drop_farthest_node(nodes, segment_index):
-    """The nodes but for the one farthest from a piece."""
+    """Return the nodes without the farthest from a segment."""
     if len(nodes) == 2:
         return nodes[:1]
     return nodes[1:] if segment_index - nodes[0] > nodes[-1] - segment_index - 1 else nodes[:-1]
 
 
 def _interpolate(nodes, axis, coordinate):
-    """The value of Lagrange's polynomial through nodes, of the one coordinate by the other."""
+    """Evaluate the Lagrange polynomial of one coordinate as a function of the other."""
     knots = nodes[:, axis]
     knot_differences = knots[:, None] - knots
     np.fill_diagonal(knot_differences, 1.0)
@@ -155,7 +191,20 @@ def _interpolate(nodes, axis, coordinate):
 
 
 def find_mirror_image(locus, other_loci):
-    """The first of other `Locus` that is the mirror image of one, on the same curve, or None."""
+    """Find the locus that is the mirror image of a locus on the same curve.
+
+    Parameters
+    ----------
+    locus : Locus
+        The locus.
+    other_loci : sequence of Locus
+        Candidates.
+
+    Returns
+    -------
+    Locus or None
+        The first candidate that is the mirror image, or None.
+    """
     (itinerary, *_), middle_values = (
         (special_point.itinerary for special_point in locus.special),
         locus.values[len(locus) // 2],

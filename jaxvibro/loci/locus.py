@@ -1,4 +1,4 @@
-"""`locus`: a curve of special points in two parameters, with its points of codimension two."""
+"""Continue special points in two parameters and locate points of codimension two: `locus`."""
 
 import json
 from collections.abc import Callable, Mapping, Sequence
@@ -42,20 +42,44 @@ MEANINGS = {
     "RG": "resonant grazing",
     "DG": "degenerate grazing",
     "CH": "end on a complete chatter",
-    "RL": "end on a release within a rest",
+    "RL": "end on a release within a sticking phase",
     "EP": "end",
 }
 
 
 @dataclass(frozen=True, eq=False)
 class Codim2(SpecialOrbit):
-    """A special point of a locus.
+    """Special point of a locus: a point of codimension two, or an end.
 
-    kind: CP (cusp), GPD (generalized period doubling), DSB (degenerate symmetry breaking), GR (an SN, PD or SB ends on
-    a grazing), GG (two grazings), RG (resonant grazing), DG (degenerate one), SN, PD, SB (a grazing meets such a
-    locus), CH, RL (a rest just is one there), EP (end). on: the kind of the locus; values: the two parameters by name;
-    bounds: of each; multipliers: the larger first; place: among the locus' points; residual: the largest error left in
-    the point's equations; label, itinerary: of the orbit; scene: at the values.
+    Attributes
+    ----------
+    kind : str
+        ``"CP"`` (cusp), ``"GPD"`` (generalized period doubling), ``"DSB"`` (degenerate symmetry breaking), ``"GR"`` (an
+        SN, PD or SB ends on a grazing), ``"GG"`` (two grazings), ``"RG"`` (resonant grazing), ``"DG"`` (degenerate
+        grazing), ``"SN"``, ``"PD"`` or ``"SB"`` (a grazing meets such a locus), ``"CH"`` or ``"RL"`` (limit of a
+        sticking phase), or ``"EP"`` (end).
+    on : str
+        Kind of the locus.
+    values : dict of str to float
+        Values of the two parameters, by name.
+    bounds : dict of str to tuple of float
+        Lower and upper bound of each parameter of the locus.
+    multipliers : numpy.ndarray
+        Floquet multipliers of the orbit, the larger first. Array of shape (2,), complex.
+    place : int
+        Index of the point among the points of the locus.
+    residual : float
+        Largest residual of the equations of the point.
+    itinerary : tuple of str
+        Sequence of walls hit, a word of L and R for each drive period.
+    scene : Scene
+        Scene at the point.
+    spot : OrbitPoint
+        Orbit at the point as plain numbers.
+
+    See Also
+    --------
+    jaxvibro.switch : Continue the loci that emanate from a point of codimension two.
     """
 
     kind: str
@@ -72,11 +96,37 @@ class Codim2(SpecialOrbit):
 
 @dataclass(frozen=True, eq=False)
 class Locus(OrbitRows[Codim2]):
-    """A curve of special points in two parameters.
+    """Two-parameter bifurcation curve.
 
-    kind: of the points, that of `special`; names: of the parameters; bounds: of each; scene: at the start; data: an
-    xarray.Dataset with a row a point, in order along the curve (see `jaxvibro.locus`); special: points of codimension
-    two and ends, in order; reasons: why it ends, at its first and at its last point.
+    Made by `locus` and read from a file by `load_locus`.
+
+    Attributes
+    ----------
+    kind : str
+        Kind of the special points along the curve.
+    names : tuple of str
+        Names of the two parameters.
+    bounds : dict of str to tuple of float
+        Lower and upper bound of each parameter.
+    scene : Scene
+        Scene at the start.
+    data : xarray.Dataset
+        One row per point, in order along the curve. `locus` lists the columns.
+    special : tuple of Codim2
+        Points of codimension two and ends, in order along the curve.
+    reasons : tuple of str
+        Termination reasons at the first and at the last point.
+    NOUN : str
+        Name of this kind of curve in error messages.
+
+    Examples
+    --------
+    >>> special = branch.points("SN")[0]
+    >>> curve = jv.locus(special, ("amplitude", "frequency"), {"amplitude": (0.0, 6.0), "frequency": (2.05, 2.15)})
+    >>> curve.kind, curve.names, [point.kind for point in curve.special]
+    ('SN', ('amplitude', 'frequency'), ['EP', 'EP'])
+    >>> curve.values.shape == (len(curve), 2)
+    True
     """
 
     kind: str
@@ -95,22 +145,35 @@ class Locus(OrbitRows[Codim2]):
 
     @property
     def values(self) -> Float[np.ndarray, "points 2"]:
-        """The two parameters at each point, (points, 2)."""
+        """Values of the two parameters at each point. Array of shape (points, 2)."""
         return np.stack([self.data[name].values for name in self.names], axis=1)
 
     @property
     def label(self) -> str:
-        """P n p q of the orbits."""
+        """Label P n p q of the orbits."""
         return self.special[0].label
 
     def located(self, place: int) -> tuple[Scene, OrbitPoint]:
-        """(the scene at a point, its `OrbitPoint`)."""
+        """Return the scene and the orbit at a point.
+
+        Parameters
+        ----------
+        place : int
+            Index of the point.
+
+        Returns
+        -------
+        scene : Scene
+            Scene with the values of the two parameters at the point.
+        orbit_row : OrbitPoint
+            Orbit at the point as plain numbers.
+        """
         orbit_row, values = _orbit_row_at(self.data, place, self.names)
         return self.scene.replace(**values), orbit_row
 
     @property
     def content(self) -> bytes:
-        """The bytes of the file that `save` writes."""
+        """Content of the file that `save` writes, in bytes."""
         attrs = {
             "title": "jaxvibro locus",
             "source": f"jaxvibro {__version__}",
@@ -125,9 +188,24 @@ class Locus(OrbitRows[Codim2]):
         return netcdf_bytes(self.data.assign_attrs(attrs))
 
     def table(self, units: str = "scene", labels: str = "jaxvibro") -> str:
-        """The special points as a text, a line each, and why the locus ends. units, labels: as in `Branch.table`.
+        """Format the special points and the termination reasons as text.
 
-        Raises ArgumentError for other units and labels, and where the scene has no scales.
+        Parameters
+        ----------
+        units : {"scene", "physical"}, optional
+            Units of the values. Physical units (Hz, N, mm) require a scene with scales.
+        labels : str, optional
+            Naming scheme of the point labels, as in `Branch.table`.
+
+        Returns
+        -------
+        str
+            Table with one line per special point, followed by the two termination reasons.
+
+        Raises
+        ------
+        ArgumentError
+            If `units` or `labels` is unknown, or if physical units are requested of a scene without scales.
         """
         column_units = [unit_in_system(self.scene, unit_of(name), units) for name in self.names]
         headers = [column_header(name, unit, units) for name, (unit, _) in zip(self.names, column_units, strict=True)]
@@ -147,10 +225,23 @@ class Locus(OrbitRows[Codim2]):
         return "\n".join([align_columns(rows), *end_lines])
 
     def to_frame(self, units: str = "scene") -> pd.DataFrame:
-        """A row a point, a pandas.DataFrame: kind of the point of codimension two there, if it is one, the two
-        parameters, the orbit's label, the least speed before an impact and the least clearance, and the multipliers.
+        """Convert the points to a table.
 
-        units: as in `Branch.to_frame`. Raises ArgumentError for other units, and where the scene has no scales.
+        Parameters
+        ----------
+        units : {"scene", "physical"}, optional
+            Units of the values, as in `Branch.to_frame`.
+
+        Returns
+        -------
+        pandas.DataFrame
+            One row per point: kind of the point of codimension two at that point, if any, the two parameters, the label
+            of the orbit, the smallest speed before an impact, the smallest clearance, and the multipliers.
+
+        Raises
+        ------
+        ArgumentError
+            If `units` is unknown, or if physical units are requested of a scene without scales.
         """
         return make_dataframe(
             self.scene,
@@ -178,24 +269,73 @@ def locus(
     max_seconds: float | None = None,
     progress: Callable[[int], object] | None = None,
 ) -> Locus:
-    """The curve of a special point in two parameters of its scene: a `Locus`.
+    """Continue a special point in two parameters of its scene.
 
-    special: a `Special` of a branch, SN, PD, SB, GR, CH or RL; names: two parameters; bounds: {name: (low, high)}.
-    first_step, largest_step, tolerance: as in `follow`, lengths of (times, speeds, parameters), a stiffness
-    being measured by 1 and its value at the start. max_points, max_seconds, progress: as in `follow`.
+    Parameters
+    ----------
+    special : Special
+        Special point of a branch, of kind SN, PD, SB, GR, CH or RL.
+    names : sequence of str
+        Names of two different parameters.
+    bounds : dict of str to tuple of float
+        Lower and upper bound of each parameter, by name.
+    first_step : float, optional
+        First arclength step, as in `follow`. The arclength is measured in (times, speeds, parameters). A stiffness is
+        measured in units of 1 plus its value at the start.
+    largest_step : float, optional
+        Largest arclength step.
+    tolerance : float, optional
+        Tolerance of Newton's method, measured like the arclength.
+    max_points : int, optional
+        Largest number of points of the locus. By default the number is unlimited.
+    max_seconds : float, optional
+        Wall-clock time in s after which the continuation stops, as in `follow`. By default the time is unlimited.
+    progress : callable, optional
+        Function that is called with the number of points computed.
 
-    Unknowns are the impacts' times and speeds, and both parameters; a symmetric orbit is followed by half of it. Every
-    point is checked to keep to its walls; where it does not, the locus ends. Located are cusps (CP), generalized period
-    doublings (GPD), degenerate symmetry breakings (DSB), ends on a grazing (GR), grazings of two impacts or walls at
-    once (GG), a GR where a rest just is one (CH, RL) or its touch has no acceleration (DG), and on a GR resonant
-    grazings (RG), where loci of SN and PD end, and points where the orbit without the touch is an SN, PD or SB.
-    `switch` follows the loci that leave RG, GPD, DSB, SN, PD, SB and GR. The GR of a motion without impacts goes on
-    from a GG along the other wall, the nearer one from there on.
+    Returns
+    -------
+    Locus
+        The bifurcation curve, with its points of codimension two.
 
-    The `data` has a row a point: the parameters, time, speed and side of each impact, multiplier_real and
-    multiplier_imag, least_speed, least_clearance, residual.
+    Raises
+    ------
+    ArgumentError
+        If `special` is of another kind, or if `names`, `bounds` or a setting is invalid.
 
-    Raises ArgumentError for points of other kinds and arguments that cannot be.
+    See Also
+    --------
+    family : Loci of one special point for several values of a third parameter.
+    switch : Loci that emanate from a point of codimension two.
+    load_locus : Read a locus from a file.
+
+    Notes
+    -----
+    Unknowns are the times and speeds of the impacts, and both parameters. A symmetric orbit is represented by one half.
+    The admissibility of every point is checked. The locus ends where the orbit becomes inadmissible.
+
+    The following points are located:
+
+    - cusps (CP), generalized period doublings (GPD) and degenerate symmetry breakings (DSB);
+    - ends on a grazing (GR);
+    - grazings of two impacts or walls at once (GG);
+    - on a GR, limits of a sticking phase (CH, RL), and degenerate grazings (DG), where the acceleration of the contact
+      vanishes;
+    - on a GR, resonant grazings (RG), at which loci of SN and PD end, and points at which the orbit without the grazing
+      contact is an SN, PD or SB.
+
+    `switch` continues the loci that emanate from RG, GPD, DSB, SN, PD, SB and GR. The GR of a motion without impacts
+    continues from a GG along the other wall, which is the nearer one beyond this point.
+
+    The columns of `data` are the parameters, ``time``, ``speed`` and ``side`` of each impact, ``multiplier_real`` and
+    ``multiplier_imag``, ``least_speed``, ``least_clearance`` and ``residual``. There is one row per point.
+
+    Examples
+    --------
+    >>> special = branch.points("SN")[0]
+    >>> curve = jv.locus(special, ("amplitude", "frequency"), {"amplitude": (0.0, 6.0), "frequency": (2.05, 2.15)})
+    >>> print(curve.reason["last"])
+    frequency reached its bound 2.15
     """
     limits = limits_of(max_points, max_seconds, progress, check.ArgumentError)
     start, step_settings = (
@@ -215,8 +355,10 @@ def locus(
 
 
 def build_locus(special, forward_parts, backward_parts, start_reason="the start"):
-    """The `Locus` of what was `corner.track_on` from its start on and back, the latter empty where the first closes, or
-    it begins at a point, of which `start_reason` tells."""
+    """Build the `Locus` of the parts that `track_across_walls` tracked in both directions.
+
+    `backward_parts` is empty if the first part closes, or if the locus begins at a point that `start_reason` describes.
+    """
     settings, parts = (
         forward_parts[0][0].settings,
         [reverse_segment(segment) for _, segment in reversed(backward_parts)]
@@ -235,7 +377,7 @@ def build_locus(special, forward_parts, backward_parts, start_reason="the start"
             for special_index in part.specials
         }
         last_row = row_offset + len(part.points.z) - 1
-        if part is not parts[-1] and part.args.sequence.releases is None:  # a corner
+        if part is not parts[-1] and part.args.sequence.releases is None:  # corner of the boundary
             special_rows.setdefault(last_row, ("GG", float(part.points.residual[-1])))
         row_offset = last_row
     data = xr.concat(data, "point", combine_attrs="override").assign_attrs(scales_attributes(special.scene))
@@ -253,12 +395,12 @@ def build_locus(special, forward_parts, backward_parts, start_reason="the start"
 
 
 def _dataset(names, segment, n_impact_columns):
-    """The rows of a stretch, with as many columns of impacts as are wanted."""
+    """Build the rows of a segment with a given number of impact columns."""
     problem, z, diagnostics = segment.args, segment.points.z, segment.diagnostics
     n_rows = len(problem.sequence.sides)
     times, speeds, sides, periods = whole_orbit_impacts(problem, z)
     result = eigenvalue_pairs(diagnostics.trace, diagnostics.determinant)
-    if float(problem.sequence.closure_sign) < 0:  # of half the orbit
+    if float(problem.sequence.closure_sign) < 0:  # the multipliers are those of one half of the orbit
         with np.errstate(invalid="ignore"):
             result = result * result
     impact_indices = np.arange(times.shape[1]) % int(np.sum(problem.sequence.sides != 0))
@@ -299,7 +441,7 @@ def _attributes(meaning, units):
 
 
 def _orbit_row_at(data, row_index, names):
-    """(the `OrbitPoint` at a point of a locus, {name: value})."""
+    """Return the `OrbitPoint` at a point of a locus, and the values of the parameters by name."""
     row, values = dataset_row(data, row_index), {name: float(data[name].values[row_index]) for name in names}
     is_impact = row["side"] != 0
     impact_columns = (row[key][is_impact].astype(float) for key in ("time", "speed", "side"))
@@ -309,11 +451,10 @@ def _orbit_row_at(data, row_index, names):
 
 
 def build_codim2(scene, locus_kind, bounds, data, row_index, kind, residual):
-    """The `Codim2` of a kind at a place among the points of a locus of the kind `locus_kind`, which starts at the
-    scene."""
+    """Build the `Codim2` at a row of the data of a locus of kind `locus_kind` that starts at `scene`."""
     row, (orbit_row, values) = dataset_row(data, row_index), _orbit_row_at(data, row_index, tuple(bounds))
     parameter_values = {name: jnp.asarray(value, scene.dtype) for name, value in values.items()}
-    scene = replace_unchecked(scene, parameter_values)  # in its domain: not checked again
+    scene = replace_unchecked(scene, parameter_values)  # the values are within the domains: no check
     multipliers = row["multiplier_real"] + 1j * row["multiplier_imag"]
     itinerary_words = itinerary(orbit_row, float(scene.frequency))
     return Codim2(kind, locus_kind, values, bounds, multipliers, row_index, residual, itinerary_words, scene, orbit_row)

@@ -1,4 +1,4 @@
-"""The file of a locus, read: every field is held against what `Locus.save` writes."""
+"""Read loci from files and check every field against the format of `Locus.save`."""
 
 from os import PathLike
 
@@ -23,15 +23,40 @@ DIMENSIONS |= dict.fromkeys(("multiplier_real", "multiplier_imag"), ("point", "m
 
 @check.host_only("use what was loaded before")
 def load_locus(path: str | PathLike[str]) -> Locus:
-    """The `Locus` of a file that `Locus.save` wrote.
+    """Read a locus from a file that `Locus.save` wrote.
 
-    Raises ArgumentError where the file is damaged or no locus, OSError where it cannot be read.
+    Parameters
+    ----------
+    path : str or os.PathLike
+        Path of the file.
+
+    Returns
+    -------
+    Locus
+        The locus, with the same numbers as when it was saved.
+
+    Raises
+    ------
+    ArgumentError
+        If the file is damaged or is not a locus.
+    OSError
+        If the file cannot be read.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> special = branch.points("SN")[0]
+    >>> curve = jv.locus(special, ("amplitude", "frequency"), {"amplitude": (0.0, 6.0), "frequency": (2.05, 2.15)})
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     curve.save(f"{folder}/curve.nc")
+    ...     print(jv.load_locus(f"{folder}/curve.nc").kind)
+    SN
     """
     return read_checked(path, lambda content, path: read_record(content, path, "Locus", _parse_locus))
 
 
 def _parse_locus(data):
-    """The `Locus` of a file's data. Raises an error of one kind or another where its fields are no locus'."""
+    """Build the `Locus` from the data of a file, or raise an error if a field is invalid."""
     attrs = data.attrs
     kind, bounds = str(attrs["kind"]), decode_field(attrs, "bounds", dict[str, tuple[float, float]])
     names = tuple(bounds)

@@ -1,4 +1,4 @@
-"""Where a locus begins: a special point in plain numbers, the equations of its curve, and what is asked of it."""
+"""Set up the start of a locus: special point as plain numbers, equations, and settings."""
 
 from typing import NamedTuple
 
@@ -26,13 +26,15 @@ from .chatter_completion import ChatterEquations
 from .extended_system import GrazingEquations, SingularEquations
 from .track import LocusDirection, LocusSettings
 
-KINDS = "SN", "PD", "SB", "GR"  # that `loci` follows
-STICKING_KINDS = "CH", "RL"  # an orbit rests there: a CH that ends a branch has no locus
+KINDS = "SN", "PD", "SB", "GR"  # kinds that `follow_loci` continues by default
+STICKING_KINDS = "CH", "RL"  # limits of a sticking phase; a CH that ends a branch has no locus
 
 
 class LocusStart(NamedTuple):
-    """A special point in plain numbers. kind; name: of the parameter of `spot.value`; scene: at the point; orbit_row:
-    its orbit."""
+    """Special point as plain numbers.
+
+    `kind` of the point; `name` of the parameter of ``orbit_row.value``; `scene` at the point; `orbit_row`, its orbit.
+    """
 
     kind: str
     name: str
@@ -41,31 +43,33 @@ class LocusStart(NamedTuple):
 
     @property
     def grazing_contacts(self) -> list[GrazingContact]:
-        """The `GrazingContact`es of a GR."""
+        """`GrazingContact` records of a GR."""
         problem, z = set_up_problem(self.scene, self.name, self.orbit_row)
         return find_grazing_contacts(problem, z, scene_length(self.scene))
 
 
 def make_locus_start(special, kinds=KINDS):
-    """The `LocusStart` of a `Special` of one of these kinds. Raises ArgumentError for points of others."""
+    """Make the `LocusStart` of a `Special` of one of the given kinds. Raises ArgumentError for other points."""
     if not isinstance(special, Special) or special.kind not in kinds:
         actual_value = special.kind if isinstance(special, Special) else special
         raise check.ArgumentError("special", f"must be a special point of kind {', '.join(kinds)}", actual_value)
     if special.kind in STICKING_KINDS and not are_releases(special.spot.sides).any():
-        rule = "must have a rest: of a chatter that ends its branch nothing is known beyond"
+        rule = "must have a sticking phase; a chatter that ends its branch has no locus"
         raise check.ArgumentError("special", rule, f"{special.kind} at {special.value:.12g}")
     return LocusStart(special.kind, special.name, special.scene, special.spot)
 
 
 def locus_directions(start, names, bounds, first_step, largest_step, tolerance, limits=UNLIMITED):
-    """The `track.LocusWay`s from a `LocusStart`, in two parameters: one, or at a GR one for each touch. Raises
-    ArgumentError for arguments that cannot be."""
+    """Return the `LocusDirection` records from a `LocusStart` in two parameters: one, or at a GR one for each contact.
+
+    Raises ArgumentError if an argument is invalid.
+    """
     settings = locus_settings(start.scene, names, bounds, first_step, largest_step, tolerance, limits)
     return [_locus_direction(problem, z, settings) for problem, z in locus_problems(start, settings.names)]
 
 
 def locus_settings(scene, names, bounds, first_step, largest_step, tolerance, limits=UNLIMITED):
-    """The `track.LocusSettings` of these arguments, lengths not weighed yet. Raises ArgumentError."""
+    """Make the `LocusSettings` of these arguments, without arclength weights. Raises ArgumentError."""
     names = check_parameter_pair(scene, names)
     if not isinstance(bounds, dict) or set(bounds) != set(names):
         raise check.ArgumentError("bounds", f"must give (low, high) for {names[0]} and for {names[1]}, by name", bounds)
@@ -88,16 +92,16 @@ def locus_settings(scene, names, bounds, first_step, largest_step, tolerance, li
 
 
 def weight_settings(problem, z, settings):
-    """The `track.LocusSettings` with the weights of a curve's lengths at z."""
+    """Return the `LocusSettings` with the arclength weights of a curve at z."""
     weights = arclength_weights(problem, settings.scene_length)
     for k, name in enumerate(settings.names, -2):
-        if name.endswith(".stiffness"):  # it goes through orders of magnitude
+        if name.endswith(".stiffness"):  # it varies over orders of magnitude
             weights[k] = 1.0 / (1.0 + abs(z[k]))
     return settings._replace(control=settings.control._replace(scale=weights))
 
 
 def _locus_direction(problem, z, settings):
-    """The `track.LocusWay` from z, towards greater values of the second parameter."""
+    """Return the `LocusDirection` from z towards greater values of the second parameter."""
     settings = weight_settings(problem, z, settings)
     tangent_vector = unit_tangent(continuation_problem(problem), z, settings.control.scale, problem)
     return LocusDirection(
@@ -106,12 +110,12 @@ def _locus_direction(problem, z, settings):
 
 
 def reverse_direction(direction):
-    """The `track.LocusWay` in the other direction."""
+    """Reverse a `LocusDirection`."""
     return direction._replace(start=start_point(direction.start.z, -direction.start.tangent))
 
 
 def check_parameter_pair(scene, names):
-    """Two parameters of a scene by name. Raises ArgumentError."""
+    """Check that names are two different parameters of a scene. Raises ArgumentError."""
     pair = tuple(names) if isinstance(names, tuple | list) else ()
     for name in pair:
         check.require_parameter(name, scene.names, name)
@@ -122,20 +126,23 @@ def check_parameter_pair(scene, names):
 
 
 def locus_problems(start, names, whole_orbit=False):
-    """(`GrazingEquations`, `SingularEquations` or `ChatterEquations`, z) at a `LocusStart`, along any number of
-    parameters, a list of one; at a GR of one for each touch, which leaves the others out. A tuple of names is one, of
-    several that have one value. whole_orbit: of the whole orbit, be it symmetric, unless an SB asks for half of it.
-    Raises ArgumentError."""
+    """Set up the equations and the solution z of a `LocusStart` along any number of parameters.
+
+    Returns a list of (equations, z) with one entry, or at a GR one entry for each contact, without the other contacts.
+    The equations are `GrazingEquations`, `SingularEquations` or `ChatterEquations`. A tuple of names is one parameter
+    of several numbers that share a value. With `whole_orbit` a symmetric orbit is not reduced to one half, unless an SB
+    requires it. Raises ArgumentError.
+    """
     scene, orbit_row = start.scene, start.orbit_row
     if start.kind != "GR" and not len(orbit_row.times):
-        rule = "must be one of an orbit with impacts: of others a GR alone has derivatives and a locus"
+        rule = "must belong to an orbit with impacts; without impacts only a GR has derivatives and a locus"
         raise check.ArgumentError("special", rule, f"{start.kind} without impacts")
     impacts = _impact_list(start)
     values = [common_value(scene, name) for name in names]
     marked_scene, parameter_marks = mark_parameters(scene, *names)
     use_half_orbit = keeps_symmetry(start, names)
     if start.kind == "SB" and not use_half_orbit:
-        raise check.ArgumentError("names", "must keep the scene symmetric: an SB is no point of another", names)
+        raise check.ArgumentError("names", "must keep the scene symmetric, as an SB requires", names)
     use_half_orbit = use_half_orbit and not (whole_orbit and start.kind != "SB")
     closure_sign, periods = (-1.0, 0.5 * orbit_row.periods) if use_half_orbit else (1.0, float(orbit_row.periods))
     if use_half_orbit:
@@ -153,7 +160,7 @@ def locus_problems(start, names, whole_orbit=False):
     slack = GRAZING_TOLERANCE * scene_length(scene)
     grazing_indices = [k for k, (_, speed, side) in enumerate(impacts) if speed <= slack and not are_releases(side)]
     if not grazing_indices:
-        raise check.ArgumentError("special", "must touch a wall: a GR at which none is", start.orbit_row.value)
+        raise check.ArgumentError("special", "must touch a wall", start.orbit_row.value)
     impact_lists = (
         [impact for k, impact in enumerate(impacts) if k == grazing_index or k not in grazing_indices]
         for grazing_index in grazing_indices
@@ -162,13 +169,13 @@ def locus_problems(start, names, whole_orbit=False):
 
 
 def _singular_problem(problem_template, impacts, values):
-    """(`SingularEquations`, z) with these impacts."""
+    """Return (`SingularEquations`, z) with these impacts."""
     sequence = padded_sequence(problem_template, impacts)
     return problem_template._replace(sequence=sequence), np.concatenate([sequence.times, sequence.speeds, values])
 
 
 def _chatter_problem(problem_template, impacts, values, kind):
-    """(`ChatterEquations`, z) with these impacts, at the row whose rest just is one."""
+    """Return (`ChatterEquations`, z) with these impacts, at the row whose sticking phase is at its limit."""
     is_release, slack = kind == "RL", GRAZING_TOLERANCE * scene_length(problem_template.scene)
     sequence = padded_sequence(problem_template, impacts)
     z = np.concatenate([sequence.times, sequence.speeds, values])
@@ -189,7 +196,7 @@ def _chatter_problem(problem_template, impacts, values, kind):
 
 
 def _grazing_problem(problem_template, impacts, values, slack):
-    """(`GrazingEquations`, z) with these impacts, one of them without speed."""
+    """Return (`GrazingEquations`, z) with these impacts, one of which has zero speed."""
     sequence = padded_sequence(problem_template, impacts)
     row_mask = np.where(are_impacts(sequence) & (sequence.speeds <= slack), 1.0, 0.0)
     z = np.concatenate([sequence.times, sequence.speeds, values])
@@ -201,7 +208,7 @@ def _grazing_problem(problem_template, impacts, values, slack):
 
 
 def _impact_list(start):
-    """(time, speed, side) of each impact, and of each touch at a GR, in order, the first within the first period."""
+    """Return (time, speed, side) of each impact and grazing contact in order, the first within the first period."""
     orbit_row = start.orbit_row
     entries = [
         ((k, 0.0), contact)
@@ -219,7 +226,7 @@ def _impact_list(start):
 
 
 def keeps_symmetry(start, names):
-    """Whether an orbit is its own mirror image, and stays one whatever the parameters are."""
+    """Check that an orbit is its own mirror image and remains so for all values of the parameters."""
     impacts = _impact_list(start)
     if len(impacts) % 2 or not stays_symmetric(start.scene, *flatten_names(names)):
         return False
@@ -229,8 +236,11 @@ def keeps_symmetry(start, names):
 
 
 def whole_orbit_impacts(problem, zs):
-    """(times, speeds, sides, periods) of the whole orbits at points of a curve, (points, n + 1): times and speeds are
-    (points, impacts), sides (impacts,); half an orbit is followed by its mirror image."""
+    """Return (times, speeds, sides, periods) of the whole orbits at points of a curve.
+
+    `zs` has shape (points, unknowns), times and speeds have shape (points, impacts), sides has shape (impacts,). One
+    half of an orbit is completed by its mirror image.
+    """
     n_rows, n_impacts = len(problem.sequence.sides), int(np.sum(problem.sequence.sides != 0))
     times, speeds, sides = (
         zs[:, :n_impacts],
@@ -250,7 +260,7 @@ def whole_orbit_impacts(problem, zs):
 
 
 def _drive_frequencies(problem, zs):
-    """(points, 1), or one number where the frequency is no parameter of the curve."""
+    """Return the drive frequency at each point, (points, 1), or a number if it is not a parameter of the curve."""
     parameter_index = int(problem.parameter_marks.frequency)
     return (
         zs[:, [2 * len(problem.sequence.sides) + parameter_index - 1]]
@@ -260,6 +270,6 @@ def _drive_frequencies(problem, zs):
 
 
 def _correct_point(problem, z, tangent_vector, control):
-    """z after Newton's method."""
+    """Return z after Newton's method, or z itself if it does not converge."""
     solution = take_step(continuation_problem(problem), start_point(z, tangent_vector), 0.0, control, problem)
     return solution.z if solution.converged else z

@@ -1,16 +1,16 @@
-"""Which loci leave a point of codimension two, and where each of them begins.
+"""Find the loci that emanate from a point of codimension two, and the start of each.
 
-- RG: with the touch as an impact of speed s, the orbit's equations leave g = mu + phi s + kappa s^2 / 2 = 0; mu is zero
-  on the GR, phi at the RG. They are singular at s = -phi / kappa (SN), and so, for the orbit gone through twice, with
-  another kappa (PD; SB of a symmetric orbit): curves that are regular in s and quadratically tangent to the GR, of
-  which s > 0 is real (Simpson and Ghosh, arXiv 2602.22797).
-- GPD, DSB: the two halves of the orbit differ by s along the null vector, and nu + c s^2 + d s^4 = 0, c being zero at
-  the point. nu is zero on the PD or SB, and the pair folds where nu = c^2 / 4 d: one SN, quadratically tangent. The
-  multipliers of the pair are near 1 and det M^2 < 1, so nothing else of it is near.
-- SN, PD, SB on a GR: an orbit that leaves the touch out is singular. It is on the locus of its kind where the touch
-  comes free, and the other orbits of that point, the second one of the SN, the pair of the PD or SB, touch the wall
-  along a curve that is quadratically tangent to that locus (Colombo and Dercole, SIAM J. Appl. Dyn. Syst. 9, 62, 2010):
-  at SN it is the GR itself, to either side of the point, else another GR.
+- RG: with the grazing contact as an impact of speed s, the equations of the orbit reduce to ``g = mu + phi s + kappa
+  s^2 / 2 = 0``. mu vanishes on the GR, phi at the RG. They are singular at ``s = -phi / kappa`` (SN) and, for the orbit
+  traversed twice, with another kappa (PD; SB of a symmetric orbit). These curves are regular in s and quadratically
+  tangent to the GR. Only ``s > 0`` is admissible (Simpson and Ghosh, arXiv 2602.22797).
+- GPD, DSB: the two halves of the orbit differ by s along the null vector, and ``nu + c s^2 + d s^4 = 0`` with c = 0 at
+  the point. nu vanishes on the PD or SB, and the pair of orbits folds at ``nu = c^2 / 4 d``. This is one SN,
+  quadratically tangent. The multipliers of the pair are near 1 and det M^2 < 1, so that no other bifurcation is near.
+- SN, PD, SB on a GR: an orbit without the grazing contact is singular. It lies on the locus of its kind on the side on
+  which the contact opens. The other orbits of that point, the second orbit of the SN or the pair of the PD or SB, graze
+  the wall along a curve that is quadratically tangent to that locus (Colombo and Dercole, SIAM J. Appl. Dyn. Syst. 9,
+  62, 2010). At SN this curve is the GR itself, on both sides of the point; at PD and SB it is another GR.
 """
 
 from typing import NamedTuple
@@ -44,15 +44,18 @@ from .locus_start import (
 )
 from .track import LocusDirection, track_locus
 
-NULL_VECTOR_STEPS = (0.1, 0.05, 0.02, 0.01, 0.005)  # lengths along the null vector after which a pair's SN is begun
-STEP_FRACTIONS = (1.0, 0.1, 0.01)  # of the first step: after which another locus is begun
-DIFFERENCE_STEP = 1e-4  # of the same: the points of a difference
+NULL_VECTOR_STEPS = (0.1, 0.05, 0.02, 0.01, 0.005)  # distances along the null vector at which the SN of a pair starts
+STEP_FRACTIONS = (1.0, 0.1, 0.01)  # fractions of the first step at which another locus starts
+DIFFERENCE_STEP = 1e-4  # along the unit null vector: step of central differences
 
 
 class LocusSeed(NamedTuple):
-    """Where a locus begins that leaves a point. start; special_index: of the point, as this locus calls it;
-    forward_direction, backward_direction: ways, the latter None where it begins in the point; origin: z of the point
-    where the way begins a little on, else None."""
+    """Start of a locus that emanates from a point.
+
+    `start`, its `LocusStart`; `special_index`, the point as a special point of this locus; `forward_direction` and
+    `backward_direction`, the latter None if the locus begins at the point; `origin`, z of the point if the direction
+    begins at a small distance from it, else None.
+    """
 
     start: LocusStart
     special_index: SpecialIndex
@@ -62,7 +65,7 @@ class LocusSeed(NamedTuple):
 
 
 def locus_seeds(point, bounds, *step_settings):
-    """The `LocusSeed`s of the loci that leave a `Codim2` besides that on which it was found. Raises ArgumentError."""
+    """Return the `LocusSeed` of each locus that emanates from a `Codim2`, except its own. Raises ArgumentError."""
     arguments = tuple(point.values), bounds, *step_settings
     if point.kind in ("GPD", "DSB"):
         return [_pair_fold_seed(point, *arguments)]
@@ -88,12 +91,12 @@ def locus_seeds(point, bounds, *step_settings):
 
 
 def _start_fields(point, orbit_row=None):
-    """What a `LocusStart` has besides its kind."""
+    """Return the fields of a `LocusStart` other than its kind."""
     return next(iter(point.values)), point.scene, orbit_row or point.spot
 
 
 def _drop_impacts(orbit_row, rows):
-    """An `OrbitPoint` without some of its impacts, those of no speed."""
+    """Return an `OrbitPoint` without its impacts in the given rows."""
     remaining_indices = np.delete(np.arange(len(orbit_row.times)), rows)
     return orbit_row._replace(
         times=orbit_row.times[remaining_indices],
@@ -103,7 +106,7 @@ def _drop_impacts(orbit_row, rows):
 
 
 def _grazing_seed(point, kind, names, bounds, *step_settings):
-    """The GR through a point where a locus of another kind ends; kind: of the point, on the GR."""
+    """Return the GR through a point at which a locus of another kind ends; `kind` is that of the point on the GR."""
     start = LocusStart("GR", *_start_fields(point))
     return LocusSeed(start, _special_index(point, kind), *both_directions(start, names, bounds, *step_settings))
 
@@ -113,7 +116,7 @@ def _special_index(point, kind):
 
 
 def _opening_seed(point, kind, orbit_row, names, bounds, *step_settings):
-    """The locus of a kind along which the touches of a point come free, or get a speed; orbit_row: its orbit."""
+    """Return the locus of a kind along which the contacts of a point open, or gain speed."""
     start = LocusStart(kind, *_start_fields(point, orbit_row))
     (direction,) = locus_directions(start, names, bounds, *step_settings)
     return _seed_from_direction(start, _special_index(point, "GR"), _admissible_direction(direction))
@@ -122,13 +125,13 @@ def _opening_seed(point, kind, orbit_row, names, bounds, *step_settings):
 def _admissible_direction(direction):
     candidates = [candidate for candidate in (direction, reverse_direction(direction)) if candidate.is_admissible]
     if len(candidates) != 1:
-        rule = "must be a point that a locus leaves one way; here other touches come in both ways, or in none"
+        rule = "must be a point from which the locus emanates in exactly one admissible direction"
         raise check.ArgumentError("special", rule, len(candidates))
     return candidates[0]
 
 
 def _doubled_orbit_row(point, kind, orbit_row):
-    """The `OrbitPoint` of an orbit whose two halves may become different."""
+    """Return the `OrbitPoint` of an orbit whose two halves may differ."""
     if kind == "SB":
         return orbit_row
     duration = orbit_row.periods * 2.0 * np.pi / float(point.scene.frequency)
@@ -145,8 +148,10 @@ def _doubled_orbit_row(point, kind, orbit_row):
 
 
 def _pair_grazing_seed(point, kind, names, bounds, *step_settings):
-    """The GR of the pair that leaves a PD or SB on a grazing: of two curves of its equations that which is not the GR
-    of the point's own orbit, its two halves becoming different."""
+    """Return the GR of the pair of orbits that emanates from a PD or SB on a grazing.
+
+    Two curves of its equations cross. The GR of the pair is the curve along which the two halves of the orbit differ.
+    """
     start = LocusStart("GR", *_start_fields(point, _doubled_orbit_row(point, kind, point.spot)))
     problem, z = locus_problems(start, names, whole_orbit=True)[0]
     settings = weight_settings(problem, z, locus_settings(point.scene, names, bounds, *step_settings))
@@ -154,7 +159,7 @@ def _pair_grazing_seed(point, kind, names, bounds, *step_settings):
     try:
         tangents = crossing.branch_tangents(continuation_problem(problem), z, scale, problem)
     except ValueError:
-        raise check.ArgumentError("special", "must be one at which loci of GR cross; here none do", kind) from None
+        raise check.ArgumentError("special", "must be a point at which loci of GR cross", kind) from None
     speeds = tangents[:, n_rows + problem.impact_rows]
     half_differences = abs(speeds - np.roll(speeds, len(problem.impact_rows) // 2, axis=1)).max(axis=1)
     return _seed_from_direction(
@@ -165,7 +170,7 @@ def _pair_grazing_seed(point, kind, names, bounds, *step_settings):
 
 
 def _pair_fold_seed(point, names, bounds, *step_settings):
-    """The SN of the pair that leaves a GPD or DSB."""
+    """Return the SN of the pair of orbits that emanates from a GPD or DSB."""
     orbit_row = _doubled_orbit_row(point, {"GPD": "PD", "DSB": "SB"}[point.kind], point.spot)
     start = LocusStart("SN", *_start_fields(point, orbit_row))
     ((problem, z),) = locus_problems(start, names, whole_orbit=True)
@@ -174,11 +179,11 @@ def _pair_fold_seed(point, names, bounds, *step_settings):
         if _is_admissible(problem, nearby_point, settings):
             direction = LocusDirection(problem, start_point(nearby_point.z, nearby_point.tangent), settings)
             return LocusSeed(start, _special_index(point, point.kind), direction, origin=z)
-    raise check.ArgumentError("special", "must be a point beside which an SN of the pair is found", point.kind)
+    raise check.ArgumentError("special", "must be a point near which the SN of the pair can be located", point.kind)
 
 
 def _is_admissible(problem, nearby_point, settings):
-    """Whether a `Point` is one of a locus, within its bounds."""
+    """Check that a `Point` is an admissible point of a locus within its bounds."""
     is_inside = all(
         lower <= value <= upper for value, (lower, upper) in zip(nearby_point.z[-2:], settings.box, strict=True)
     )
@@ -190,9 +195,11 @@ def _is_admissible(problem, nearby_point, settings):
 
 
 def _seed_from_direction(start, special_index, direction):
-    """The `LocusSeed` of a way from a point. It begins a little on if it can: in the point itself the determinant of
-    its equations may have no sign, as an impact has no speed or another curve crosses, and a step from there is taken
-    for a jump."""
+    """Return the `LocusSeed` of a direction from a point.
+
+    The seed begins at a small distance if possible. At the point itself the determinant of its equations may have no
+    sign, because an impact has zero speed or because another curve crosses, and a step from it is mistaken for a jump.
+    """
     problem, settings = direction.problem, direction.settings
     for fraction in STEP_FRACTIONS:
         nearby_point = event_search.take_step(
@@ -205,8 +212,11 @@ def _seed_from_direction(start, special_index, direction):
 
 
 def _fold_guesses(problem, z, control):
-    """`Point`s of the SN of a pair, a little along the null vector v of its equations: Newton's method from the pair to
-    second order, u + s v + s^2 h at the point's parameters. Its matrix is as small there as s^3, its error as s^5."""
+    """Yield `Point` guesses of the SN of a pair of orbits at small distances along the null vector v of its equations.
+
+    Newton's method starts from the second-order expansion ``u + s v + s^2 h`` of the pair at the parameters of the
+    point. Its matrix is of order s^3, its error of order s^5.
+    """
     n_unknowns = 2 * len(problem.sequence.sides)
     scale = control.scale[:n_unknowns]
     jacobian = augmented_systems.jacobian_at(continuation_problem(problem), z, problem)[:n_unknowns, :n_unknowns]
@@ -228,7 +238,7 @@ def _fold_guesses(problem, z, control):
 
 
 def track_seed(seed, step_settings):
-    """What `locus_of` takes of an `LocusSeed`: (its start, what was tracked on, and back)."""
+    """Track a `LocusSeed`; return the arguments of `build_locus`: start, forward parts, backward parts."""
     segment = track_locus(seed.forward_direction) if seed.origin is None else _track_from_origin(seed)
     forward_parts = track_across_walls(
         seed.start,
@@ -245,7 +255,7 @@ def track_seed(seed, step_settings):
 
 
 def _track_from_origin(seed):
-    """The `Stretch` of a way that begins a little on from its point, with that."""
+    """Return the segment of a direction that begins at a small distance from its point, with this point prepended."""
     segment, z = track_locus(seed.forward_direction), seed.origin
     length = np.linalg.norm(seed.forward_direction.settings.control.scale * (segment.points.z[0] - z))
     first_row = start_point(z, (segment.points.z[0] - z) / length)

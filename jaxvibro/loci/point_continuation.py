@@ -1,8 +1,9 @@
-"""A fold or grazing carried to other numbers of its scene, by the host alone, and how its value changes with them.
+"""Continue a fold or grazing to other numbers of its scene, and compute the gradient of its value.
 
-F(u, p, q) = 0 are an orbit's equations, p the point's value, q the numbers that are kept. At a fold F_u is singular:
-with w its null vector from the left, dp/dq = -(w F_q) / (w F_p). At a grazing one speed is zero and no unknown: what is
-left of (F_u, F_p) is regular, and dp/dq is the last row of -(F_u, F_p)^-1 F_q. No second derivative is asked for.
+F(u, p, q) = 0 are the equations of an orbit, p the value of the point, q the other numbers. At a fold F_u is singular,
+with left null vector w, and ``dp/dq = -(w F_q) / (w F_p)``. At a grazing one speed is zero and is not an unknown. The
+remaining matrix of (F_u, F_p) is regular, and dp/dq is the last row of ``-(F_u, F_p)^-1 F_q``. No second derivative is
+required.
 """
 
 from contextlib import suppress
@@ -21,14 +22,28 @@ from ..scene.scene import Scene
 from .extended_system import GrazingEquations
 from .locus_start import locus_problems, make_locus_start
 
-MIN_FRACTION = 1.0 / 256.0  # of the way to other numbers: a step as short that fails is the end
-MAX_CHANGE = 0.3  # of 1 + the largest unknown: more must nothing change in a step
+MIN_FRACTION = 1.0 / 256.0  # of the path: the continuation ends if a shorter step fails
+MAX_CHANGE = 0.3  # relative to 1 + the largest unknown: largest change in a step
 
 
 class ContinuedPoint(NamedTuple):
-    """A fold or grazing, and the numbers of its scene that are kept. problem: its orbit's equations; z: (times, speeds,
-    value); zero_speed_indices: places in z of speeds that are zero; parameter_values: the numbers, (count,);
-    parameter_marks: for each the scene's tree, 1 where it stands; residual: the largest error left in the equations."""
+    """Fold or grazing with the numbers of its scene that can be changed.
+
+    Attributes
+    ----------
+    problem : OrbitEquations
+        Equations of the orbit.
+    z : numpy.ndarray
+        (times, speeds, value). Array of shape (unknowns,).
+    zero_speed_indices : numpy.ndarray
+        Indices in `z` of speeds that are zero.
+    parameter_values : numpy.ndarray
+        Values of the numbers that can be changed. Array of shape (count,).
+    parameter_marks : tuple of Scene
+        For each of these numbers the tree of the scene with 1 at its position.
+    residual : float
+        Largest residual of the equations.
+    """
 
     problem: OrbitEquations
     z: Float[np.ndarray, " unknowns"]
@@ -39,24 +54,41 @@ class ContinuedPoint(NamedTuple):
 
     @property
     def value(self) -> float:
-        """Of the point's parameter."""
+        """Parameter value of the point."""
         return float(self.z[-1])
 
 
 def prepare_point(special, names):
-    """The `ContinuedPoint` of a `Special`, SN or GR, and names of numbers that are kept; at a GR the first touch that
-    the point's value matters to."""
+    """Make the `ContinuedPoint` of a special point.
+
+    Parameters
+    ----------
+    special : Special
+        Special point of kind SN or GR.
+    names : sequence of str
+        Names of the numbers that can be changed.
+
+    Returns
+    -------
+    ContinuedPoint
+        The point; at a GR that of the first contact that determines its value.
+
+    Raises
+    ------
+    ArgumentError
+        If the point is of another kind, or if its parameter does not move it.
+    """
     start = make_locus_start(special)
     for problem_and_z in locus_problems(start, (special.name, *names)):
         point = _make_point(*problem_and_z, special.name, names)
         with suppress(np.linalg.LinAlgError):
             parameter_gradient(point)
             return point
-    raise check.ArgumentError("special", f"must be moved by {special.name}", start.kind)
+    raise check.ArgumentError("special", f"must depend on {special.name}", start.kind)
 
 
 def _make_point(problem, z, name, names):
-    """The `ContinuedPoint` of a curve's point along a parameter and others."""
+    """Make the `ContinuedPoint` of a point of a curve along one parameter and others."""
     n_rows, unknowns = len(problem.sequence.sides), z[: len(z) - len(names)]
     scene, value_marks = mark_parameters(problem.scene, name)
     zero_speed_indices = (
@@ -71,12 +103,23 @@ def _make_point(problem, z, name, names):
         parameter_marks,
         np.nan,
     )
-    point = _with_parameters(point, point.parameter_values)  # `mark_parameters` has put the hardness to zero
+    point = _with_parameters(point, point.parameter_values)  # `mark_parameters` sets the hardness to zero
     return _solve_point(point) or point
 
 
 def parameter_gradient(point):
-    """dp/dq at a `ContinuedPoint`, (count,)."""
+    """Compute the gradient of the value of a point with respect to its numbers.
+
+    Parameters
+    ----------
+    point : ContinuedPoint
+        The point.
+
+    Returns
+    -------
+    numpy.ndarray
+        Gradient dp/dq. Array of shape (count,).
+    """
     jacobian, parameter_columns = _jacobian(point.problem, point.z), _parameter_columns(point)
     if len(point.zero_speed_indices):
         return -np.linalg.solve(np.delete(jacobian, point.zero_speed_indices, 1), parameter_columns)[-1]
@@ -85,17 +128,32 @@ def parameter_gradient(point):
 
 
 def continue_point(point, target_values, n_steps=1):
-    """(the `ContinuedPoint` of the same point where its numbers are others, how much of the way there it is: 1 all of
-    it).
+    """Continue a point to other values of its numbers.
 
-    target_values: (count,); the way is cut into steps at first, and into shorter ones where Newton's method does not
-    follow."""
+    The straight path is divided into steps, which are halved where Newton's method fails.
+
+    Parameters
+    ----------
+    point : ContinuedPoint
+        The point.
+    target_values : array_like
+        Values of the numbers at the end. Array of shape (count,).
+    n_steps : int, optional
+        Initial number of steps.
+
+    Returns
+    -------
+    point : ContinuedPoint
+        The point at the end of the path that was followed.
+    fraction : float
+        Fraction of the path that was followed, 1 if the target is reached.
+    """
     start_values, displacement = point.parameter_values, np.asarray(target_values) - point.parameter_values
     fraction, fraction_step, previous = 0.0, 1.0 / n_steps, None
     while fraction < 1.0 and fraction_step >= MIN_FRACTION:
         next_fraction = min(1.0, fraction + fraction_step)
         z = np.array(point.z)
-        if previous is not None:  # on along the line through the last two
+        if previous is not None:  # secant predictor
             z += (point.z - previous[0].z) * (next_fraction - fraction) / (fraction - previous[1])
         else:
             z[-1] += parameter_gradient(point) @ displacement * (next_fraction - fraction)
@@ -108,7 +166,7 @@ def continue_point(point, target_values, n_steps=1):
 
 
 def _with_parameters(point, parameter_values):
-    """The `ContinuedPoint` with other numbers, its orbit not yet theirs."""
+    """Return the `ContinuedPoint` with other values, without correcting its orbit."""
     scene = point.problem.scene
     for mask, value in zip(point.parameter_marks, parameter_values, strict=True):
         scene = _set_marked(scene, mask, value)
@@ -120,7 +178,7 @@ def _set_marked(scene, mask, value):
 
 
 def _parameter_columns(point):
-    """F_q, a column for each number."""
+    """Return F_q, one column per number."""
     scene_at_value = _set_marked(point.problem.scene, point.problem.parameter_marks, point.z[-1])
     columns = [
         _jacobian(point.problem._replace(scene=scene_at_value, parameter_marks=mask), np.append(point.z[:-1], value))[
@@ -136,8 +194,7 @@ def _jacobian(problem, z):
 
 
 def _solve_point(point):
-    """The `ContinuedPoint` by Newton's method from this one, None where there is none whose impacts are into the
-    walls."""
+    """Correct a `ContinuedPoint` by Newton's method, or return None if there is none with positive impact speeds."""
     try:
         with np.errstate(all="ignore"):
             solution = (
@@ -145,7 +202,7 @@ def _solve_point(point):
                 if len(point.zero_speed_indices)
                 else augmented_systems.locate_fold(continuation_problem(point.problem), point.z, point.problem)
             )
-    except np.linalg.LinAlgError:  # a flight without an end
+    except np.linalg.LinAlgError:  # a flight does not end
         return None
     if solution.z is None:
         return None
@@ -156,7 +213,7 @@ def _solve_point(point):
 
 
 def _solve_grazing(point):
-    """`locate.Located` where the speeds that are still stay zero."""
+    """Solve with the zero speeds held; return a `PointSolution`."""
     free_indices = np.delete(np.arange(len(point.z)), point.zero_speed_indices)
 
     def expand_unknowns(free_unknowns):

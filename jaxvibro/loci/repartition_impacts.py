@@ -1,8 +1,9 @@
-"""On along a locus of orbits that rest where other hops before a release are the better rows of the equations.
+"""Continue a locus of sticking orbits with another partition of the hops before a release.
 
-Rows are the hops up to one from which on all are short (`chatter_and_release`). Along a locus that one's hop comes to
-be too long, or so short that its speed goes to zero with the time that is left: next to there the equations have false
-solutions."""
+The rows of the equations are the hops up to the first from which all hops are short (`chatter_and_release`). Along a
+locus this hop may become too long, or so short that its speed vanishes with the remaining time. Near these points the
+equations have spurious solutions.
+"""
 
 import numpy as np
 
@@ -14,17 +15,18 @@ from ..problem.equations import are_releases, scene_at
 from ..problem.orbit_point import OrbitPoint
 from .locus_start import LocusStart, locus_directions, reverse_direction, whole_orbit_impacts
 
-NEARLY_TOO_LONG, NEARLY_TOO_SHORT = (
-    0.05,
-    0.95,
-)  # `releases.Tails.plain` of a hop that is about to be too long, of one that is too short
-STICKING_SLACK = 1e-9  # of its speed, and of the press: so nearly a rest is one
+# `ChatterOutcome.hop_margin` of a hop that is nearly too long, and of one that is nearly too short
+NEARLY_TOO_LONG, NEARLY_TOO_SHORT = 0.05, 0.95
+STICKING_SLACK = 1e-9  # tolerance of the speed and of the contact force at the limit of a sticking phase
 
 
 def repartition_impacts(start, direction, segment, step_settings):
-    """(the `Stretch` up to where its rows were good, the `track.LocusWay` on from there with others); None where they
-    are good to its end. start: the `LocusStart`; direction, segment: a `LocusWay` and what was tracked along it;
-    step_settings: as of `first_point.ways`."""
+    """Split a segment at the point up to which its rows are suitable, and set up the continuation with other rows.
+
+    `start` is the `LocusStart`, `direction` a `LocusDirection` with the `segment` that was tracked along it, and
+    `step_settings` the arguments of `locus_directions`. Returns the truncated segment and the next `LocusDirection`, or
+    None if the rows are suitable up to the end.
+    """
     problem = direction.problem
     last_index = len(segment.points.z) - (2 if segment.end is End.GRAZE else 1)
     if problem.sequence.releases is None or segment.end not in (End.GRAZE, End.STEP) or last_index < 1:
@@ -51,12 +53,12 @@ def repartition_impacts(start, direction, segment, step_settings):
 
 
 def _row_time(problem, z):
-    """The time of the row that the locus is of."""
+    """Return the time of the row at the limit of its sticking phase."""
     return z[np.argmax(problem.row_mask)]
 
 
 def _repartitioned_start(problem, z, start, name):
-    """The `LocusStart` of the orbit at z with other hops as rows."""
+    """Return the `LocusStart` of the orbit at z with other hops as rows."""
     scene = scene_at(problem, z)
     times, speeds, sides, periods = whole_orbit_impacts(problem, z[None])
     times, speeds = times[0], speeds[0]

@@ -1,4 +1,4 @@
-"""`switch`: the curves that leave a special point: of a branch branches, of a locus loci."""
+"""Switch to the branches and loci that emanate from a special point: `switch`."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import overload
@@ -13,7 +13,7 @@ from ..scene import check
 from .locus import Codim2, Locus, build_locus
 from .locus_switching import locus_seeds, track_seed
 
-DEPARTURE_LOCI = {  # by kinds of points, on which loci others leave them
+DEPARTURE_LOCI = {  # kind of point: kinds of locus on which other loci emanate from it
     "RG": ("GR",),
     "GPD": ("PD",),
     "DSB": ("SB",),
@@ -68,23 +68,71 @@ def switch(
     max_seconds: float | None = None,
     progress: Callable[[int], object] | None = None,
 ) -> tuple[Branch, ...] | tuple[Locus, ...]:
-    """The curves that leave a special point besides the one it was found on: a tuple, of `Branch` for a point of a
-    branch, of `Locus` for one of codimension two, each from the point on, to where it ends.
+    """Continue the branches or loci that emanate from a special point.
 
-    special: a `Special` of a branch. At SB and BP the two halves of the branch that crosses there, the first along
-    greater times or speeds; at PD the one of twice the period (its other half has the same orbits, a period later); at
-    GR those of the itineraries that the branch did not go on with. bounds and the rest as in `follow`; bounds None
-    takes the point's.
+    Parameters
+    ----------
+    special : Special or Codim2
+        Special point of a branch, of kind SB, BP, PD or GR, or point of codimension two of a locus.
+    bounds : tuple of float or dict of str to tuple of float, optional
+        Lower and upper bound of the parameter of a branch, or of each parameter of a locus by name. By default the
+        bounds of the curve of the point.
+    first_step : float, optional
+        First arclength step, as in `follow` or `locus`.
+    largest_step : float, optional
+        Largest arclength step.
+    tolerance : float, optional
+        Tolerance of Newton's method.
+    monitors : dict of str to callable, optional
+        User-defined test functions, as in `follow`. Only for branches.
+    stop : str or sequence of str, optional
+        Kinds of special point at which a branch ends. Only for branches.
+    max_points : int, optional
+        Largest number of points of each curve. By default the number is unlimited.
+    max_seconds : float, optional
+        Wall-clock time in s for all curves together. By default the time is unlimited.
+    progress : callable, optional
+        Function that is called with the number of points computed.
 
-    Or a `Codim2` of a locus. At RG the SN and the PD, of a symmetric orbit the SB, with the touch as an impact; at GPD
-    the SN of the doubled orbit, at DSB that of a lopsided one (its mirror image lies on the same curve); at SN, PD and
-    SB on a GR that locus of the orbit without the touch, and at PD and SB the GR of the doubled or of a lopsided orbit;
-    at GR, where an SN, PD or SB ends, the GR, which goes through the point, and what else leaves that. bounds, steps
-    and tolerance as in `locus`; bounds None takes the locus' own.
+    Returns
+    -------
+    tuple of Branch or tuple of Locus
+        The curves that emanate from the point, except the curve on which the point was located. Each starts at the
+        point. Branches emanate from a `Special`, loci from a `Codim2`.
 
-    max_points, max_seconds, progress: as in `follow`; max_points holds for each curve, max_seconds for all of them.
+    Raises
+    ------
+    ArgumentError
+        If no curve emanates from a point of this kind, or if another argument is invalid.
 
-    Raises ArgumentError for a point of another kind, and arguments that cannot be.
+    See Also
+    --------
+    follow : Continue an orbit in one parameter.
+    locus : Continue a special point in two parameters.
+
+    Notes
+    -----
+    Branches emanate from these special points of a branch:
+
+    - SB, BP: the two halves of the crossing branch. The first half begins towards larger times or speeds.
+    - PD: the branch of twice the period. Its other half consists of the same orbits, shifted by one period.
+    - GR: the branches of the itineraries along which the branch itself does not continue.
+
+    Loci emanate from these points of codimension two:
+
+    - RG: the SN and the PD (for a symmetric orbit the SB) of the orbit with the grazing contact as an impact.
+    - GPD: the SN of the period-doubled orbit.
+    - DSB: the SN of an asymmetric orbit. The mirror image of the orbit lies on the same curve.
+    - SN, PD and SB on a GR: the locus of that kind of the orbit without the grazing contact. At PD and SB also the GR
+      of the period-doubled or of an asymmetric orbit.
+    - GR at which an SN, PD or SB ends: the GR through the point, and the other loci that emanate from that GR.
+
+    Examples
+    --------
+    >>> special = branch.points("SB")[0]
+    >>> halves = jv.switch(special, bounds=(3.0, 6.0), max_points=20)
+    >>> [half.segments[0].label for half in halves]
+    ['P111', 'P111']
     """
     limits = limits_of(max_points, max_seconds, progress, check.ArgumentError)
     switch_function = _switch_loci if isinstance(special, Codim2) else _switch_branches
@@ -92,12 +140,12 @@ def switch(
 
 
 def _switch_branches(special, *arguments):
-    """Those that leave a `Special`."""
+    """Continue the branches that emanate from a `Special`."""
     return of_branches.switch(special, *arguments)
 
 
 def _switch_loci(special, bounds, first_step, largest_step, tolerance, monitors, stop, limits):
-    """Those that leave a `Codim2`."""
+    """Continue the loci that emanate from a `Codim2`."""
     _check_codim2(special, monitors, stop)
     bounds, step_settings = special.bounds if bounds is None else bounds, (first_step, largest_step, tolerance, limits)
     values_text = ", ".join(f"{name} {value:.12g}" for name, value in special.values.items())
@@ -109,13 +157,13 @@ def _switch_loci(special, bounds, first_step, largest_step, tolerance, monitors,
 
 
 def _check_codim2(special, monitors, stop):
-    """Refuse a point that no loci leave, and what only branches know."""
+    """Refuse a point from which no loci emanate, and arguments that only branches have."""
     if special.on not in DEPARTURE_LOCI.get(special.kind, ()):
         kinds = ", ".join(
             f"{kind} of a locus of {' or '.join(locus_kinds)}" for kind, locus_kinds in DEPARTURE_LOCI.items()
         )
         actual_value = f"{special.kind} of a locus of {special.on}"
-        raise check.ArgumentError("special", f"must be one that other loci leave: {kinds}", actual_value)
+        raise check.ArgumentError("special", f"must be a point from which other loci emanate: {kinds}", actual_value)
     for key, actual_value in (("monitors", monitors), ("stop", stop)):
         if actual_value:
-            raise check.ArgumentError(key, "must be left out: loci have none", actual_value)
+            raise check.ArgumentError(key, "must be omitted for loci", actual_value)

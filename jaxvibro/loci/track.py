@@ -1,4 +1,4 @@
-"""A locus in one direction: steps along it up to where its bounds, its walls or its start end it."""
+"""Track a locus in one direction until it ends at its bounds, its walls or its start."""
 
 from typing import NamedTuple
 
@@ -23,9 +23,12 @@ from .extended_system import GrazingEquations, SingularEquations
 
 
 class LocusSettings(NamedTuple):
-    """What a locus is asked for. control: of steps, with the second parameter's bounds; initial_step: the first step;
-    names; bounds: (low, high) of each parameter by name; box: the same within their domains; domain_ends: the ends of
-    these that no bound is; scene_length: the scene's; limits: of its points and of the time."""
+    """Settings of a locus.
+
+    `control` of the steps, with the bounds of the second parameter; `initial_step`; `names` of the parameters; `bounds`
+    of each by name; `box`, the bounds within the domains; `domain_ends`, the ends of the domains that are not bounds;
+    `scene_length`, the length of the scene; `limits` of the number of points and of the time.
+    """
 
     control: StepControl
     initial_step: float
@@ -38,7 +41,7 @@ class LocusSettings(NamedTuple):
 
 
 class LocusDirection(NamedTuple):
-    """A locus in one direction, to be tracked. problem: its equations; start: a `Point` whose tangent leads away."""
+    """Direction in which a locus is tracked: equations, a `Point` whose tangent gives the direction, settings."""
 
     problem: GrazingEquations | SingularEquations | ChatterEquations
     start: Point
@@ -46,7 +49,7 @@ class LocusDirection(NamedTuple):
 
     @property
     def task(self) -> ContinuationTask:
-        """The `driver.Task`."""
+        """`ContinuationTask` of the driver."""
         problem, settings = self.problem, self.settings
         detector = LocusEventDetector(problem, settings.scene_length)
         starts, driver_arguments = (np.asarray(self.start.z),), (settings.box, settings.domain_ends, detector)
@@ -61,12 +64,12 @@ class LocusDirection(NamedTuple):
         )
 
     def with_limits(self, limits: Limits) -> "LocusDirection":
-        """The same with these limits."""
+        """Return the direction with other limits."""
         return self._replace(settings=self.settings._replace(limits=limits))
 
     @property
     def is_admissible(self) -> bool:
-        """Whether no other touch than its own becomes an impact along it, or loses speed where it is one."""
+        """True if no other contact becomes an impact along the direction, and no impact at a contact loses speed."""
         problem, z, tangent = self.problem, self.start.z, self.start.tangent
         walls, contact_durations, n_rows = (
             wall_sides(problem.scene),
@@ -94,7 +97,7 @@ class LocusDirection(NamedTuple):
 
 
 class LocusEventDetector(OrbitEventDetector):
-    """Orbits along two parameters: the points of codimension two among them, and the touch that ends them."""
+    """Event detector of a locus: points of codimension two, and the grazing contact that ends it."""
 
     def refine_points(self, task, points, diagnostics):
         return super().refine_points(task, points._replace(residual=_point_residuals(task, points)), diagnostics)
@@ -106,7 +109,7 @@ class LocusEventDetector(OrbitEventDetector):
         return Termination(points, SpecialIndex(0, self.contact_kind(points.z[-1]), residual), End.GRAZE)
 
     def contact_kind(self, z):
-        """The kind of a point at which a flight touches a wall, an impact has lost its speed, or a rest is none."""
+        """Return the kind of an end: grazing, impact with zero speed, or limit of a sticking phase."""
         problem = self.equations
         if isinstance(problem, ChatterEquations):
             return "GR" if find_grazing_contacts(problem, z, self.length_scale) else "CH"
@@ -119,12 +122,15 @@ class LocusEventDetector(OrbitEventDetector):
 
 
 def track_locus(direction):
-    """The `Stretch` along a `LocusDirection`."""
+    """Track a `LocusDirection`; return its segment."""
     return convert_end(driver.follow_branch(direction.task, direction.start))
 
 
 def track_together(directions):
-    """The `Stretch` of each of some `LocusDirection`s, those of one kind and size as the lanes of one compiled call."""
+    """Track several directions; return their segments.
+
+    Directions of equal kind and size are lanes of one compiled call.
+    """
     return [
         convert_end(segment)
         for segment in driver.follow_branches(
@@ -134,12 +140,12 @@ def track_together(directions):
 
 
 def termination_reason(direction, segment):
-    """Why a `LocusDirection` ended, of which the `Stretch` is known."""
+    """Describe why the segment of a `LocusDirection` ends."""
     return describe_end(segment.end, direction.settings.names[segment.end_param_index], segment.end_value)
 
 
 def _point_residuals(task, points):
-    """The residual of each point: the error before Newton's last step, but where that is large the one after it."""
+    """Return the residual of each point before the last step of Newton's method, or after it if the former is large."""
     point_residuals = points.residual.copy()
     for k in np.flatnonzero(point_residuals > task.control.tolerance * (1.0 + abs(points.z[:, -2:]).max(axis=1))):
         point_residuals[k] = abs(np.asarray(augmented_systems.evaluate(task.problem, points.z[k], task.args)[0])).max()

@@ -1,6 +1,6 @@
-"""How long a mass stays within a soft wall, and how it leaves: found by the certified flight, then made smooth.
+"""Duration and end of a contact phase within a soft wall: found by certified flight, then made differentiable.
 
-The time of a stay is found without derivatives, then corrected by Newton's steps that are differentiated.
+The duration is found without derivatives and then corrected by Newton steps that are differentiated.
 """
 
 import math
@@ -21,12 +21,12 @@ from ..flight.step import certified_step
 from ..flight.taylor import ExpansionPoint
 from ..scene.codes import Contact
 
-NEWTON_STEPS = 6  # of Newton's steps to a short stay from a parabola's guess
-MEMORY_STEPS = 8.0  # longest steps: of a stay whose start its end has not forgotten
+NEWTON_STEPS = 6  # from the guess of a parabola to the duration of a short contact phase
+MEMORY_STEPS = 8.0  # contact phases up to this many longest steps depend on their start
 
 
 class ContactEnd(NamedTuple):
-    """The end of a stay: its time; the velocity against the wall there; the drive's cosine and sine."""
+    """End of a contact phase: duration, velocity relative to the wall, and cosine and sine of the drive."""
 
     time: Float[jax.Array, "*lanes"]
     v: Float[jax.Array, "*lanes"]
@@ -35,9 +35,10 @@ class ContactEnd(NamedTuple):
 
 
 def contact_time_of(coeffs, contact, y, v, cosine, sine, max_time):
-    """The time until lanes within a wall leave it, at most the longest; contact: their contact. No derivatives.
+    """Return the time until lanes within a wall leave it, at most `max_time`; without derivatives.
 
-    It has its own digits, however short it is beside the max_time: a stiff wall forgets a start in a thousandth of it.
+    The time has full relative accuracy, even if it is short compared with `max_time`. In a stiff wall the influence of
+    the initial state may decay within a thousandth of `max_time`.
     """
     zero = lax.full_like(y, 0.0)
     motion = SlowMotion(y, zero, v, zero, cosine, sine)
@@ -83,11 +84,33 @@ def contact_time_of(coeffs, contact, y, v, cosine, sine, max_time):
 
 
 def contact_phase_matrix(coeffs, contact, contact_time, free_flow, entry_ratio, exit_ratio):
-    """(matrix by rows, its determinant) of a stay over which the flow is free's, p00, p01, p11: how its end changes
-    with its start.
+    """Compute the matrix of a contact phase and its determinant.
 
-    Where the damping jumps from gamma to gamma2 and back, S = ((1, 0), (+-2 (gamma - gamma2) v / u, 1)), v the
-    velocity, u that against the wall; entry_ratio, exit_ratio: v / u there, 0 where there is no jump.
+    Parameters
+    ----------
+    coeffs : FlowCoefficients
+        Coefficients of the scene.
+    contact : array
+        Contact code of each lane.
+    contact_time : array
+        Duration of the contact phase, in t.
+    free_flow : tuple of array
+        Entries (p00, p01, p11) of the flow within the wall.
+    entry_ratio, exit_ratio : array
+        Ratio v / u at the entry and at the exit, where v is the velocity and u that relative to the wall; 0 without a
+        jump of the damping.
+
+    Returns
+    -------
+    matrix : tuple of array
+        Four entries of the derivative of the final state with respect to the initial state, by rows.
+    determinant : array
+        Its determinant.
+
+    Notes
+    -----
+    Where the damping jumps from gamma to gamma2 and back, the saltation matrix is S = ((1, 0), (+-2 (gamma - gamma2) v
+    / u, 1)).
     """
     contact_coeffs = soft_contact.coeffs_by_lane(coeffs, contact)
     p00, p01, p11 = free_flow
@@ -101,9 +124,14 @@ def contact_phase_matrix(coeffs, contact, contact_time, free_flow, entry_ratio, 
 
 
 def wall_to_wall_flow(contact_coeffs, contact, contact_time, response, wall_to_wall):
-    """The free flow of a `soft_contact.StayResponse`. wall_to_wall: (lanes whose stay begins and ends at the wall, y',
-    cosine, sine at its start): there p01 follows from y = 0 at the end, with all its digits where it is small, and the
-    stiff wall multiplies it."""
+    """Return the flow (p00, p01, p11) of a contact phase, with an accurate p01 for wall-to-wall phases.
+
+    `response` is the `soft_contact.ContactResponse`.
+
+    `wall_to_wall` is (lanes whose contact phase begins and ends at the wall, y', cosine, sine at its start). For these
+    lanes p01 follows from y = 0 at the end, with full relative accuracy where it is small; the stiff wall multiplies
+    it.
+    """
     p00, p01, p11 = response.free_flow
     is_wall_to_wall, entry_velocity, cosine, sine = wall_to_wall
     zero = lax.full_like(contact_time, 0.0)
@@ -115,21 +143,44 @@ def wall_to_wall_flow(contact_coeffs, contact, contact_time, response, wall_to_w
 
 
 def velocity_ratio(wall_velocity, relative_velocity):
-    """The mass's own velocity over that against the wall: 1 where the wall stands still, whatever the speed."""
+    """Return the velocity of the mass divided by that relative to the wall.
+
+    Parameters
+    ----------
+    wall_velocity, relative_velocity : array
+        Velocity of the wall, and of the mass relative to it.
+
+    Returns
+    -------
+    array
+        The ratio; 1 for a wall at rest, whatever the speed.
+    """
     return 1.0 + choose(wall_velocity == 0, 0.0, wall_velocity / relative_velocity)
 
 
 def matrix_product(left_matrix, right_matrix):
-    """The product of two matrices, each by rows."""
+    """Multiply two matrices.
+
+    Parameters
+    ----------
+    left_matrix, right_matrix : tuple of array
+        Four entries of each matrix by rows.
+
+    Returns
+    -------
+    tuple of array
+        Four entries of the product by rows.
+    """
     (a, b, c, d), (e, f, g, h) = left_matrix, right_matrix
     return a * e + b * g, a * f + b * h, c * e + d * g, c * f + d * h
 
 
 def solve_contact_end(coeffs, side, cosine, sine, speed, approx_time, order):
-    """The `ContactEnd` of lanes that meet a soft wall on a side with a speed; side 0: of none, any numbers.
+    """Compute the `ContactEnd` of lanes that enter a soft wall with a speed.
 
-    Smooth in all numbers, also where the speed goes through zero: the stay goes through zero with it, and from there on
-    is a negative time. approx_time: its time; order: of the derivatives that are right.
+    Side 0 means no contact; the other arguments are then arbitrary. The result is smooth in all numbers, also where the
+    speed passes through zero: the duration passes through zero with it and is negative beyond. `approx_time` is the
+    duration, and `order` is that of the derivatives that are exact.
     """
     n_newton = math.ceil(math.log2(order + 1))
     contact = side * Contact.ENTERED
@@ -164,8 +215,7 @@ def solve_contact_end(coeffs, side, cosine, sine, speed, approx_time, order):
 
 
 def _short_contact_end(contact_coeffs, contact, v, cosine, sine, contact_time, n_newton):
-    """(time, velocity) at the end of a stay no longer than a step; contact_time: near it. The root at 0 is divided
-    out."""
+    """Return (time, velocity) at the end of a contact phase within one step, with the root at 0 divided out."""
 
     constants = lax.stop_gradient((contact_coeffs, contact, v, cosine, sine))
     contact_time = lax.fori_loop(
@@ -187,7 +237,7 @@ def _newton_step(contact_coeffs, contact, v, cosine, sine, contact_time):
 
 
 def _long_contact_end(contact_coeffs, contact, v, cosine, sine, contact_time, order):
-    """As `_short_contact_end`, of a longer stay, by Taylor polynomials at a time that is right but for rounding."""
+    """Return (time, velocity) at the end of a longer contact phase, by Taylor polynomials at an accurate time."""
     y, v = soft_contact.apply_response(
         contact_coeffs,
         contact,

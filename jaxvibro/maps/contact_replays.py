@@ -1,4 +1,4 @@
-"""What a stay within a soft wall is to a replay: each kind is a file with the same functions, see `rigid_replay`."""
+"""Dispatch on the contact law in a replay: one module for each law, with the functions of `rigid_replay`."""
 
 from ..flight.coefficients import ContactLaw
 from . import force_law_replay, linear_contact_replay, rigid_replay
@@ -11,5 +11,5 @@ REPLAY_MODULES = {
 
 
 def contact_replay_of(coeffs):
-    """The kind of a frame."""
+    """Return the replay module for the contact law of the coefficients."""
     return REPLAY_MODULES[coeffs.contact_law]

@@ -1,4 +1,4 @@
-"""Derivatives as whole arrays, an axis for each time a number was chosen, last: what moves, sums with tangents."""
+"""Derivatives as arrays with one last axis for each differentiation: selection and contraction with tangents."""
 
 import jax
 import jax.numpy as jnp
@@ -6,12 +6,12 @@ from jax.custom_derivatives import SymbolicZero
 
 
 def active_argnums(tangents):
-    """The places of the numbers that have tangents; the contact, the last, is a constant."""
+    """Return the indices of the arguments that have tangents; the contact, the last argument, is a constant."""
     return tuple(k for k, tangent in enumerate(tangents[:-1]) if not isinstance(tangent, SymbolicZero))
 
 
 def contract_tangents(tensors, primals, tangents):
-    """Each array's last axis, one entry for each number that moves, summed with the tangents."""
+    """Contract the last axis of each array, which runs over the active arguments, with the tangents."""
     rank = max(map(jnp.ndim, primals))
 
     def contract(tensor):
@@ -26,8 +26,7 @@ def contract_tangents(tensors, primals, tangents):
 
 
 def select_argnums(tensors, request, axes_argnums):
-    """The arrays with the last axes, one for each entry of `axes_argnums`, narrowed from the task's chosen numbers to
-    those."""
+    """Narrow the last axes, one for each entry of `axes_argnums`, from the arguments of the request to these."""
 
     def narrow(tensor):
         for axis, argnums in enumerate(reversed(axes_argnums), 1):

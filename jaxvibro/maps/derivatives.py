@@ -1,8 +1,8 @@
-"""The strobe with derivatives of any order, forward and reverse: simulate, then replay, or carry the first along.
+"""Strobe with derivatives of any order, forward and reverse: simulate, then replay, or propagate first derivatives.
 
-The derivatives of one order are a function of their own, a replay of the impacts that a strobe has recorded; its own
-derivative is the next order's, contracted with the tangents. That is linear in them, so reverse mode transposes it and
-no loop runs backwards. P and Q are used nowhere: `replay` is differentiated, forward, as often as the order says.
+The derivatives of one order are a function of their own, a replay of the recorded impacts. Its derivative is that of
+the next order, contracted with the tangents. This is linear in the tangents, so reverse mode transposes it and no loop
+runs backwards. The matrices P and Q are not used: `replay` is differentiated in forward mode, once for each order.
 """
 
 from dataclasses import replace as replaced
@@ -27,9 +27,12 @@ from .replay_derivatives import collect_replay_data, move_slots_first, replay_de
 
 
 class StrobeRequest(NamedTuple):
-    """What is asked for, static. tree: of (scene, state); periods, slots, clearance: as of `strobe`; of_state:
-    derivatives of x and v at the end, else of the impacts' times and speeds; order; argnums: the places of the numbers
-    that they are by."""
+    """Static options of a differentiable strobe.
+
+    `tree` is that of (scene, state); `periods`, `slots` and `clearance` are those of `strobe`. With `of_state` the
+    derivatives are those of x and v at the end, else those of the times and speeds of the impacts. `argnums` are the
+    indices of the arguments of differentiation.
+    """
 
     tree: jax.tree_util.PyTreeDef
     periods: int
@@ -41,7 +44,7 @@ class StrobeRequest(NamedTuple):
 
 
 def strobe(scene, state, periods, slots, clearance):
-    """The strobe of numbers that are traced: (State, Impacts)."""
+    """Return (State, Impacts) of traced numbers."""
     leaves, tree = jax.tree.flatten((scene, state))
     end, impacts = _differentiable_strobe(StrobeRequest(tree, periods, slots, clearance))(*leaves)
     integer_fields = {name: getattr(impacts, name).astype(jnp.int32) for name in ("count", "status")}
@@ -50,7 +53,7 @@ def strobe(scene, state, periods, slots, clearance):
 
 @cache
 def _differentiable_strobe(request):
-    """(State, Impacts), all real, of the numbers of scene and state."""
+    """Return the function that maps the numbers of scene and state to (State, Impacts), all real."""
     settings = {"periods": request.periods, "slots": request.slots, "clearance": request.clearance}
     inner = jax.jit(partial(two_tiers.strobe, **settings, min_lanes=1))
     run = jax.custom_jvp(vmap_as_lanes(lambda *leaves: _cast_to_real(inner(*request.tree.unflatten(leaves)))))
@@ -70,17 +73,20 @@ def _differentiable_strobe(request):
 
 
 def _carries_tangents(request, leaves):
-    """Whether derivatives of these numbers are carried along: not those of a few known lanes, as the replay, which the
-    impacts' derivatives need, is compiled sooner than both."""
+    """Decide if derivatives are propagated by the fast path: not for a few concrete lanes.
+
+    The derivatives of the impacts need the replay anyway, and the replay alone compiles faster than both.
+    """
     is_small_batch = not check.is_traced(*leaves) and max(map(np.size, leaves)) <= BLOCK_WIDTH
     return not (is_small_batch or request.clearance) and two_tiers.has_fast_path(request.tree.unflatten(leaves)[0])
 
 
 @cache
 def _strobe_with_jacobian(request):
-    """((State, Impacts), derivatives of x and v at the end by the chosen numbers, an axis for these, last).
+    """Return the function for ((State, Impacts), derivatives of x and v at the end).
 
-    By lean steps, which carry them along; its own derivatives are those of the replay.
+    The derivatives have a last axis for the active arguments. The fast path propagates the derivatives; their own
+    derivatives are those of the replay.
     """
     settings = {"periods": request.periods, "slots": request.slots, "argnums": request.argnums}
     inner = jax.jit(partial(two_tiers.strobe_with_jacobian, request.tree, **settings, min_lanes=1))
@@ -106,7 +112,7 @@ def _strobe_with_jacobian(request):
 
 @cache
 def _strobe_with_record(request):
-    """The same, and what a replay has to know, whose derivatives are not asked for."""
+    """Return the function for ((State, Impacts), `ReplayData`); the latter has no derivatives."""
     history_slots = REPLAY_SLOTS * request.periods
     settings = {
         "periods": request.periods,
@@ -135,9 +141,10 @@ def _strobe_with_record(request):
 
 @cache
 def _derivative_tensors(request):
-    """Derivatives of all orders up to the task's, by the chosen numbers: of the numbers and what is `RecordedImpacts`.
+    """Return the function for the derivatives of all orders up to that of the request.
 
-    An order's are two arrays with an axis for each time a number was chosen, last.
+    Its arguments are the leaves and the fields of `RecordedImpacts`. Each order has two arrays with one last axis for
+    each differentiation.
     """
     inner = jax.jit(partial(_tensors_in_blocks, request))
     run = jax.custom_jvp(vmap_as_lanes(lambda *arguments: inner(*arguments), n_rows=2 if request.of_state else 3))
@@ -167,7 +174,7 @@ def _derivative_tensors(request):
 
 
 def _pushforward(request, outputs, replay_data, primals, tangents, state_jacobian=None):
-    """The tangents of (State, Impacts); state_jacobian: those of x and v by what moves, where they are known."""
+    """Return the tangents of (State, Impacts); `state_jacobian` holds the derivatives of x and v if they are known."""
     (end, impacts), active_indices = outputs, active_argnums(tangents)
     if not active_indices:
         return jax.tree.map(jnp.zeros_like, outputs)
@@ -189,7 +196,7 @@ def _pushforward(request, outputs, replay_data, primals, tangents, state_jacobia
 
 
 def _replay_jacobian(request, replay_data, leaves, of_state):
-    """The first derivatives by the chosen numbers: of x and v at the end, or of the impacts' times and speeds."""
+    """Return the first derivatives of x and v at the end, or of the times and speeds of the impacts."""
     replay_data = replay_data.state_impacts if of_state else replay_data.all_impacts
     scalar_fields = (
         replay_data.count,
@@ -203,13 +210,12 @@ def _replay_jacobian(request, replay_data, leaves, of_state):
 
 
 def _cast_to_real(outputs):
-    """The same with every array of the state's type."""
+    """Cast all arrays to the type of the state."""
     return jax.tree.map(lambda array: array.astype(jax.tree.leaves(outputs)[0].dtype), outputs)
 
 
 def _tensors_in_blocks(request, *arguments):
-    """What `_derivative_tensors` gives, computed block by block; arguments: the leaves, then the fields of
-    `RecordedImpacts`."""
+    """Evaluate the results of `_derivative_tensors` block by block."""
     leaves, (count, release_time, end_contact, *impact_rows) = (
         arguments[: request.tree.num_leaves],
         arguments[request.tree.num_leaves :],

@@ -1,4 +1,4 @@
-"""The matrix of a stay within a soft wall beside a force of the user's own, for `monodromy`."""
+"""Matrix of a contact phase within a soft wall under a user-defined force, for `monodromy`."""
 
 from typing import NamedTuple
 
@@ -22,8 +22,7 @@ from .path_end import exits_before_end
 
 
 class ContactTransition(NamedTuple):
-    """What a stay makes of lanes: its time; x, v and the drive's cosine and sine at its end; how x and v there change
-    with those at its start, by rows."""
+    """Effect of a contact phase: duration, state and drive at its end, and the derivative of (x, v) by rows."""
 
     time: Float[jax.Array, "*lanes"]
     x: Float[jax.Array, "*lanes"]
@@ -34,9 +33,9 @@ class ContactTransition(NamedTuple):
 
 
 def pass_contact_phase(coeffs, relative_state, from_outside, path_end, current):
-    """The `MonodromyState` after the stay of lanes that are within a wall, or at the `PathEnd`.
+    """Return the `MonodromyState` after the contact phase of lanes within a wall, at the exit or at the `PathEnd`.
 
-    relative_state: (contact, y, y'); from_outside: whether they have come from there just now.
+    `relative_state` is (contact, y, y'); `from_outside` is true for lanes that have just entered.
     """
     inside = is_inside(relative_state[0])
     transition = _contact_transition(coeffs, relative_state, from_outside, path_end, current)
@@ -55,11 +54,11 @@ def pass_contact_phase(coeffs, relative_state, from_outside, path_end, current):
 
 
 def _contact_transition(coeffs, relative_state, from_outside, path_end, current):
-    """The `ContactTransition` of lanes within a soft wall. relative_state: (contact, y, y'), benign where they are in
-    none; from_outside: which of those that have just entered come from there.
+    """Compute the `ContactTransition` of lanes within a soft wall.
 
-    A later entry and a faster one change when and how fast the mass leaves; the accelerations on both sides of the
-    wall say what that is at a time (the saltation matrix).
+    `relative_state` is (contact, y, y'); its y and y' are arbitrary for lanes outside the walls. `from_outside` is true
+    for lanes that have just entered. A later or faster entry changes the time and the speed of the exit. The
+    accelerations on both sides of the wall convert this into a change at a fixed time (saltation matrix).
     """
     (contact, y, v), cosine, sine = relative_state, current.cosine, current.sine
     inside, side = is_inside(contact), choose(contact < 0, lax.full_like(contact, -1.0), 1.0)
@@ -82,7 +81,7 @@ def _contact_transition(coeffs, relative_state, from_outside, path_end, current)
     passage = passage._replace(exits=exits, time_remaining=choose(passage.exits & ~exits, 0.0, passage.time_remaining))
 
     def perturbed_end(depth_change, rate_change):
-        """(when, depth, rate) at the end of a stay, of changes of its start at a time."""
+        """Return (time, depth, rate) at the end of a contact phase for a change of its initial depth and rate."""
         delay = choose(is_at_entry, -depth_change / speed, 0.0)
         new_rate = rate + rate_change
         phasor = flow.rotate_by_angle(cosine, sine, coeffs.frequency * delay)
@@ -114,7 +113,7 @@ def _contact_transition(coeffs, relative_state, from_outside, path_end, current)
 
 
 def _inward_acceleration(coeffs, side, rate, cosine, sine):
-    """The acceleration into the wall of a mass at the wall, which does not push it yet, or no longer."""
+    """Compute the acceleration into the wall of a mass at the wall, without contact force."""
     wall_position, wall_velocity, wall_acceleration = wall_jet_on_side(coeffs, side, cosine, sine, 2)
     v = side * rate if wall_velocity is None else wall_velocity + side * rate
     acceleration, _ = flow_of(coeffs).accelerations(coeffs, wall_position + 0.0 * rate, v, cosine, sine)

@@ -1,5 +1,7 @@
-"""A stay within a soft wall beside a force of the user's own made again, for derivatives: as `contact_replay`, by the
-steps of `pushed_stay`; and its matrix, for `monodromy`."""
+"""Replay of a contact phase within a soft wall under a user-defined force, by `force_law_contact.fly_contact_phase`.
+
+The interface is that of `linear_contact_replay`.
+"""
 
 from typing import NamedTuple
 
@@ -22,8 +24,11 @@ from .path_end import exits_before_end
 
 
 class PendingContact(NamedTuple):
-    """Lanes that are to go through a stay. side: of the wall, 0 of lanes that are in none; start: where in it, benign
-    in these; delay: 0, with derivatives: how much later than now it begins."""
+    """Contact phase that lanes have yet to pass.
+
+    `side` is that of the wall, 0 for lanes outside the walls. `start` is the state within the wall. Its values are
+    arbitrary in lanes outside. `delay`, the time from now to the start of the phase, is 0 but has derivatives.
+    """
 
     side: Float[jax.Array, "*lanes"]
     start: ContactState
@@ -31,14 +36,14 @@ class PendingContact(NamedTuple):
 
 
 def start_in_contact(coeffs, current, start_contact, path_end, order):
-    """(now, the `PendingContact` of lanes that start within a soft wall); start_contact: the contact."""
+    """Return (current state, `PendingContact` of lanes that start within a soft wall)."""
     contact, y, v = initial_contact.initial_relative_state(coeffs, current, start_contact, order)
     inside, side = is_inside(contact), _contact_side(contact)
     depth, rate = side * y, side * v
     is_at_entry = inside & (lax.stop_gradient(depth) <= 0)
     delay = choose(
         is_at_entry, -depth / choose(is_at_entry, rate, 1.0), 0.0
-    )  # right to first order: so is all that follows
+    )  # exact to first order, and so are all results
     is_inside_wall = inside & ~is_at_entry
     rate_change = delay * inward_acceleration(coeffs, side, rate, current.cosine, current.sine)
     entry = entry_state(rate + rate_change, current.cosine, current.sine, is_at_entry)
@@ -55,8 +60,7 @@ def start_in_contact(coeffs, current, start_contact, path_end, order):
 
 
 def enter_wall(coeffs, current, side, delay, path_end, order):
-    """(now, the `PendingContact` of lanes that enter the soft wall on a side a little later); side: 0 of lanes that hit
-    none."""
+    """Return (current state, `PendingContact` of lanes that enter a soft wall after a delay); side 0 means none."""
     inside = is_soft_side(coeffs, side) & (side != 0)
     side = choose(inside, side, 1.0)
     _, wall_velocity = taylor.wall_state(taylor.wall_derivatives(coeffs, current, side, order), delay, order)
@@ -68,7 +72,7 @@ def enter_wall(coeffs, current, side, delay, path_end, order):
 
 
 def complete_contact(coeffs, current, pending_contact, path_end, order):
-    """Lanes that are to go through a stay brought to where they leave the wall, or to the end."""
+    """Move lanes with a pending contact phase to the exit from the wall, or to the end of the path."""
     inside, delay = pending_contact.side != 0, pending_contact.delay
     side, time_remaining = choose(inside, pending_contact.side, 1.0), choose(inside, path_end.time - current.time, 0.0)
     passage = traverse_contact(*lax.stop_gradient((coeffs, side, pending_contact.start, time_remaining)))
@@ -93,7 +97,7 @@ def complete_contact(coeffs, current, pending_contact, path_end, order):
 
 
 def shift_state(coeffs, current, contact, free_state, delay, order):
-    """(x, v) a time later, 0 with derivatives; contact, free_state: see `no_replay`."""
+    """Return (x, v) after a delay that is 0 and has derivatives; see `rigid_replay.shift_state`."""
     inside, side = is_inside(contact), _contact_side(contact)
     wall_position, wall_velocity = taylor.wall_state(
         taylor.wall_derivatives(coeffs, current, side, order), 0.0 * delay, order

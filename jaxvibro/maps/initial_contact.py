@@ -1,4 +1,4 @@
-"""Lanes that start within a soft wall."""
+"""Relative state of lanes that start within a soft wall."""
 
 from jax import lax
 
@@ -8,8 +8,7 @@ from ..scene.codes import Contact
 
 
 def initial_relative_state(coeffs, current, start_contact, order=1):
-    """(contact, y, y') of lanes that start within a soft wall, contact 0 of others; start_contact: the contact of the
-    start."""
+    """Return (contact, y, y') of lanes that start within a soft wall; contact 0 for other lanes."""
     contact = lax.full_like(current.x, 0.0)
     start_contact = start_contact + contact
     for wall, soft_flow in zip(coeffs.walls, coeffs.soft_flows, strict=True):

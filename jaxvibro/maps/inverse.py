@@ -1,10 +1,10 @@
-"""The way back: the state a drive period before, by the same certified flight with time reversed.
+"""Inverse of the stroboscopic map, by the same certified flight with time reversed.
 
-In -t the motion (x, -v, -phase) obeys the same equations with damping -gamma, the walls' phases negated and restitution
-1 / R. Speeds then grow at every impact, so that no hops die out (`impact.chatters` never holds), and the energy of a
-flight grows like exp(2 gamma t), which the bound on its derivatives has to allow for. A soft wall is entered where it
-was left, and left where it was entered: between, its own damping is -gamma2, or its law that of the depth's negated
-rate, and the same bounds hold.
+In reversed time the motion (x, -v, -phase) obeys the same equations with damping -gamma, negated phases of the walls,
+and restitution 1 / R. Speeds then grow at every impact, so that there is no chatter. The energy of a flight grows like
+exp(2 gamma t), which the bound on its derivatives must allow for. The entry into a soft wall and the exit from it
+change places. Within the wall the damping is -gamma2, or the law takes the negated rate of the depth, and the same
+bounds hold.
 """
 
 from dataclasses import replace
@@ -28,29 +28,51 @@ from .one_period import empty_results, state_and_impacts
 
 
 def require_reversible(scene):
-    """Refuse a single scene with a wall that takes all speed, as it has no way back, and one that is too damped.
+    """Refuse a scene whose map has no inverse or is too damped for time reversal.
 
-    A soft wall from critical damping on takes all speed: what comes out of it was never outside.
+    A soft wall with critical or larger damping takes all speed: a mass that leaves it has never been outside.
+
+    Parameters
+    ----------
+    scene : Scene
+        A single scene.
+
+    Raises
+    ------
+    ArgumentError
+        If a wall takes all speed (R = 0, or a soft wall with at least critical damping), or if the damping is not less
+        than 1.
     """
     for side, wall in scene.walls.items():
         if wall.soft and wall.law is None and scene.force is None:
             damping = scene.parameter(f"{side}.damping")
             if not effective_restitution(wall.stiffness, damping) > 0:
-                raise check.ArgumentError(f"{side}.damping", "must be less than critical on the way back", damping)
+                raise check.ArgumentError(f"{side}.damping", "must be less than critical for the inverse map", damping)
         restitution = scene.bounce(side)
         if restitution == 0:
-            raise check.ArgumentError(
-                f"{side}.restitution", "must be greater than 0, else the map has no inverse", restitution
-            )
+            raise check.ArgumentError(f"{side}.restitution", "must be greater than 0 for the inverse map", restitution)
     if scene.force is None and not scene.damping < 1:
-        raise check.ArgumentError("damping", "must be less than 1 on the way back", scene.damping)
+        raise check.ArgumentError("damping", "must be less than 1 for the inverse map", scene.damping)
 
 
 def strobe_backward(scene, state, min_lanes):
-    """(State, Impacts) a drive period before a state, in blocks of so many lanes at least; inside jit.
+    """Compute the state one drive period earlier; to be called within jit.
 
-    scene: one that `require_reversible`; state: leaves that broadcast, at their phase, which comes back. `strobe` leads
-    from the result to the state. Impacts: of the reversed motion, in its order, none recorded but counted.
+    Parameters
+    ----------
+    scene : Scene
+        Scene that passes `require_reversible`.
+    state : State
+        State whose leaves broadcast with those of `scene`. Its phase is kept.
+    min_lanes : int
+        Smallest number of lanes of a block.
+
+    Returns
+    -------
+    start : State
+        State one period earlier; `strobe` maps it to `state`.
+    impacts : Impacts
+        Impacts of the reversed motion, counted but not recorded.
     """
     shape = jnp.broadcast_shapes(*map(jnp.shape, jax.tree.leaves((scene, state))))
     reversed_state = State(jnp.broadcast_to(state.x, shape), -state.v, -state.phase, jnp.zeros_like(state.x))
@@ -74,7 +96,7 @@ def _reversed_period(scene, state):
 
 
 def reversed_coefficients(scene):
-    """The `Frame` of a scene with time reversed."""
+    """Compute the `FlowCoefficients` of a scene with time reversed."""
     coeffs = compute_coefficients(scene)
     walls = tuple(_reverse_wall(wall) for wall in coeffs.walls)
     reversed_coeffs = flow_of(coeffs).reverse_time(coeffs)._replace(walls=walls)
@@ -100,7 +122,7 @@ def _reverse_wall(wall):
 
 @lru_cache(256)
 def _reverse_law(law_function):
-    """The law of a wall as it is seen with time reversed."""
+    """Return the law of a wall under time reversal."""
 
     def reversed_law(depth, rate, params):
         return law_function(depth, -rate, params)
@@ -109,7 +131,7 @@ def _reverse_law(law_function):
 
 
 def _is_valid_reversed(coeffs):
-    """`check_validity` of the reversed scene."""
+    """Apply `check_validity` to a reversed scene."""
     walls = tuple(_wall_to_validate(wall) for wall in coeffs.walls)
     is_valid_scene, is_finite = check_validity(coeffs._replace(damping=-coeffs.damping, walls=walls))
     for wall in coeffs.walls:
@@ -120,7 +142,7 @@ def _is_valid_reversed(coeffs):
 
 
 def _wall_to_validate(wall):
-    """A reversed wall as `check_validity` may judge it, but for its restitution."""
+    """Return a reversed wall in a form that `check_validity` accepts, except for its restitution."""
     if wall.restitution is not None:
         return replace(wall, restitution=0.0 * wall.position)
     return wall if wall.law is not None else replace(wall, damping=-wall.damping)

@@ -1,4 +1,4 @@
-"""Trails: many states run on for any number of periods, in blocks of one compiled shape; the last periods are kept."""
+"""Iterate many states over any number of periods, in blocks of one compiled shape; record the last periods."""
 
 from typing import NamedTuple
 
@@ -13,18 +13,25 @@ from .long_run import MAX_RECORDED_PERIODS, join_blocks, padded_block, run_perio
 from .strobe import concrete_strobe
 
 PERIOD_SLOTS = 16  # impacts recorded in a period
-MAX_SINGLE_LANES = 8  # lanes that are run one by one, where no more are asked for at once
-MAX_HOST_PERIODS = (
-    1024  # periods of a few lanes, in all, up to which they are strobed from the host: no compiled run is made
-)
-HOST_SLOTS = 4  # impacts that the host's strobe records, where no period has more: as many as `strobe` by itself
+MAX_SINGLE_LANES = 8  # lanes up to which a call runs them one by one
+MAX_HOST_PERIODS = 1024  # total periods of a few lanes up to which the host strobes them, without compiling a run
+HOST_SLOTS = 4  # impacts that the host records unless a period has more; the default of `strobe`
 
 
 class Iterates(NamedTuple):
-    """The ends of some lanes, and their last periods; NumPy arrays, periods first, then lanes, then slots.
+    """Final states of lanes and their last periods: NumPy arrays with periods first, then lanes, then slots.
 
-    state: x, v, phase, contact (lanes); status: the worst met, FULL of the kept periods only; x, v, contact: at the end
-    of each kept period; time, side, speed: of the impacts in it, time since its start (see `Impacts`).
+    Attributes
+    ----------
+    state : State
+        Final states, with leaves of shape (lanes,).
+    status : numpy.ndarray of int
+        Worst status of each lane. FULL refers to the recorded periods only.
+    x, v, contact : numpy.ndarray
+        State at the end of each recorded period, of shape (periods, lanes).
+    time, side, speed : numpy.ndarray
+        Impacts in each recorded period, as in `Impacts`, of shape (periods, lanes, slots). Times are since the start of
+        the period.
     """
 
     state: State
@@ -44,17 +51,43 @@ class Iterates(NamedTuple):
     def select_lanes(
         self, selection: Bool[np.ndarray, " lanes"] | Int[np.ndarray, " some"] | list[int] | slice
     ) -> "Iterates":
-        """The trail of some of the lanes."""
+        """Return the iterates of some lanes.
+
+        Parameters
+        ----------
+        selection : array of bool or int, list of int, or slice
+            Selection of lanes.
+
+        Returns
+        -------
+        Iterates
+            Iterates of these lanes.
+        """
         end_state = jax.tree.map(lambda leaf: leaf[selection], self.state)
         return Iterates(end_state, self.status[selection], *(rows[:, selection] for rows in self[2:]))
 
 
 def iterate(scene, state, periods, slots=PERIOD_SLOTS, max_single_lanes=MAX_SINGLE_LANES):
-    """Runs a state's lanes on: a `Iterates` of the last periods, at most KEEP.
+    """Iterate states over drive periods and record the last periods.
 
-    scene: a single one, or a lane of a batch each; state: leaves of shape (lanes,); periods: whole number >= 1, no
-    compilation of its own. max_single_lanes: so many lanes are run one by one, and differ by a rounding from those of a
-    block."""
+    Parameters
+    ----------
+    scene : Scene
+        A single scene, or one with a number for each lane.
+    state : State
+        Initial states, with leaves of shape (lanes,).
+    periods : int
+        Number of drive periods, at least 1. Other values need no compilation.
+    slots : int, optional
+        Number of impacts recorded in a period.
+    max_single_lanes : int, optional
+        Up to this number, lanes are run one by one. They differ by rounding from those of a block.
+
+    Returns
+    -------
+    Iterates
+        Final states and the last periods, at most `MAX_RECORDED_PERIODS`.
+    """
     n_lanes, width = len(state.x), _block_width(state, slots, max_single_lanes)
     if width == 1 and n_lanes * periods <= MAX_HOST_PERIODS:
         blocks = [padded_block((scene, state), lane, 1) for lane in range(n_lanes)]
@@ -66,7 +99,26 @@ def iterate(scene, state, periods, slots=PERIOD_SLOTS, max_single_lanes=MAX_SING
 
 
 def final_states(scene, state, periods, max_single_lanes=MAX_SINGLE_LANES):
-    """(state, status) of a state's lanes so many periods later; the same compiled run as `iterate`'s."""
+    """Iterate states over drive periods without recording them, by the compiled function of `iterate`.
+
+    Parameters
+    ----------
+    scene : Scene
+        A single scene, or one with a number for each lane.
+    state : State
+        Initial states, with leaves of shape (lanes,).
+    periods : int
+        Number of drive periods, at least 1.
+    max_single_lanes : int, optional
+        Up to this number, lanes are run one by one.
+
+    Returns
+    -------
+    end : State
+        Final states.
+    status : numpy.ndarray of int
+        Worst status of each lane.
+    """
     return run_periods(
         scene,
         state,
@@ -78,7 +130,7 @@ def final_states(scene, state, periods, max_single_lanes=MAX_SINGLE_LANES):
 
 
 def _block_width(state, slots, max_single_lanes):
-    """Lanes of a block: a few are run one by one, which compiles and runs faster than a block of which most is idle."""
+    """Return the number of lanes of a block; few lanes run one by one, which compiles and runs faster than a block."""
     return 1 if len(state.x) <= max_single_lanes else max(1, BLOCK_WIDTH * PERIOD_SLOTS // slots)
 
 
@@ -87,7 +139,7 @@ def _required_slots(scene, slots):
 
 
 def _iterate_on_host(scene, state, periods, slots):
-    """As `_run`, of one lane, by strobes from the host."""
+    """Iterate one lane by strobes from the host; results as for `run_periods`."""
     scene, state = jax.device_put(jax.tree.map(lambda leaf: np.asarray(leaf).reshape(()), (scene, state)))
     worst_status, first_slots = int(Status.OK), min(HOST_SLOTS, slots)
     ring_buffers = [np.zeros((MAX_RECORDED_PERIODS, 1), state.x.dtype) for _ in range(3)]
@@ -95,7 +147,7 @@ def _iterate_on_host(scene, state, periods, slots):
         (np.inf, state.x.dtype),
         (0, np.int32),
         (0.0, state.x.dtype),
-    )  # time, side and speed of no impact
+    )  # time, side and speed of an empty slot
     ring_buffers += [
         np.full((MAX_RECORDED_PERIODS, 1, slots), *value_and_dtype) for value_and_dtype in empty_slot_values
     ]

@@ -1,22 +1,41 @@
-"""Itineraries: the walls hit, in order, a word of "L" and "R" for each drive period; labels P n p q; the mirror image.
+"""Itineraries: the walls hit, as a word of "L" and "R" for each drive period; labels P n p q; mirror images.
 
-An itinerary is a tuple of words, one a period: ("LR",) or ("LRL", "R"). Orbits are compared cyclically: where along the
-orbit one starts to read does not matter. Written is one rotation, the `canonical_itinerary`, whatever a solver began
-with."""
+An itinerary is a tuple of words, one for each period: ("LR",) or ("LRL", "R"). Orbits are compared cyclically: the
+starting point on the orbit does not matter. Stored is one rotation, the `canonical_itinerary`, whatever rotation a
+solver began with.
+"""
 
 import numpy as np
 
 from ..scene import check
 
 LETTERS = {-1: "L", 1: "R"}
-SECTION_TOLERANCE = 1e-9  # of a drive period: as little after the section's phase is an impact at it
-STATE_DIGITS = 9  # of the largest number: as near are two states one
+SECTION_TOLERANCE = 1e-9  # of a drive period: an impact this soon after the section's phase counts as at it
+STATE_DIGITS = 9  # relative to the largest number: states that agree to this many digits are equal
 _MIRROR_LETTERS = str.maketrans("LR", "RL")
 
 
 def validate_itinerary(itinerary, periods=None):
-    """The itinerary as a tuple of words; raises ArgumentError where it is none, or none of so many periods."""
-    rule = 'must be words of "L" and "R", one a drive period, as ("LR",)'
+    """Validate an itinerary and return it as a tuple of words.
+
+    Parameters
+    ----------
+    itinerary : sequence of str
+        A word of "L" and "R" for each period.
+    periods : int, optional
+        Expected number of words.
+
+    Returns
+    -------
+    tuple of str
+        The itinerary.
+
+    Raises
+    ------
+    ArgumentError
+        If it is not an itinerary, or has another number of words.
+    """
+    rule = 'must be words of "L" and "R", one for each drive period, as ("LR",)'
     if not isinstance(itinerary, tuple | list) or not itinerary:
         raise check.ArgumentError("itinerary", rule, itinerary)
     if not all(isinstance(word, str) and set(word) <= {"L", "R"} for word in itinerary):
@@ -27,18 +46,43 @@ def validate_itinerary(itinerary, periods=None):
 
 
 def words_of_rows(side_rows):
-    """The itinerary of impacts recorded period by period: sides -1, +1 or 0 (empty slot), shape (periods, slots)."""
+    """Convert impacts that are recorded period by period to an itinerary.
+
+    Parameters
+    ----------
+    side_rows : array_like of int
+        Sides -1, 1 or 0 (empty slot), of shape (periods, slots).
+
+    Returns
+    -------
+    tuple of str
+        The itinerary.
+    """
     return tuple("".join(LETTERS[side] for side in row if side) for row in np.asarray(side_rows).tolist())
 
 
 def words_of_impacts(time, side, periods, drive_period):
-    """The itinerary of impacts that one strobe over a number of periods recorded: time and side of its slots.
+    """Convert the impacts of one strobe over several periods to an itinerary.
 
-    drive_period: of a drive period, in t. An impact at a period's end belongs to the period that ends, one at time 0 to
-    the first."""
+    An impact at the end of a period belongs to the period that ends, one at time 0 to the first.
+
+    Parameters
+    ----------
+    time, side : array_like
+        Times, in t, and sides of the slots.
+    periods : int
+        Number of drive periods.
+    drive_period : float
+        Length of a drive period, in t.
+
+    Returns
+    -------
+    tuple of str
+        The itinerary.
+    """
     time, side = np.asarray(time), np.asarray(side)
     is_impact = side != 0
-    tolerance = 8.0 * np.finfo(time.dtype).eps * periods  # so much may rounding put an impact beyond the end
+    tolerance = 8.0 * np.finfo(time.dtype).eps * periods  # rounding may put an impact this far beyond the end
     period_index = np.clip(np.ceil(time[is_impact] / drive_period - tolerance).astype(int) - 1, 0, periods - 1)
     return tuple(
         "".join(LETTERS[int(wall_side)] for wall_side in side[is_impact][period_index == period])
@@ -47,9 +91,23 @@ def words_of_impacts(time, side, periods, drive_period):
 
 
 def itinerary_of_orbit(time, side, periods, drive_period):
-    """The canonical itinerary of a periodic orbit, of its impacts' times since the section's phase, in any order.
+    """Return the canonical itinerary of a periodic orbit from its impacts in any order.
 
-    An impact at the section's phase belongs to the period that ends.
+    An impact at the phase of the section belongs to the period that ends.
+
+    Parameters
+    ----------
+    time, side : array_like
+        Times since the phase of the section, in t, and sides of the impacts.
+    periods : int
+        Number of drive periods.
+    drive_period : float
+        Length of a drive period, in t.
+
+    Returns
+    -------
+    tuple of str
+        The canonical itinerary.
     """
     section_times = np.mod(np.asarray(time) - SECTION_TOLERANCE * drive_period, periods * drive_period)
     order = np.argsort(section_times)
@@ -64,14 +122,35 @@ def itinerary_of_orbit(time, side, periods, drive_period):
 
 
 def wall_sides(itinerary):
-    """-1 for each impact on the left wall, 1 on the right, in order: (impacts,)."""
+    """Convert an itinerary to sides.
+
+    Parameters
+    ----------
+    itinerary : sequence of str
+        A word for each period.
+
+    Returns
+    -------
+    numpy.ndarray
+        -1 for each impact on the left wall, 1 on the right, in order; of shape (impacts,).
+    """
     return np.array([1.0 if letter == "R" else -1.0 for letter in "".join(itinerary)])
 
 
 def label(itinerary, chatter_walls=""):
-    """P n p q: n drive periods, p impacts on the left wall, q on the right; P8-8-16 once a number has two digits.
+    """Format the label P n p q of an itinerary: n drive periods, p left and q right impacts.
 
-    chatter_walls: letters of the walls on which the mass comes to rest by infinitely many hops: P1-0-inf.
+    Parameters
+    ----------
+    itinerary : sequence of str
+        A word for each period.
+    chatter_walls : str, optional
+        Letters of the walls on which the mass comes to stick by complete chatter. Their count is "inf", as in P1-0-inf.
+
+    Returns
+    -------
+    str
+        The label. Hyphens separate the numbers as soon as one has two digits, as in P8-8-16.
     """
     letters = "".join(itinerary)
     wall_counts = ["inf" if side in chatter_walls else str(letters.count(side)) for side in "LR"]
@@ -80,7 +159,7 @@ def label(itinerary, chatter_walls=""):
 
 
 def minimal_period(sequence):
-    """The smallest number of entries after which a periodic sequence, given once round or more, begins anew.
+    """Return the smallest number of entries after which a periodic sequence repeats.
 
     It divides the length: ("LR", "LR") has 1, ("LR", "R", "LR") has 3.
     """
@@ -89,38 +168,87 @@ def minimal_period(sequence):
 
 
 def canonical_rotation(sequence):
-    """How many entries to turn a cyclic sequence on by, so that it comes first among its rotations."""
+    """Return the rotation by which a cyclic sequence comes first among its rotations."""
     sequence = tuple(sequence)
     return min(range(len(sequence)), key=lambda k: sequence[k:] + sequence[:k], default=0)
 
 
 def rotate(itinerary, shift):
-    """The itinerary, or other rows, from another of its periods on."""
+    """Rotate an itinerary, or other rows, to begin with another period.
+
+    Parameters
+    ----------
+    itinerary : sequence
+        An entry for each period.
+    shift : int
+        Index of the new first period.
+
+    Returns
+    -------
+    tuple
+        The rotated entries.
+    """
     return tuple(itinerary[shift:]) + tuple(itinerary[:shift])
 
 
 def canonical_itinerary(itinerary):
-    """The rotation, period by period, that comes first: equal for all starts along one orbit at one section."""
+    """Return the rotation, period by period, that comes first: equal for all starts on one orbit at one section."""
     return rotate(itinerary, canonical_rotation(itinerary))
 
 
 def canonical_start(itinerary, points):
-    """How many periods to turn an orbit on by, so that its itinerary is `canonical_itinerary`; where several rotations
-    are, the least state begins. points: x and v at the start of each period, (periods, 2)."""
+    """Return the period with which the canonical itinerary of an orbit begins.
+
+    If several rotations are canonical, the smallest state decides.
+
+    Parameters
+    ----------
+    itinerary : sequence of str
+        A word for each period.
+    points : numpy.ndarray
+        x and v at the start of each period, of shape (periods, 2).
+
+    Returns
+    -------
+    int
+        Number of periods by which to rotate the orbit.
+    """
     scale = abs(points).max() or 1.0
     states = [tuple(row) for row in (np.round(points / scale, STATE_DIGITS) + 0.0).tolist()]
     return min(range(len(states)), key=lambda k: (rotate(itinerary, k), rotate(states, k)))
 
 
 def is_same_itinerary(itinerary, other):
-    """Whether two itineraries agree cyclically: as many periods, and the same walls hit in the same cyclic order.
+    """Test that two itineraries agree cyclically.
 
-    Which period an impact belongs to is not compared: that changes where an impact crosses phase 0, along one branch.
+    They have the same number of periods and hit the same walls in the same cyclic order. The period to which an impact
+    belongs is not compared: it changes along a branch where an impact crosses phase 0.
+
+    Parameters
+    ----------
+    itinerary, other : sequence of str
+        A word for each period.
+
+    Returns
+    -------
+    bool
+        True if they agree.
     """
     letters, other_letters = "".join(itinerary), "".join(other)
     return len(itinerary) == len(other) and len(letters) == len(other_letters) and other_letters in letters + letters
 
 
 def mirror_itinerary(itinerary):
-    """The itinerary of the mirror image, left and right exchanged; its section lies half a period on."""
+    """Exchange left and right in an itinerary; the section of the mirror image lies half a period later.
+
+    Parameters
+    ----------
+    itinerary : sequence of str
+        A word for each period.
+
+    Returns
+    -------
+    tuple of str
+        Itinerary of the mirror image.
+    """
     return tuple(word.translate(_MIRROR_LETTERS) for word in itinerary)

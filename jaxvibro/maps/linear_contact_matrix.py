@@ -1,4 +1,4 @@
-"""The matrix of a stay within a soft wall of a spring and a damper, for `monodromy`."""
+"""Matrix of a contact phase within a soft wall with a spring and a damper, for `monodromy`."""
 
 import jax.numpy as jnp
 
@@ -12,9 +12,9 @@ from .path_end import exits_before_end
 
 
 def pass_contact_phase(coeffs, relative_state, from_outside, path_end, current):
-    """The `MonodromyState` after the stay of lanes that are within a wall, or at the `PathEnd`.
+    """Return the `MonodromyState` after the contact phase of lanes within a wall, at the exit or at the `PathEnd`.
 
-    relative_state: (contact, y, y'); from_outside: whether they have come from there just now.
+    `relative_state` is (contact, y, y'); `from_outside` is true for lanes that have just entered.
     """
     contact, y, v = relative_state
     inside, time_remaining = is_inside(contact), path_end.time - current.time

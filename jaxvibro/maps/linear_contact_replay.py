@@ -1,5 +1,7 @@
-"""A stay within a soft wall made again, for derivatives (`replay`): it takes as long as it took, a constant, and its
-end is moved by Taylor polynomials."""
+"""Replay of a contact phase within a linear soft wall, for derivatives (`replay`).
+
+The phase takes its recorded time, a constant, and its end is moved by Taylor polynomials.
+"""
 
 from jax import lax
 
@@ -15,7 +17,7 @@ from .path_end import exits_before_end
 
 
 def start_in_contact(coeffs, current, start_contact, path_end, order):
-    """(lanes that start within a soft wall where they leave it, or at the end; None); start_contact: the contact."""
+    """Return (state at the exit or at the end of the path, None) of lanes that start within a soft wall."""
     contact, y, v = initial_contact.initial_relative_state(coeffs, current, start_contact, order)
     return _fly_in_contact(
         coeffs, current, contact, y, v, *_contact_time_and_exit(coeffs, contact, y, v, current, path_end), order
@@ -23,14 +25,14 @@ def start_in_contact(coeffs, current, start_contact, path_end, order):
 
 
 def complete_contact(coeffs, current, pending_contact, path_end, order):
-    """The lanes as they are."""
+    """Return the lanes unchanged: nothing is pending."""
     return current
 
 
 def enter_wall(coeffs, current, side, delay, path_end, order):
-    """(lanes that enter the soft wall on a side a little later than now where they leave it, or at the end; None).
+    """Return (state at the exit or at the end of the path, None) of lanes that enter a soft wall after a delay.
 
-    side: 0 of lanes that enter none; lanes at a rigid wall stay as they are.
+    `side` is the side of the wall, 0 without an entry. Lanes at a rigid wall are unchanged.
     """
     contact = choose(soft_contact.is_soft_side(coeffs, side), side * Contact.ENTERED, 0.0)
     _, wall_velocity = taylor.wall_state(taylor.wall_derivatives(coeffs, current, side, order), delay, order)
@@ -71,7 +73,7 @@ def enter_wall(coeffs, current, side, delay, path_end, order):
 
 
 def _contact_time_and_exit(coeffs, contact, y, v, current, path_end):
-    """(how long lanes stay within a wall, at most to the path's end, a constant; whether they leave it by then)."""
+    """Return (constant duration of the contact phase, at most to the end of the path; lanes that exit by then)."""
     time_remaining = path_end.time - current.time
     contact_time = contact_time_of(
         *lax.stop_gradient((coeffs, contact, y, v, current.cosine, current.sine, time_remaining))
@@ -82,8 +84,7 @@ def _contact_time_and_exit(coeffs, contact, y, v, current, path_end):
 
 
 def _state_after_contact(coeffs, current, delay, contact_time, contact_end, side, order):
-    """Lanes that leave a wall after a stay that began a little late, and took about so much contact_time: free by
-    then."""
+    """Return the state of lanes that leave a wall after a delayed contact phase of about `contact_time`."""
     exit_state = _advance_drive(coeffs, current, contact_time)
     delay = delay + (contact_end.time - contact_time)
     wall_position, wall_velocity = taylor.wall_state(
@@ -96,13 +97,13 @@ def _state_after_contact(coeffs, current, delay, contact_time, contact_end, side
 
 
 def _advance_drive(coeffs, current, duration):
-    """The drive a time later."""
+    """Advance the drive by a time."""
     cosine, sine = flow.rotate_by_angle(current.cosine, current.sine, coeffs.frequency * duration)
     return current._replace(cosine=cosine, sine=sine, time=current.time + duration)
 
 
 def _fly_in_contact(coeffs, current, contact, y, v, contact_time, exits, order):
-    """Lanes within a wall brought to where they leave it after a time, or to the end."""
+    """Move lanes within a wall through `contact_time`, to their exit or to the end of the path."""
     inside = is_inside(contact)
     contact_coeffs = soft_contact.coeffs_by_lane(coeffs, contact)
     y, v = soft_contact.apply_response(
@@ -124,7 +125,7 @@ def _fly_in_contact(coeffs, current, contact, y, v, contact_time, exits, order):
 
 
 def _contact_jet(coeffs, contact_coeffs, contact, current, order):
-    """y and its derivatives, one more than the order."""
+    """Return y and its derivatives up to one more than the order."""
     return flow_of(contact_coeffs).jet_at_point(
         contact_coeffs,
         current,
@@ -134,7 +135,7 @@ def _contact_jet(coeffs, contact_coeffs, contact, current, order):
 
 
 def _absolute_state(coeffs, current, contact, jet, delay, order):
-    """(x, v) a time later of a mass that is within a wall until then; jet: y and its derivatives."""
+    """Return (x, v) after a delay for a mass within a wall; `jet` holds y and its derivatives."""
     wall_position, wall_velocity = taylor.wall_state(
         taylor.wall_derivatives(coeffs, current, contact, order), delay, order
     )
@@ -144,7 +145,7 @@ def _absolute_state(coeffs, current, contact, jet, delay, order):
 
 
 def shift_state(coeffs, current, contact, free_state, delay, order):
-    """(x, v) a time later; contact, free_state: see `no_replay`."""
+    """Return (x, v) after a delay; see `rigid_replay.shift_state`."""
     inside_contact = choose(is_inside(contact), contact, 0.0)
     contact_coeffs = soft_contact.coeffs_by_lane(coeffs, inside_contact)
     wall_position, wall_velocity = taylor.wall_state(

@@ -1,9 +1,9 @@
-"""Lanes run on for many periods by lean steps alone, as long as those take them; else by both tiers.
+"""Iterate many lanes over many periods: by the fast path as long as possible, then by both tiers.
 
-Compiling both tiers takes three times as long as the lean one alone, and most lanes never need the full one. A lane
-that lean steps give up stops there: its period is done in full by the host, and it goes on with the others that have
-stopped. Where that would be more work than compiling both tiers, they are compiled and do the rest. Which way is taken
-depends on the lanes alone.
+Compiling both tiers takes three times as long as compiling the fast path, and most lanes never need the reference path.
+A lane that the fast path gives up stops there: the host computes this period by the reference path, and the lane
+resumes with the others that have stopped. If this costs more than compiling both tiers, both are compiled and do the
+rest. The choice depends on the lanes alone.
 """
 
 import jax
@@ -18,16 +18,17 @@ from ..scene.codes import Status
 from . import one_period, two_tiers
 from .strobe import strobe
 
-MAX_RECORDED_PERIODS = 64  # periods kept, of however many have been run
-REFERENCE_COST = 32  # periods of a block, which a period of one lane that the host does in full is worth
-MAX_RETRY_COST = 20_000  # periods of blocks, run again or worth as much: half a second, less than compiling
+MAX_RECORDED_PERIODS = 64  # the last periods of a run, which are recorded
+REFERENCE_COST = 32  # cost of a reference period of one lane on the host, in periods of a block
+MAX_RETRY_COST = 20_000  # in periods of a block: half a second, less than compiling both tiers
 
 
 def run_periods(scene, state, periods, slots, block_width, record_periods=True):
-    """(state, the worst status, the kept periods as a ring) of lanes, in blocks of so many.
+    """Return (state, worst status, ring buffers of the recorded periods) of lanes, in blocks of a given width.
 
-    scene: a single one, or a lane of a batch each; the ring: x, v, contact, times, sides, speeds; period i is row i
-    modulo KEEP; status: FULL of the kept periods only. record_periods: whether these are asked for.
+    `scene` is a single one or has a number for each lane. The ring buffers hold x, v, contact, times, sides and speeds;
+    period i is row i modulo `MAX_RECORDED_PERIODS`. The status FULL refers to the recorded periods only. The buffers
+    are empty without `record_periods`.
     """
     n_lanes = len(state.x)
     n_done, fast = np.zeros(n_lanes, np.int32), two_tiers.has_fast_path(scene)
@@ -53,7 +54,7 @@ def run_periods(scene, state, periods, slots, block_width, record_periods=True):
 
 
 def _run_in_blocks(scene, state, n_done, periods, slots, block_width, fast, record_periods):
-    """(state, status, periods done, ring) of any number of lanes, each run on from the period that it begins with."""
+    """Return (state, status, periods done, ring buffers) of lanes, each run from its own first period `n_done`."""
     n_lanes = len(n_done)
     blocks = [padded_block((scene, state, n_done), start, block_width) for start in range(0, n_lanes, block_width)]
     runs = [_run_block(*block, periods, slots, fast) for block in blocks]
@@ -61,31 +62,59 @@ def _run_in_blocks(scene, state, n_done, periods, slots, block_width, fast, reco
 
 
 def padded_block(lanes, start, block_width):
-    """So many of a tree's lanes, the last one again where there are fewer; numbers that all share stay."""
+    """Select a block of lanes and repeat the last lane if there are too few.
+
+    Parameters
+    ----------
+    lanes : pytree of array
+        Numbers with the lanes as first axis, or scalars, which are shared and stay scalars.
+    start : int
+        First lane.
+    block_width : int
+        Number of lanes of the block.
+
+    Returns
+    -------
+    pytree of array
+        The block.
+    """
     indices = np.arange(start, start + block_width)
     return jax.tree.map(lambda leaf: np.asarray(leaf).take(indices, 0, mode="clip") if np.ndim(leaf) else leaf, lanes)
 
 
 def take_lanes(tree, lanes):
-    """The tree of some lanes, NumPy's arrays; a number that all lanes share stays one."""
+    """Select lanes of a tree.
+
+    Parameters
+    ----------
+    tree : pytree of array
+        Numbers with the lanes as first axis, or scalars, which are shared and stay scalars.
+    lanes : array of int or bool
+        Selection of lanes.
+
+    Returns
+    -------
+    pytree of numpy.ndarray
+        Numbers of the selected lanes.
+    """
     return jax.tree.map(lambda leaf: np.asarray(leaf)[lanes] if np.ndim(leaf) else np.asarray(leaf), tree)
 
 
 def join_blocks(runs, n_lanes):
-    """The results of blocks as those of so many lanes; what they end with is a ring, whose first axis is periods."""
+    """Join the results of blocks and cut them to `n_lanes` lanes; ring buffers come last, with periods first."""
     *end_arrays, ring_buffers = zip(*runs, strict=True)
     end_arrays = (jax.tree.map(lambda *parts: np.concatenate(parts)[:n_lanes], *parts) for parts in end_arrays)
     return *end_arrays, tuple(np.concatenate(parts, axis=1)[:, :n_lanes] for parts in zip(*ring_buffers, strict=True))
 
 
 def unroll_ring_buffers(ring_buffers, periods):
-    """A ring's kept periods, the first one first."""
+    """Return the recorded periods of ring buffers in order of time."""
     shift = -(periods % MAX_RECORDED_PERIODS) if periods > MAX_RECORDED_PERIODS else 0
     return [np.roll(ring_buffer, shift, axis=0)[: min(periods, MAX_RECORDED_PERIODS)] for ring_buffer in ring_buffers]
 
 
 def _run_reference_period(scene, results, lanes, periods, slots):
-    """The results with the next period of some lanes, by full steps."""
+    """Advance some lanes by one period of the reference path."""
     state, status, n_done, ring_buffers = results
     state, status, n_done = jax.tree.map(np.array, state), np.array(status), np.array(n_done)
     for lane in lanes:
@@ -109,14 +138,14 @@ def _recorded_status(status, is_recorded):
 
 
 def _merge_results(results, lanes, new_results, n_done_before):
-    """The results with those of a later run of some lanes, which began with these periods."""
+    """Merge the results of a later run of some lanes, which began with the periods `n_done_before`."""
     (state, status, n_done, ring_buffers), (new_state, new_status, new_n_done, new_buffers) = results, new_results
     for old, new in zip(jax.tree.leaves((state, n_done)), jax.tree.leaves((new_state, new_n_done)), strict=True):
         old[lanes] = new
     status[lanes] = np.where(status[lanes] >= Status.CAP, status[lanes], np.maximum(status[lanes], new_status))
     row_period = (
         new_n_done - 1 - (new_n_done - 1 - np.arange(MAX_RECORDED_PERIODS)[:, None]) % MAX_RECORDED_PERIODS
-    )  # the period that a row has
+    )  # the period that each row holds
     is_new_row = row_period >= n_done_before
     for old, new in zip(ring_buffers, new_buffers, strict=True):
         old[:, lanes] = np.where(is_new_row[..., None] if new.ndim > 2 else is_new_row, new, old[:, lanes])
@@ -125,15 +154,15 @@ def _merge_results(results, lanes, new_results, n_done_before):
 
 @persistent_jit(static_argnums=2, compiler_options=COMPILER_OPTIONS, numpy_first=True)
 def _reference_strobe(scene, state, slots):
-    """(State, Impacts) of a period of one lane by full steps."""
+    """Return (State, Impacts) of a period of one lane by the reference path."""
     return one_period.strobe(scene, state, 1, slots, 1)
 
 
 @persistent_jit(static_argnames=("slots", "fast"), compiler_options=COMPILER_OPTIONS)
 def _run_block(scene, state, n_done, periods, slots, fast):
-    """(state, status, periods done, the kept periods as a ring); a lane begins with the period `n_done`.
+    """Return (state, status, periods done, ring buffers) of a block; a lane begins with its period `n_done`.
 
-    fast: by lean steps alone: a lane that they give up stops at the end of the period before.
+    With `fast`, only the fast path is used, and a lane that it gives up stops at the end of the period before.
     """
     lanes = state.x.shape
     lane_rows = jnp.zeros((MAX_RECORDED_PERIODS, *lanes), state.x.dtype)

@@ -1,11 +1,12 @@
-"""The monodromy matrix as a product (paper, (37)): P for each flight, Q for each impact, never by autodiff.
+"""Compute the monodromy matrix as a product of flight and saltation matrices (paper, (37)), without autodiff.
 
-P(t) is the matrix of the free flow. Q follows from the impact law and from when the wall is met: with u = v- - v_b,
+P(t) is the matrix of the free flow. The saltation matrix Q follows from the impact law and from the condition that
+defines the time of the impact. With u = v- - v_b,
 
     Q = ((-R, 0), ((a+ + R a- - (1 + R) a_b) / u, -R)),
 
-a-, a+ the accelerations before and after, v_b, a_b the wall's velocity and acceleration. A mass that rests on a wall
-forgets where it came from: M = 0.
+where a- and a+ are the accelerations before and after the impact, and v_b and a_b are the velocity and acceleration of
+the wall. If the mass sticks, its state does not depend on its past: M = 0.
 """
 
 from dataclasses import replace
@@ -47,13 +48,47 @@ CONTACT_PASSAGES = {
 def monodromy(
     scene: Scene, state: State, periods: int = 1, slots: int = REPLAY_SLOTS
 ) -> Float[jax.Array, "*lanes 2 2"]:
-    """The derivative of `strobe`'s (x, v) by the given (x, v): shape (..., 2, 2), rows x and v of the end.
+    """Compute the monodromy matrix: the derivative of the end state by the initial state.
 
-    scene, state, periods as for `strobe`; slots: impacts of a period that there is room for. nan where the strobe has
-    no end (status from CAP on) or has more impacts than that and does not rest; zero where the mass rests on a wall.
-    On an impact without speed the derivative does not exist: inf or nan.
+    The matrix is the product of the flight matrices and the saltation matrices of the impacts (paper, (37)).
 
-    Raises ArgumentError as `strobe` does, and TypeError where it is itself to be differentiated.
+    Parameters
+    ----------
+    scene : Scene
+        Oscillator, drive and walls. A single scene or a batch.
+    state : State
+        Initial state at its phase; its numbers broadcast with those of `scene`.
+    periods : int, optional
+        Number of drive periods, at least 1.
+    slots : int, optional
+        Largest number of impacts per period, at least 1.
+
+    Returns
+    -------
+    Array of shape (..., 2, 2)
+        Derivative of the final (x, v), by rows, with respect to the initial (x, v). It is nan if the status is CAP or
+        worse, or if there are more than `slots` impacts per period and the mass does not stick. It is zero if the mass
+        sticks to a wall. At a grazing the derivative does not exist, and the entries are inf or nan.
+
+    Raises
+    ------
+    ArgumentError
+        If the arguments are invalid, as for `strobe`.
+    TypeError
+        If the result is differentiated. Use derivatives of `strobe` instead.
+
+    See Also
+    --------
+    strobe : The map, with derivatives of any order.
+    Orbit : Periodic orbit with its multipliers.
+
+    Examples
+    --------
+    The eigenvalues over one period of an orbit are its Floquet multipliers.
+
+    >>> matrix = jv.monodromy(orbit.scene, orbit.state, orbit.periods)
+    >>> np.linalg.eigvals(matrix).round(6)
+    array([-0.235309+0.350203j, -0.235309-0.350203j])
     """
     periods, slots = check.whole_number("periods", periods, 1), check.whole_number("slots", slots, 1)
     leaves, tree = jax.tree.flatten((scene, state_arrays(scene, state)))
@@ -67,7 +102,7 @@ def _traced_monodromy(tree, periods, slots):
 
     @run.defjvp
     def _(primals, tangents):
-        raise TypeError("monodromy is a product without derivatives: differentiate jax.jacfwd of strobe instead")
+        raise TypeError("monodromy has no derivatives; differentiate jax.jacfwd of strobe instead")
 
     return run
 
@@ -78,7 +113,7 @@ def _compiled_monodromy(tree, periods, slots):
 
 
 def _matrices_in_blocks(tree, periods, slots, min_lanes, *leaves):
-    """M of all lanes, block by block."""
+    """Compute the matrices of all lanes block by block."""
     scene, state = tree.unflatten(leaves)
     shape = jnp.broadcast_shapes(*map(jnp.shape, leaves))
 
@@ -91,12 +126,33 @@ def _matrices_in_blocks(tree, periods, slots, min_lanes, *leaves):
 
 
 def _block_monodromy(scene, state, periods, slots):
-    """M of a block of lanes, by rows."""
+    """Compute the matrices of a block of lanes by rows."""
     return strobe_with_monodromy(scene, state, periods, slots)[2]
 
 
 def strobe_with_monodromy(scene, state, periods, slots, clearance=False):
-    """(State, Impacts, M by rows) of a block of lanes, to be called within one kernel as `strobe_with_product` is."""
+    """Evaluate the map and its monodromy matrix for a block of lanes, within one kernel.
+
+    Parameters
+    ----------
+    scene, state : Scene, State
+        Numbers of the lanes, as for `strobe_with_product`.
+    periods : int
+        Number of drive periods.
+    slots : int
+        Number of impacts to record in all periods.
+    clearance : bool, optional
+        Measure the least clearance.
+
+    Returns
+    -------
+    end : State
+        State after the last period.
+    impacts : Impacts
+        Recorded impacts.
+    matrix : list of array
+        The four entries of the monodromy matrix by rows: nan where it is undefined, zero where the mass sticks.
+    """
     end, impacts, is_sticking, monodromy_state = strobe_with_product(scene, state, periods, slots, clearance)
     is_undefined = (impacts.status >= Status.CAP) | ((impacts.count > slots) & ~is_sticking)
     return (
@@ -107,20 +163,38 @@ def strobe_with_monodromy(scene, state, periods, slots, clearance=False):
 
 
 def strobe_with_product(scene, state, periods, slots, clearance=False):
-    """(end, impacts, rests, way) of a block of lanes: where `strobe` leads, and what M is made of.
+    """Evaluate the map and the product of matrices for a block of lanes, within one kernel.
 
-    rests: whether the mass is on a wall at some time, which makes M zero whatever the product is. way: the
-    `MonodromyState` at the end, its matrix the product of P and Q, of no meaning with a status from CAP on, or with
-    more impacts than slots. state.x has the lanes' shape, other numbers are scalars or of that shape. To be called
-    within one kernel."""
+    Parameters
+    ----------
+    scene, state : Scene, State
+        Numbers of the lanes. ``state.x`` has the shape of the lanes; other numbers are scalars or have this shape.
+    periods : int
+        Number of drive periods.
+    slots : int
+        Number of impacts to record in all periods.
+    clearance : bool, optional
+        Measure the least clearance.
+
+    Returns
+    -------
+    end : State
+        State after the last period.
+    impacts : Impacts
+        Recorded impacts.
+    is_sticking : array of bool
+        True if the mass sticks at some time, which makes the monodromy matrix zero.
+    monodromy_state : MonodromyState
+        State at the end with the product of P and Q. It has no meaning for a status from CAP on, or with more than
+        `slots` impacts.
+    """
     (end, impacts), (release_time, *_) = one_period.strobe_with_history(scene, state, periods, slots, clearance)
     is_sticking = (abs(end.contact) == Contact.STUCK) | (abs(state.contact) == Contact.STUCK) | (release_time >= 0)
     return end, impacts, is_sticking, _monodromy_product(scene, state, impacts, end.contact, periods, slots)
 
 
 def _monodromy_product(scene, state, impacts, end_contact, periods, slots):
-    """The `MonodromyState` after P of each flight, Q of each impact, the matrix of each stay; end_contact: of every
-    lane, at the end."""
+    """Multiply the matrices of all flights, impacts and contact phases; `end_contact` is the contact at the end."""
     coeffs, zero = compute_coefficients(scene), lax.full_like(end_contact, 0.0)
     flow, pass_contact = flow_of(coeffs), CONTACT_PASSAGES[coeffs.contact_law]
     impact_rows = impacts.time, impacts.side.astype(zero.dtype), impacts.speed
@@ -128,7 +202,7 @@ def _monodromy_product(scene, state, impacts, end_contact, periods, slots):
     n_impacts = lax.min(jnp.max(impacts.count), jnp.int32(slots)) if coeffs.walls else jnp.int32(0)
 
     def step_impact(carry):
-        """A stay where one is due, a flight and the impact at its end, or, after all impacts, the flight to the end."""
+        """Pass a contact phase if one is due, then fly to the next impact, or to the end after the last impact."""
         k, relative_state, current = carry
         if relative_state:
             current = pass_contact(coeffs, relative_state, k > 0, PathEnd(end_time, end_contact), current)
@@ -172,7 +246,7 @@ def _monodromy_product(scene, state, impacts, end_contact, periods, slots):
 
 
 def _state_after_impact(coeffs, is_impact, side, speed, restitution_coeff, cosine, sine, xv):
-    """(x, v) of the lanes that hit after the impact, of others as it is."""
+    """Return (x, v) after the impact for lanes that hit a wall, unchanged otherwise."""
     wall_side = choose(is_impact, side, lax.full_like(side, float(coeffs.walls[0].sign)))
     wall_position, wall_velocity = wall_surface(coeffs, wall_side, cosine, sine)[:2]
     x, v = xv
@@ -180,7 +254,7 @@ def _state_after_impact(coeffs, is_impact, side, speed, restitution_coeff, cosin
 
 
 def saltation_entries(coeffs, side, speed, cosine, sine):
-    """R and the lower left entry of Q, of an impact on a side with this speed; side 0: of none, any numbers."""
+    """Return R and the lower left entry of Q for an impact on a side; arbitrary values for side 0."""
     wall_position, wall_velocity, wall_acceleration = wall_jet_on_side(coeffs, side, cosine, sine, 2)
     restitution_coeff = restitution(coeffs, side) + 0.0 * speed
     wall_velocity = 0.0 if wall_velocity is None else wall_velocity

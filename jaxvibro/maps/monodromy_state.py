@@ -1,4 +1,4 @@
-"""A lane on its way through flights, impacts and stays, with the matrix of the way."""
+"""State of a lane on its path, with the matrix of the path."""
 
 from typing import NamedTuple
 
@@ -9,9 +9,12 @@ from ..compiled.compiler_hints import choose
 
 
 class MonodromyState(NamedTuple):
-    """time: since the start; xv: (x, v), () where a flight's matrix does not depend on it; the drive's cosine and sine;
-    matrix: how (x, v) changes with that at the start, by rows; contact_times: the time spent within each soft wall,
-    left first."""
+    """State on a path of flights, impacts and contact phases, with its derivative with respect to the initial state.
+
+    `time` is since the start. `xv` is (x, v), or () where the matrix of a flight does not depend on it. `cosine` and
+    `sine` are those of the drive. `matrix` is the derivative of (x, v), by rows, with respect to the initial (x, v).
+    `contact_times` are the times spent within each soft wall, left first.
+    """
 
     time: Float[jax.Array, "*lanes"]
     xv: tuple[Float[jax.Array, "*lanes"], ...]
@@ -22,8 +25,7 @@ class MonodromyState(NamedTuple):
 
 
 def add_contact_time(coeffs, contact, contact_time, contact_times):
-    """The times spent within each soft wall after a stay more; contact: the contact of lanes that are within one, their
-    time is 0 of others."""
+    """Add the duration of a contact phase to the times spent within each soft wall; it is 0 for lanes outside."""
     soft_walls = [
         wall for wall, soft_flow in zip(coeffs.walls, coeffs.soft_flows, strict=True) if soft_flow is not None
     ]

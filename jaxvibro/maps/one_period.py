@@ -1,4 +1,4 @@
-"""The lanes' way through drive periods, from their start to their end and impacts."""
+"""Compute drive periods of lanes by the reference path: final states and impacts."""
 
 from dataclasses import replace
 from functools import partial
@@ -20,13 +20,16 @@ from ..flight.soft_contact import is_inside
 from ..scene.codes import Contact, Status
 from ..scene.state import Impacts, State
 
-REPLAY_SLOTS = 32  # impacts of a period whose derivatives can be told
+REPLAY_SLOTS = 32  # impacts per period that a replay can differentiate
 
 
 class ReplayHistory(NamedTuple):
-    """release_time: when the mass was last released from a wall, -1: never. What a replay has to know besides, else
-    None: count, times, sides of the impacts since then, and last_releases: freed at each of the impacts from the start
-    on."""
+    """Data of a path that a replay needs besides the impacts.
+
+    `release_time` is the time of the last release from a wall, -1 without one. The other fields are None unless a
+    replay needs them: `count`, `times` and `sides` of the impacts since then, and `last_releases`, the time of the last
+    release before each impact from the start.
+    """
 
     release_time: Float[jax.Array, "*lanes"]
     count: Float[jax.Array, "*lanes"] | None = None  # type: ignore[assignment]  # a tuple has a method of this name
@@ -36,12 +39,15 @@ class ReplayHistory(NamedTuple):
 
 
 def strobe(scene, state, periods, slots, min_lanes, clearance=False, n_due=None):
-    """(State, Impacts) of numbers that broadcast, in blocks of so many lanes at least; n_due: see `run_in_blocks`."""
+    """Return (State, Impacts) for numbers that broadcast, in blocks of `min_lanes` lanes or more.
+
+    `n_due` is that of `run_in_blocks`.
+    """
     return _strobe_in_blocks(_strobe_alone, scene, state, periods, slots, min_lanes, clearance, n_due)
 
 
 def strobe_with_record(scene, state, periods, slots, min_lanes, clearance=False, history_slots=0):
-    """((State, Impacts), `ReplayHistory`), as `strobe`."""
+    """Return ((State, Impacts), `ReplayHistory`); arguments as for `strobe`."""
     return _strobe_in_blocks(
         strobe_with_history, scene, state, periods, slots, min_lanes, clearance, history_slots=history_slots
     )
@@ -69,10 +75,11 @@ def _strobe_alone(scene, state, periods, slots, clearance):
 
 
 def strobe_with_history(scene, state, periods, slots, clearance=False, history_slots=0):
-    """((State, Impacts), `ReplayHistory`): numbers are scalars or of one shape.
+    """Return ((State, Impacts), `ReplayHistory`) of a block; numbers are scalars or have the shape of `state.x`.
 
-    state.x is of that shape. clearance: whether to measure the least one; None if not. history_slots: slots of the
-    `ReplayHistory`."""
+    With `clearance` the least clearance is measured, else it is None. `history_slots` are the slots of the
+    `ReplayHistory`.
+    """
     coeffs = compute_coefficients(scene)
     path, entry_status = stage(start_path, coeffs, state)
     start_motion = path.motion
@@ -101,7 +108,7 @@ def _replay_history(loop):
 
 
 def _begin_next_period(coeffs, start_motion, last_period_start, loop):
-    """A path that has ended a period begins the next, its drive turned back by what rounding left of the last one."""
+    """Begin the next period of a path; the drive is turned back by the rounding error of the last period."""
     path, log = loop.path, loop.log
     has_period_ended = (path.time_remaining == 0) & (log.end_time < last_period_start)
     time_remaining_low = path.time_remaining_low + coeffs.period_low
@@ -120,7 +127,7 @@ def _begin_next_period(coeffs, start_motion, last_period_start, loop):
 
 
 def state_and_impacts(coeffs, loop, state, entry_status, clearance=False):
-    """(State, Impacts) of a journey at its end, with its least clearance where that was asked for."""
+    """Return (State, Impacts) at the end of a loop, with the least clearance if requested."""
     path, log, slots, turning_points = loop[:4]
     x, v = absolute_state(coeffs, path)
     is_full = (log.count > len(slots.times)) | (log.least_speed < 0)
@@ -147,13 +154,13 @@ def state_and_impacts(coeffs, loop, state, entry_status, clearance=False):
 
 
 def reported_contact(path):
-    """The contact as a `State` has it: what has entered a wall is within it, what is released has landed."""
+    """Return the contact as a `State` reports it: after an entry it is WITHIN, after a release LANDED."""
     contact_code = choose(is_inside(path.contact), Contact.WITHIN, abs(jnp.sign(path.contact)))
     return jnp.sign(path.contact) * choose(abs(path.contact) == Contact.STUCK, Contact.STUCK, contact_code)
 
 
 def empty_history(n_lanes, slots, dtype, history_slots=0):
-    """The same of the `ReplayHistory`."""
+    """Return a `ReplayHistory` to fill in."""
     zero = jnp.zeros(n_lanes, dtype)
     if not history_slots:
         return ReplayHistory(zero)
@@ -162,7 +169,7 @@ def empty_history(n_lanes, slots, dtype, history_slots=0):
 
 
 def history_without_release(impacts, history_slots):
-    """The `ReplayHistory` of lanes that never rest."""
+    """Return the `ReplayHistory` of lanes that never stick."""
     times, zero = impacts.time, jnp.zeros_like(impacts.least_speed)
     if not history_slots:
         return ReplayHistory(zero - 1.0)
@@ -173,7 +180,7 @@ def history_without_release(impacts, history_slots):
 
 
 def empty_results(n_lanes, slots, dtype, clearance=False):
-    """Results to fill in; arrays of one content would be filled once and copied, so times begin as they end, empty."""
+    """Return results to fill in; times start with their final empty value, because equal arrays would be shared."""
     zero = jnp.zeros(n_lanes, dtype)
     zero_int = jnp.zeros(n_lanes, jnp.int32)
     times, speeds = jnp.full((n_lanes, slots), jnp.inf, dtype), jnp.zeros((n_lanes, slots), dtype)

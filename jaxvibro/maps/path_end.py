@@ -1,4 +1,4 @@
-"""The end of a replayed path: whether a mass has left a soft wall by then."""
+"""End of a replayed path, and the decision on exits from soft walls near it."""
 
 from typing import NamedTuple
 
@@ -11,36 +11,39 @@ from ..flight.event import unit_roundoff
 from ..flight.soft_contact import is_inside
 from ..scene.codes import Contact
 
-END_TOLERANCE = (
-    64.0  # roundings of the path's length or the drive's period: a contact phase that ends this close to the end
-)
+END_TOLERANCE = 64.0  # rounding errors of the path's length or the drive's period: such an exit is at the end
 
 
 class PathEnd(NamedTuple):
-    """Time and contact at the end of a path, the contact as of a `State` (0 where the mass is free)."""
+    """Time and contact at the end of a path; the contact is that of a `State`, 0 for a free mass."""
 
     time: Float[jax.Array, "*lanes"]
     contact: Float[jax.Array, "*lanes"]
 
 
 def exits_before_end(coeffs, path_end: PathEnd, current, contact, contact_time) -> Bool[jax.Array, "*lanes"]:
-    """Decide whether lanes within a soft wall leave it before the path ends.
+    """Decide for lanes within a soft wall if they leave it before the path ends.
 
-    A contact phase that ends together with the path, up to rounding, is decided by the contact that the simulation
-    has recorded at the end, so that derivatives belong to the state that is returned.
+    If a contact phase ends together with the path, up to rounding, the contact that the simulation recorded at the end
+    decides. So derivatives belong to the state that is returned.
 
     Parameters
     ----------
-    frame : Frame
+    coeffs : FlowCoefficients
         Coefficients of the scene.
-    end : PathEnd
+    path_end : PathEnd
         End of the path.
-    now : Now
-        State from which the contact phase is replayed.
-    touch : array
-        Contact of the lanes, 0 of lanes outside.
-    time : array
-        Duration of the contact phase, at most the time to the path's end.
+    current : ExpansionPoint or MonodromyState
+        State at the start of the contact phase.
+    contact : array
+        Contact of the lanes, 0 for lanes outside.
+    contact_time : array
+        Duration of the contact phase, at most the time to the end of the path.
+
+    Returns
+    -------
+    array of bool
+        True for lanes that leave the wall before the path ends.
     """
     is_near_end = current.time + contact_time >= path_end.time - END_TOLERANCE * unit_roundoff(
         contact_time.dtype

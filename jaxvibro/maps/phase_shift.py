@@ -1,4 +1,4 @@
-"""States a part of a drive period later: from the section at one phase to that at another."""
+"""Advance states by part of a drive period, to another phase of the section."""
 
 import jax
 import jax.numpy as jnp
@@ -14,10 +14,23 @@ from .one_period import state_and_impacts
 
 
 def shift_phase(scene, state, phase):
-    """The state where the drive next comes to a phase, from 0 to less than 2 pi later: (State, status).
+    """Advance states to the next time at which the drive has a given phase.
 
-    scene: a single one; state: leaves of shape (lanes,), all at one phase; phase: rad. An impact at the end belongs to
-    the way there, as with `strobe`; status: as in `Impacts`.
+    Parameters
+    ----------
+    scene : Scene
+        A single scene.
+    state : State
+        States with leaves of shape (lanes,), all at one phase.
+    phase : float
+        New phase of the drive, in rad. The angle to it is from 0 to less than 2 pi.
+
+    Returns
+    -------
+    end : State
+        States at the new phase. An impact at the end belongs to the flight to it, as for `strobe`.
+    status : numpy.ndarray of int
+        Status of each lane, as in `Impacts`.
     """
     angle = np.mod(phase - float(state.phase[0]), 2.0 * np.pi)
     if angle == 0.0:

@@ -1,9 +1,9 @@
-"""The end of a strobe and its impacts as smooth functions of state and scene: the impacts are known, and made again.
+"""Replay recorded impacts as smooth functions of state and scene.
 
-A flight takes as long as it took, a constant, and ends at the time of an impact as it was. The impact itself comes
-later than that by a time that is 0 and has derivatives: it is found, and its effect brought back to the old time, by
-Taylor polynomials as long as the order of the derivatives asked for. So flights stay linear in the state, and no
-iteration is differentiated but Newton's on these polynomials: k steps are right to the order 2^k - 1.
+Each flight takes its recorded time, a constant, and ends at the recorded time of the impact. The impact itself is later
+by a delay that is 0 and has derivatives. The delay is computed, and its effect is transported back to the recorded
+time, by Taylor polynomials up to the order of the derivatives. So flights stay linear in the state, and the only
+differentiated iteration is Newton's method on these polynomials: k steps are exact to order 2^k - 1.
 """
 
 from typing import NamedTuple
@@ -25,10 +25,14 @@ from .path_end import PathEnd
 
 
 class RecordedImpacts(NamedTuple):
-    """What happened: times and sides (-1, 0, +1) of the impacts, shape (slots, lanes), inf and 0 where there is none;
-    count: how many, below 0 where a replay is not possible; release_time: when the mass was last released from a wall,
-    -1 if never; end_contact: the contact of a mass that rests on a wall at the end, or is within a soft one, else 0;
-    last_releases: of each impact, when the mass had last been released, None: all are after `release_time`."""
+    """Impacts of a simulation, to be replayed.
+
+    `times` and `sides` (-1, 0, 1) have the shape (slots, lanes), with inf and 0 in empty slots. `count` is the number
+    of impacts, negative where a replay is not possible. `release_time` is the time of the last release from a wall, -1
+    without one. `end_contact` is the contact at the end of a mass that sticks or is within a soft wall, 0 otherwise.
+    `last_releases` has the time of the last release before each impact; None means that all impacts are after
+    `release_time`.
+    """
 
     times: Float[jax.Array, "..."]
     sides: Float[jax.Array, "..."]
@@ -39,14 +43,14 @@ class RecordedImpacts(NamedTuple):
 
 
 def replay_periods(coeffs, state, impacts, periods, order):
-    """((x, v) at the end, times, speeds of the impacts: shape (slots, lanes)), with derivatives right to an order."""
+    """Return ((x, v) at the end, times, speeds of the impacts) with derivatives up to an order; slots first."""
     start, end, _, times, speeds = _replay_path(coeffs, state, impacts, periods * coeffs.period, order)
     final = _hold_on_wall(coeffs, start._replace(x=end.x, v=end.v), _sticking_side(impacts.end_contact))
     return (final.x, final.v), times, speeds
 
 
 def replay_duration(coeffs, state, impacts, duration, order):
-    """(x, v) after any time, likewise; a derivative by the time is that of the motion."""
+    """Return (x, v) after any time, with derivatives up to an order, also with respect to the time."""
     _, end, delay, _, _ = _replay_path(coeffs, state, impacts, duration, order)
     cosine, sine = flow.rotate_by_angle(end.cosine, end.sine, coeffs.frequency * delay)
     final = _hold_on_wall(coeffs, end._replace(cosine=cosine, sine=sine), _sticking_side(impacts.end_contact))
@@ -54,7 +58,7 @@ def replay_duration(coeffs, state, impacts, duration, order):
 
 
 def _replay_path(coeffs, state, impacts, duration, order):
-    """(where it starts, where it is after the time, how much later than a constant that is, times, speeds)."""
+    """Return (start, end after the duration, delay of the end, times, speeds of the impacts)."""
     zero = lax.full_like(impacts.release_time, 0.0)
     cosine, sine = jnp.cos(state.phase) + zero, jnp.sin(state.phase) + zero
     start = _hold_on_wall(
@@ -76,13 +80,12 @@ def _replay_path(coeffs, state, impacts, duration, order):
 
 
 def _replay_impacts(coeffs, start, pending_contact, impacts, path_end, order):
-    """(where the lanes are at the `PathEnd`, times, speeds of the impacts); start, pending_contact: as the stays have
-    them."""
+    """Return (state at the `PathEnd`, times, speeds of the impacts) from the results of `start_in_contact`."""
     contact_replay, total_time = contact_replay_of(coeffs), path_end.time
     n_impacts = lax.min(jnp.max(impacts.count).astype(jnp.int32), jnp.int32(len(impacts.times)))
 
     def replay_event(carry):
-        """To the next impact, or to the release before it, or, after all impacts, to the end."""
+        """Advance to the next impact, or to a release before it, or, after all impacts, to the end."""
         k, last_release, current, pending_contact, *time_speed_rows = carry
         current = contact_replay.complete_contact(coeffs, current, pending_contact, path_end, order)
         time, side = (lax.dynamic_index_in_dim(row, k, keepdims=False) for row in (impacts.times, impacts.sides))
@@ -127,7 +130,7 @@ def _replay_impacts(coeffs, start, pending_contact, impacts, path_end, order):
 
 
 def _update_row(rows, values, k, mask):
-    """The rows with some lanes of one replaced."""
+    """Replace some lanes of row k."""
     old_values = lax.dynamic_index_in_dim(rows, k, keepdims=False)
     return lax.dynamic_update_index_in_dim(rows, choose(mask, values, old_values), k, 0)
 
@@ -137,13 +140,13 @@ def _sticking_side(contact):
 
 
 def _fly(coeffs, current, time):
-    """A free flight later."""
+    """Fly freely for a time."""
     end_point = flow_of(coeffs).fly(coeffs, current.x, current.v, current.cosine, current.sine, time)
     return ExpansionPoint(*end_point, current.time + time)
 
 
 def _hold_on_wall(coeffs, current, side):
-    """Where the wall on a side is, side 0: where it was."""
+    """Set position and velocity to those of the wall on a side; side 0 leaves them unchanged."""
     if not coeffs.walls:
         return current
     wall_position, wall_velocity = wall_jet_on_side(coeffs, side, current.cosine, current.sine, 1)
@@ -155,10 +158,9 @@ def _hold_on_wall(coeffs, current, side):
 
 
 def _release_from_wall(coeffs, current, is_due, release_time, order):
-    """Lanes that are due brought to where they leave a wall, where the press on it passes zero: no earlier state
-    matters, and none is flown on from.
+    """Move the lanes that are due to their release, where the contact force vanishes; no earlier state matters.
 
-    Of two walls it is the one with the lesser press.
+    If there are two walls, it is the one with the smaller contact force.
     """
     time = choose(is_due, release_time, current.time)
     phasor = flow.rotate_by_angle(current.cosine, current.sine, coeffs.frequency * (time - current.time))
@@ -181,7 +183,7 @@ def _release_from_wall(coeffs, current, is_due, release_time, order):
 
 
 def _rebound(coeffs, current, side, order):
-    """(late, speed against the wall, x, v) of an impact about now, brought back to now."""
+    """Return (delay, speed relative to the wall, x, v) of an impact about now, transported back to now."""
     jet, wall_derivs = (
         flow_of(coeffs).jet_at_point(coeffs, current, order),
         taylor.wall_derivatives(coeffs, current, side, order),

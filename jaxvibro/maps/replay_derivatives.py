@@ -1,4 +1,4 @@
-"""Derivatives of what a replay makes again, by chosen numbers of scene and state."""
+"""Derivatives of a replay with respect to chosen numbers of scene and state."""
 
 from dataclasses import replace
 from typing import NamedTuple
@@ -13,8 +13,11 @@ from .replay import RecordedImpacts, replay_periods
 
 
 class ReplayData(NamedTuple):
-    """What the replays of a strobe have to know: of its end, with the impacts since the last release; of its impacts,
-    with the first ones; slowest_index: the place of the slowest among these, -1: none."""
+    """Data for the replays of a strobe.
+
+    `state_impacts` are the impacts since the last release, for the end; `all_impacts` are the recorded impacts from the
+    first. `slowest_index` is the index of the slowest of these, -1 for none.
+    """
 
     state_impacts: RecordedImpacts
     all_impacts: RecordedImpacts
@@ -22,9 +25,9 @@ class ReplayData(NamedTuple):
 
 
 def collect_replay_data(end, impacts, history):
-    """The `ReplayData` of a strobe, slots last: where the mass ended, its impacts, its `one_period.Past`.
+    """Return the `ReplayData` of a strobe, slots last, from its end, its impacts and its `ReplayHistory`.
 
-    The end of a mass that rests is that of its wall, whatever came before.
+    The end state of a sticking mass is that of its wall, whatever came before.
     """
     end_contact = jnp.where(abs(end.contact) >= Contact.STUCK, end.contact, 0.0)
     has_no_end, is_sticking = impacts.status >= Status.CAP, abs(end_contact) == Contact.STUCK
@@ -41,13 +44,13 @@ def collect_replay_data(end, impacts, history):
 
 
 def move_slots_first(impacts):
-    """`RecordedImpacts` with slots first in place of last."""
+    """Move the slots of `RecordedImpacts` from the last axis to the first."""
     rows = {name: getattr(impacts, name) for name in ("times", "sides", "last_releases")}
     return impacts._replace(**{name: None if row is None else jnp.moveaxis(row, -1, 0) for name, row in rows.items()})
 
 
 def _slowest_index(impacts):
-    """The place of the slowest impact, -1 where it is not among those recorded, or has no speed."""
+    """Return the index of the slowest impact, -1 if it is not recorded or has zero speed."""
     if not impacts.speed.shape[-1]:
         return jnp.full_like(impacts.least_speed, -1.0)
     speeds = jnp.where(impacts.side != 0, impacts.speed, jnp.inf)
@@ -56,7 +59,7 @@ def _slowest_index(impacts):
 
 
 def truncate_slots(impacts, slots):
-    """The impacts with so many slots, of more."""
+    """Cut the impacts to a smaller number of slots."""
     is_truncated = (impacts.status == Status.OK) & (impacts.count > slots)
     rows = {name: getattr(impacts, name)[..., :slots] for name in ("time", "side", "speed")}
     status = jnp.where(is_truncated, Status.FULL, impacts.status).astype(impacts.status.dtype)
@@ -64,10 +67,10 @@ def truncate_slots(impacts, slots):
 
 
 def replay_derivatives(leaves, impacts, tree, argnums, periods, order, of_state):
-    """The derivatives of orders 1, 2, ... by the chosen ones of the tree's leaves, an axis for each choice, last.
+    """Compute derivatives of orders 1, 2, ... with respect to leaves `argnums`, with one last axis per differentiation.
 
-    Of x and v at the end, or of the impacts' times and speeds, lanes first; nan where a replay is not possible. known:
-    slots first.
+    With `of_state` they are those of x and v at the end, else those of the times and speeds of the impacts, lanes
+    first. They are nan where a replay is not possible. `impacts` has slots first.
     """
 
     def replay_outputs(*active_values):
@@ -90,7 +93,7 @@ def replay_derivatives(leaves, impacts, tree, argnums, periods, order, of_state)
 
 
 def with_derivatives(function, order):
-    """The function's values and derivatives up to an order, each lane's by its own numbers."""
+    """Extend a function to return its value and its derivatives up to an order, lane by lane."""
     if order == 0:
         return lambda *args: (function(*args),)
     lower_orders = with_derivatives(function, order - 1)

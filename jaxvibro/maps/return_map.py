@@ -1,4 +1,4 @@
-"""The sections at the walls: the maps P2 on L and P3 on R, from an impact to the next on the same wall (paper, 1)."""
+"""Return maps on the walls: P2 on the left wall and P3 on the right, from impact to impact (paper, 1)."""
 
 from dataclasses import dataclass
 
@@ -19,9 +19,34 @@ from .strobe import strobe
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class Return:
-    """The next impact on the wall. phase: of the drive, rad, from 0 to 2 pi; velocity: after it, y+, at a soft wall
-    that of entering it; time: since the impact before, in t; between: impacts on the other wall on the way; found:
-    whether there is one within the periods; if not, phase, velocity and time are nan; status: as in `Impacts`."""
+    """Next impact on the same wall, as `return_map` finds it.
+
+    Attributes
+    ----------
+    phase : Array
+        Phase of the drive at the impact, in rad, from 0 to 2 pi; nan without one.
+    velocity : Array
+        Velocity after the impact, y+, in lengths per t. At a soft wall it is the velocity at the entry. It is nan
+        without an impact.
+    time : Array
+        Time since the first impact, in t; nan without a further one.
+    between : Array of int
+        Number of impacts on the other wall in between.
+    found : Array of bool
+        True if there is an impact within the periods.
+    status : Array of int
+        Status of the lanes, as in `Impacts`.
+
+    See Also
+    --------
+    return_map : Compute the next impact.
+
+    Examples
+    --------
+    >>> result = jv.return_map(scene, "left", phase=0.3, velocity=1.2)
+    >>> bool(result.found), int(result.between), int(result.status)
+    (True, 1, 0)
+    """
 
     phase: Float[jax.Array, "*lanes"]
     velocity: Float[jax.Array, "*lanes"]
@@ -40,14 +65,51 @@ def return_map(
     periods: int = 2,
     slots: int = 32,
 ) -> Return:
-    """From an impact on a wall to the next on it: a `Return`; P2 of the paper for "left", P3 for "right".
+    """Map an impact on a wall to the next impact on the same wall.
 
-    side: "left" or "right"; phase (rad), velocity (after the impact, away from the wall; at a soft wall that with which
-    the mass enters it, into the wall): numbers that broadcast with the scene's. A stay within a soft wall is on the way
-    to the next entry. periods: drive periods in which the next impact is looked for; slots: impacts recorded in them.
-    Has the derivatives of `strobe`: in (phase, velocity) their eigenvalues at an orbit are its multipliers.
+    This is the map P2 of the paper for the left wall and P3 for the right.
 
-    Raises ArgumentError for a wall that is not there, and as `strobe` does.
+    Parameters
+    ----------
+    scene : Scene
+        Oscillator, drive and walls. A single scene or a batch.
+    side : {"left", "right"}
+        Wall on which the impacts lie. The scene must have it.
+    phase : array_like
+        Phase of the drive at the first impact, in rad. Broadcasts with `velocity` and `scene`.
+    velocity : array_like
+        Velocity after the first impact, away from the wall, in lengths per t. At a soft wall it is the velocity at the
+        entry, into the wall.
+    periods : int, optional
+        Number of drive periods in which the next impact is searched, at least 1.
+    slots : int, optional
+        Number of impacts recorded in these periods.
+
+    Returns
+    -------
+    Return
+        The next impact. Its `found` field is False if there is none.
+
+    Raises
+    ------
+    ArgumentError
+        If the scene has no such wall, or if the other arguments are invalid, as for `strobe`.
+
+    See Also
+    --------
+    sections : Points of a motion on all three sections.
+    strobe : The map at a fixed phase.
+
+    Notes
+    -----
+    The map has the derivatives of `strobe`. At a periodic orbit the eigenvalues of the derivative with respect to
+    (phase, velocity) are the multipliers. A contact phase within a soft wall is part of the motion to the next entry.
+
+    Examples
+    --------
+    >>> result = jv.return_map(scene, "left", phase=0.3, velocity=1.2)
+    >>> round(float(result.phase), 4), round(float(result.velocity), 4)
+    (4.9595, 1.4438)
     """
     if side not in SIDES or getattr(scene, side) is None:
         raise check.ArgumentError("side", "must be a wall of the scene, left or right", side)

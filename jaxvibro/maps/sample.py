@@ -1,4 +1,4 @@
-"""The states of a motion at times that are given: `sample`."""
+"""Compute the states of a motion at given times."""
 
 from functools import partial
 
@@ -16,31 +16,61 @@ from ..scene.scene import Scene
 from ..scene.state import State, state_arrays
 from .sample_derivatives import SampleRequest, differentiable_sample, sample_in_blocks
 
-MIN_COMPILED_TIMES = 8  # times that are compiled for; known ones are filled up to a power of two
+MIN_COMPILED_TIMES = 8  # smallest number of times to compile for; concrete times are padded to a power of two
 
 
 @check.check_types
 def sample(scene: Scene, state: State, times: Float[ArrayLike, "..."]) -> tuple[State, Int[Array, "..."]]:
-    """The states at given times, and a status of each lane: (State, status).
+    """Compute the states of a motion at given times.
 
-    scene: a `Scene`; state: a `State` at its phase. times: in t, since the state's phase, from 0 on and in order, along
-    the last axis, (n,) or (..., n); the rest of their shape broadcasts with that of scene and state. State: arrays of
-    shape (..., n), the phase counted on from the start's, the contact as of `strobe`. status: shape (...), a code as of
-    `Impacts.status`: OK; CAP: 1,000 impacts or a million steps within a period, or times beyond a million periods;
-    INVALID: a bad scene, a start beyond a wall, or times that are not in order; NONFINITE. From CAP on the states are
-    nan where they are not known.
+    The map has derivatives of any order in forward and reverse mode.
 
-    At the time of an impact, to rounding, it is the state after it, and its derivatives are one-sided: those of the
-    motion just after that impact, the limit of the derivatives at later times. Where a soft wall is entered or left at
-    a time, the contact says on which side of that event the state and its derivatives are.
+    Parameters
+    ----------
+    scene : Scene
+        Oscillator, drive and walls. A single scene or a batch.
+    state : State
+        Initial state at its phase; its numbers broadcast with those of `scene`.
+    times : array_like
+        Times since the phase of `state`, in t, of shape (n,) or (..., n). They are not negative and increase along the
+        last axis; equal times are allowed. The leading axes broadcast with `scene` and `state`.
 
-    jax.grad, jacfwd, jacrev, hessian and the rest go through it, at any order: x and v by those of the state, its
-    phase, every number of the scene and the times. A derivative is nan where there is no state, and
-    from the time on that more than 32 impacts lie between two times and within a period, up to the next rest. A mass at
-    rest forgets its start, and the impacts before it.
+    Returns
+    -------
+    states : State
+        Arrays of shape (..., n). The phase continues from that of `state`, and the contact is as for `strobe`.
+    status : Array of int
+        Status of each lane, of shape (...), with the codes of `Impacts`: OK; CAP for 1,000 impacts or a million steps
+        within a period, or for times beyond a million periods; INVALID for an invalid scene, a start beyond a wall or
+        times that are not in order; NONFINITE. From CAP on the states are nan where they are unknown.
 
-    Raises ArgumentError for times, where they are known, that are not finite, negative or not in order, for a state or
-    times that do not broadcast, and for what is no number.
+    Raises
+    ------
+    ArgumentError
+        If concrete times are not finite, negative or not in order, if `state` or `times` does not broadcast, or if an
+        argument is not a number.
+
+    See Also
+    --------
+    simulate : Trajectory of one state at even samples, with its impacts.
+    strobe : State after whole periods.
+
+    Notes
+    -----
+    A sample at the time of an impact, up to rounding, is the state after the impact. Its derivatives are one-sided:
+    they are the limit of the derivatives at later times. At the entry into a soft wall or the exit from it, the contact
+    shows on which side of the event the state and its derivatives are.
+
+    Derivatives are with respect to x, v and the phase of the state, every number of the scene, and the times. A
+    derivative is nan where there is no state. It is also nan if more than 32 impacts lie between two times and within a
+    period, from there until the mass sticks next. If the mass sticks, later states do not depend on its initial state
+    or on the impacts before it sticks.
+
+    Examples
+    --------
+    >>> states, status = jv.sample(scene, state, np.linspace(0.0, 2.0, 5))
+    >>> np.asarray(states.x).round(4), int(status)
+    (array([ 0.9   ,  0.4963,  0.2084, -0.3364, -0.8562]), 0)
     """
     state = state_arrays(scene, state)
     time_array = _validate_times(scene, state, times)
@@ -72,26 +102,26 @@ def _sample_concrete(tree, *arguments):
 
 
 def _repeat_last(times, n_repeats):
-    """The last of the times so often, 0 where there is none."""
+    """Repeat the last time `n_repeats` times; use 0 if there is none."""
     if times.shape[-1]:
         return times[..., [-1] * n_repeats]
     return np.zeros((*times.shape[:-1], n_repeats), times.dtype)
 
 
 def _validate_times(scene, state, times):
-    """The times as an array of the scene's type."""
+    """Return the times as an array of the scene's type."""
     times = check.real_array("times", times, scene.dtype)
     if not times.ndim:
-        raise check.ArgumentError("times", "must have an axis, the last, for one after the other", times)
+        raise check.ArgumentError("times", "must have at least one axis", times)
     shape = np.broadcast_shapes(scene.shape, *map(np.shape, jax.tree.leaves(state)))
     try:
         np.broadcast_shapes(shape, times.shape[:-1])
     except ValueError:
-        rule = f"must have a shape (..., n) whose first part broadcasts with {shape}, that of scene and state"
+        rule = f"must have a shape (..., n) whose leading axes broadcast with {shape}, the shape of scene and state"
         raise check.ArgumentError("times", rule, times) from None
     if not check.is_traced(times):
         check.require("times", "must be finite", times, np.isfinite(times))
         check.require("times", "must not be negative", times, times >= 0)
         is_in_order = np.diff(times, axis=-1, prepend=0.0) >= 0
-        check.require("times", "must be in order, none before the one before", times, is_in_order)
+        check.require("times", "must be in order, each not less than the one before", times, is_in_order)
     return times

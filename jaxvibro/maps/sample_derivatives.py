@@ -1,8 +1,8 @@
-"""The states of a sample and their derivatives of any order: where it is flown, each piece is replayed at once.
+"""States of a sample and their derivatives of any order: each piece of the flight is replayed right after it.
 
-A derivative goes from piece to piece as a Taylor polynomial of x and v in the numbers that it is by: a replay that
-starts with it gives that of the piece's end. The times where pieces end are constants; one more number is how much
-later than its stop a sample is, by which alone it depends on its own time.
+Derivatives pass from piece to piece as a Taylor polynomial of x and v in the active arguments: a replay that starts
+with it gives the polynomial at the end of the piece. The times at which pieces end are constants. One additional
+argument is the delay of a sample from its stop; a sample depends on its own time through this delay only.
 """
 
 from functools import cache, partial
@@ -30,13 +30,16 @@ from .replay import RecordedImpacts, replay_duration
 from .replay_derivatives import with_derivatives
 from .stops import Stops, fly_to_stops
 
-MAX_PERIODS = 1e6  # up to the last time: more would be a hang
-MIN_TIME_EXPONENT = 0.5  # of the exponents: a time that is 0 is later by so little that an impact at the start has been
+MAX_PERIODS = 1e6  # limit of the last time: beyond it the call would seem to hang
+MIN_TIME_EXPONENT = 0.5  # a time 0 is replaced by tiny**0.5, so that an impact at the start is included
 
 
 class SampleRequest(NamedTuple):
-    """What is asked for, static. tree: of (scene, state); order: of the derivatives; argnums: the places of the numbers
-    that they are by, of the leaves but the contact, then the times."""
+    """Static options of a sample with derivatives.
+
+    `tree` is that of (scene, state), and `order` that of the derivatives. `argnums` are the indices of the arguments of
+    differentiation, among the leaves without the contact, then the times.
+    """
 
     tree: jax.tree_util.PyTreeDef
     order: int = 0
@@ -44,9 +47,12 @@ class SampleRequest(NamedTuple):
 
 
 class DerivativeState(NamedTuple):
-    """What is carried along. derivatives: the derivatives of (x, v), order 1 first, an axis for each choice, last;
-    later: the same at the last stop, by its own time as well; start_time: the time since the start; is_lost: whether
-    there are none."""
+    """Derivatives that are carried along the flight.
+
+    `derivatives` are those of (x, v), order 1 first, with one last axis for each differentiation. `at_stop` holds the
+    same at the last stop, with derivatives with respect to its own time. `start_time` is the time since the start.
+    `is_lost` is 1 where there are no derivatives.
+    """
 
     derivatives: tuple[tuple[Float[jax.Array, "..."], Float[jax.Array, "..."]], ...]
     at_stop: tuple[tuple[Float[jax.Array, "..."], Float[jax.Array, "..."]], ...]
@@ -56,9 +62,9 @@ class DerivativeState(NamedTuple):
 
 @cache
 def differentiable_sample(request):
-    """((contact, status), ((x, v), their derivatives of order 1, ...)) of the leaves of (scene, state) and the times.
+    """Return the function that maps leaves and times to ((contact, status), ((x, v), derivatives of order 1, ...)).
 
-    All real; lanes first, then the times, of the status lanes alone.
+    All results are real. Lanes come first, then the times; the status has lanes only.
     """
     inner = jax.jit(partial(sample_in_blocks, request))
     run = jax.custom_jvp(vmap_as_lanes(lambda *arguments: inner(*arguments), n_rows=1))
@@ -89,19 +95,19 @@ def differentiable_sample(request):
 
 
 def _move_contact_last(arguments):
-    """What derivatives are by, then the contact."""
+    """Move the contact behind the arguments of differentiation."""
     return (*arguments[:-2], arguments[-1], arguments[-2])
 
 
 def _add_time_axis(arguments):
-    """Those of lanes with an axis for the times, as these have."""
+    """Add an axis for the times to the arguments of lanes."""
     *leaves, times, contact = arguments
     widened = [leaf if isinstance(leaf, SymbolicZero) else jnp.asarray(leaf)[..., None] for leaf in leaves]
     return (*widened, times, contact)
 
 
 def sample_in_blocks(request, *arguments):
-    """What `differentiable_sample` gives, block by block."""
+    """Evaluate the results of `differentiable_sample` block by block."""
     *leaves, times = arguments
     _, state = request.tree.unflatten(leaves)
     shape = jnp.broadcast_shapes(*map(jnp.shape, leaves), times.shape[:-1])
@@ -122,7 +128,7 @@ def sample_in_blocks(request, *arguments):
 
 
 def _sample_block(leaves, times, request):
-    """The same of one block."""
+    """Evaluate the results of one block."""
     scene, state = request.tree.unflatten(leaves)
     times = jnp.moveaxis(times, -1, 0)
     coeffs = compute_coefficients(scene)
@@ -152,13 +158,13 @@ def _sample_block(leaves, times, request):
 
 
 def _time_order_status(times):
-    """INVALID where times are not finite, negative or not in order, else OK."""
+    """Return INVALID where times are not finite, negative or not in order, else OK."""
     is_in_order = jnp.all(jnp.isfinite(times), 0) & (times[0] >= 0) & jnp.all(times[1:] >= times[:-1], 0)
     return choose(is_in_order, lax.full_like(times[0], Status.OK), Status.INVALID)
 
 
 def _make_stops(coeffs, state, times, is_valid):
-    """The `Stops` at these times; none is flown to where that is not good."""
+    """Return the `Stops` at the times; lanes that are not valid do not fly."""
     previous_times = jnp.concatenate([jnp.zeros_like(times[:1]), times[:-1]])
     span, span_low = (choose(is_valid + (times < 0), time_part, 0.0) for time_part in two_sum(times, -previous_times))
     min_time = float(jnp.finfo(times.dtype).tiny) ** MIN_TIME_EXPONENT
@@ -174,7 +180,7 @@ def _make_stops(coeffs, state, times, is_valid):
 
 
 def _observe_stop(coeffs, entry_status, loop, derivatives):
-    """(status, contact, (x, v), derivatives) at a stop: nan where there is none."""
+    """Return (status, contact, (x, v), derivatives) at a stop, nan where there is no state."""
     path = loop.path
     x, v = absolute_state(coeffs, path)
     status = choose(path.time_remaining == CAPPED, lax.full_like(x, Status.CAP), Status.OK)
@@ -188,14 +194,14 @@ def _observe_stop(coeffs, entry_status, loop, derivatives):
 
 
 def _where_lanes(mask, tree, fill_value):
-    """The arrays of lanes where that is good, else another number."""
+    """Replace the arrays of lanes outside a mask by a number."""
     return jax.tree.map(
         lambda array: jnp.where(mask.reshape(*mask.shape, *[1] * (array.ndim - mask.ndim)), array, fill_value), tree
     )
 
 
 def _reset_log(piece, loop, derivatives):
-    """A journey whose impacts are told anew, from 0 on."""
+    """Restart the log of impacts at time 0 for the next piece."""
     history_slots = 0 if loop.impact_slots.since_release is None else REPLAY_SLOTS
     log, slots = impact_log.empty_log(loop.path.x, 0, piece.length, history_slots)
     return loop._replace(
@@ -204,7 +210,7 @@ def _reset_log(piece, loop, derivatives):
 
 
 def _initial_derivatives(request, x, zero):
-    """The `DerivativeState` of a start."""
+    """Return the `DerivativeState` of the start."""
     x_argnum, n_argnums = request.tree.num_leaves - 4, len(request.argnums)
 
     def zeros_of_order(order):
@@ -217,7 +223,7 @@ def _initial_derivatives(request, x, zero):
 
 
 def _replay_piece(request, leaves, entry_status, piece, loop, derivatives):
-    """A piece's end: its impacts are known, and made again."""
+    """Replay the impacts of a piece and propagate the derivatives through it."""
     path, (impact_times, speeds, count) = loop.path, impact_log.impacts_since_release(loop.log, loop.impact_slots)
     times_argnum, base_coeffs = request.tree.num_leaves - 1, compute_coefficients(request.tree.unflatten(leaves)[0])
     contact = reported_contact(path)
@@ -260,7 +266,7 @@ def _replay_piece(request, leaves, entry_status, piece, loop, derivatives):
 
 
 def _taylor_polynomial(value, derivatives, increments):
-    """A value with its derivatives of order 1, ... by the changes, which are 0."""
+    """Evaluate a value with its derivatives of order 1, ... as a polynomial of the increments, which are 0."""
     total = derivatives[-1]
     for order in range(len(derivatives), 0, -1):
         n_axes = total.ndim - 1
@@ -273,7 +279,7 @@ def _taylor_polynomial(value, derivatives, increments):
 
 
 def _drop_time_derivatives(argnums, times_argnum, n_lane_axes, tensor):
-    """The derivatives with those by the sample's own time left out, which no later one depends on."""
+    """Set the derivatives with respect to the time of the sample to zero; no later sample depends on it."""
     mask = jnp.array([float(argnum != times_argnum) for argnum in argnums], tensor.dtype)
     for axis in range(tensor.ndim - n_lane_axes):
         tensor = tensor * mask.reshape(-1, *[1] * axis)

@@ -1,4 +1,4 @@
-"""What a motion leaves on the three sections: states on Sigma, impacts on the walls L and R (paper, 1)."""
+"""Record a motion on the three Poincaré sections: a phase of the drive and the two walls (paper, 1)."""
 
 import numpy as np
 import xarray as xr
@@ -18,17 +18,53 @@ from .phase_shift import shift_phase
 def sections(
     scene: Scene, state: State, phase: Real[ArrayLike, ""] = 0.0, periods: int = 1000, settle: int = 300
 ) -> xr.Dataset:
-    """A motion's points on Sigma, L and R: an xarray.Dataset.
+    """Record the points of a motion on the three Poincaré sections.
 
-    scene: a single one; state: a `State` of numbers, at its phase. settle: drive periods left out; periods: those
-    looked at after them. phase: of the drive at which Sigma lies, rad.
+    The sections are Sigma, a fixed phase of the drive, and the impacts on the left and right walls, L and R.
 
-    x, v on Sigma along "period", in order: the map P1 leads from each to the next; a mass within a soft wall there is
-    past it. left_phase (rad, from 0 to 2 pi) and left_velocity, right_phase and right_velocity: of the drive at each
-    impact on a wall and of the mass after it, in order: P2 and P3 lead from each to the next (`return_map`). At a soft
-    wall an impact is an entry, which leaves the velocity as it is, into the wall. At most 16 impacts a period are seen.
+    Parameters
+    ----------
+    scene : Scene
+        Oscillator, drive and walls. A single scene.
+    state : State
+        Initial state at its phase. A single state.
+    phase : float, optional
+        Phase of the drive at which Sigma lies, in rad.
+    periods : int, optional
+        Number of drive periods to record, at least 1.
+    settle : int, optional
+        Number of drive periods to discard first, at least 0.
 
-    Raises ArgumentError for a batch, numbers that cannot be, and a motion that ends with a bad status.
+    Returns
+    -------
+    xarray.Dataset
+        Variables ``x`` and ``v`` on Sigma along "period". Variables ``left_phase``, ``left_velocity``, ``right_phase``
+        and ``right_velocity`` along the impacts on each wall: the phase of the drive in rad, from 0 to 2 pi, and the
+        velocity after the impact. All are in order of time.
+
+    Raises
+    ------
+    ArgumentError
+        If `scene` or `state` is a batch, if a number is invalid, or if the motion ends with a status from CAP on.
+
+    See Also
+    --------
+    return_map : The maps P2 and P3 on the walls.
+    strobe : The map P1 on Sigma.
+
+    Notes
+    -----
+    The map P1 leads from each point on Sigma to the next, and P2 and P3 lead from each impact to the next on the same
+    wall (`return_map`). On Sigma a mass within a soft wall is shown beyond it. At a soft wall an impact is an entry,
+    which leaves the velocity as it is, into the wall. At most 16 impacts per period are recorded.
+
+    Examples
+    --------
+    >>> points = jv.sections(scene, state, periods=20)
+    >>> dict(points.sizes)
+    {'period': 20, 'left_impact': 20, 'right_impact': 20}
+    >>> round(float(points["left_velocity"][-1]), 4)
+    1.3693
     """
     check.require_single(scene)
     settle, periods = check.whole_number("settle", settle, 0), check.whole_number("periods", periods, 1)
@@ -54,7 +90,7 @@ def sections(
 
 def _require_valid(state, status):
     if status[0] >= Status.CAP:
-        raise check.ArgumentError("state", "must start a motion that goes on", Status(status[0]).word)
+        raise check.ArgumentError("state", "must start a motion that reaches the end", Status(status[0]).word)
     return state
 
 

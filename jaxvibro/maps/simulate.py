@@ -1,4 +1,4 @@
-"""A trajectory at even samples, with its impacts: for pictures."""
+"""Simulate a trajectory at evenly spaced samples, with its impacts, for plots."""
 
 from functools import partial
 
@@ -28,23 +28,54 @@ MAX_IMPACTS = 1024
 
 @check.host_only("use strobe")
 def simulate(scene: Scene, state: State, periods: int = 1, samples: int = 200) -> xr.Dataset:
-    """The trajectory of one state over whole drive periods, as an xarray.Dataset.
+    """Simulate the trajectory of one state over whole drive periods.
 
-    scene, state: one of each, no batch. samples: of a period, evenly spaced; the first is the given state, the last the
-    one at the end. Dataset: x(time), v(time), phase(time) in radians, counted on from the start's; and of the impacts,
-    in order, side, speed and position over the coordinate impact_time. Times in t since the start.
+    Parameters
+    ----------
+    scene : Scene
+        Oscillator, drive and walls. A single scene.
+    state : State
+        Initial state at its phase. A single state.
+    periods : int, optional
+        Number of drive periods, at least 1.
+    samples : int, optional
+        Number of evenly spaced samples per period, at least 1.
 
-    Of a mass that comes to rest by complete chatter the hops are recorded until rest before the next sample is certain:
-    with more samples there are more of them, and always at least as many as `strobe` records.
+    Returns
+    -------
+    xarray.Dataset
+        Variables ``x`` and ``v`` over "time", with the coordinate ``phase`` in rad, which continues from the phase of
+        `state`. The first sample is the initial state, the last is the state at the end. Variables ``side``, ``speed``
+        (before the impact, relative to the wall) and ``position`` belong to the impacts, in order of the coordinate
+        ``impact_time``. Times are counted from the start.
 
-    Raises ArgumentError for a batch, for a start beyond a wall or not finite, and where an impact cap ends the
-    trajectory.
+    Raises
+    ------
+    ArgumentError
+        If `scene` or `state` is a batch, if the state is not finite or lies beyond a wall, or if a limit on the number
+        of impacts or steps ends the trajectory.
+
+    See Also
+    --------
+    sample : States at given times, with derivatives.
+    strobe : State after whole periods.
+
+    Notes
+    -----
+    If the mass sticks after complete chatter, bounces are recorded until it is certain that the mass sticks before the
+    next sample. More samples therefore record more bounces, and always at least as many as `strobe`.
+
+    Examples
+    --------
+    >>> trajectory = jv.simulate(scene, state, periods=2, samples=100)
+    >>> trajectory.sizes["time"], trajectory["side"].values.tolist()
+    (201, [-1, 1, -1])
     """
     periods, samples = check.whole_number("periods", periods, 1), check.whole_number("samples", samples, 1)
     state = state_arrays(scene, state)
     shape = jnp.broadcast_shapes(*map(jnp.shape, jax.tree.leaves((scene, state))))
     if shape:
-        raise check.ArgumentError("state", "must be one state in one scene, no batch", f"shape {shape}")
+        raise check.ArgumentError("state", "must be a single state in a single scene, not a batch", f"shape {shape}")
     check_start(scene, state)
     x, v, phases, impacts = jax.device_get(_compiled_trajectory(scene, state, periods, samples))
     if impacts.status >= Status.CAP or impacts.count > MAX_IMPACTS:
@@ -59,7 +90,7 @@ def _sample_trajectory(scene, state, periods, samples):
     sample_time = choose(entry_status == Status.OK, coeffs.period / samples, 0.0)
     phases = state.phase + 2.0 * jnp.pi * jnp.arange(periods * samples + 1) / samples
     stop_times = sample_time * jnp.arange(1, periods * samples + 1)
-    # number by number: a cosine of many angles at once differs by roundings from those of one
+    # one angle at a time: a vectorised cosine differs by rounding from that of one angle
     cosine, sine = (lax.map(function, phases[1:]) for function in (jnp.cos, jnp.sin))
     stops = Stops(sample_time + 0.0 * stop_times, 0.0 * stop_times, cosine, sine, stop_times)
     loop = integrate.initial_loop_state(coeffs, path, MAX_IMPACTS, stop_times[0])
@@ -107,7 +138,7 @@ def _trajectory_dataset(scene, x, v, phases, impacts):
 
 
 def _wall_positions(scene, time, side, phase):
-    """Where the walls were that were hit."""
+    """Compute the positions of the walls at the impacts."""
     positions = np.zeros_like(time)
     for sign, wall in ((-1, scene.left), (1, scene.right)):
         if wall is not None:

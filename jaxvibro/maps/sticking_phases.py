@@ -1,12 +1,12 @@
-"""Rests: a mass that has lost all of its speed against a wall stays on it until the wall, or the drive, lets it go.
+"""Find sticking phases: a mass that has lost its relative speed stays on the wall until the contact force vanishes.
 
-A wall with R > 0 takes the last speed by infinitely many hops, complete chatter; one with R = 0 by one impact. A rest
-forgets how it was come by, so the derivative of a period with a rest in it is zero and both exponents are -inf. What
-does grow or shrink is between rests: let z be the state just after the mass was let go, at a known phase, and t(z) the
-time at which it next comes to rest. A mass that moves on as that one does, but earlier by dt, has another speed by g
-dt, g being the press of the wall at t: g abs(dt / dz) is how much a small change of z has grown when the rest begins,
-and so the largest growth of tangents there, with all hops. For hops that remain after a last one at time s with speed
-u, t = s + 2 R u / ((1 - R) g), as the press hardly changes then (Budd and Dux, Phil. Trans. R. Soc. A 347, 1994,
+A wall with R > 0 takes the last speed by infinitely many bounces, complete chatter; one with R = 0 by one impact.
+Sticking erases the past, so the derivative of a period with a sticking phase is zero, and both Lyapunov exponents are
+-inf. Between sticking phases tangents do grow or shrink. Let z be the state just after a release, at a known phase, and
+t(z) the time of the next onset of sticking. A motion that is earlier by dt differs in speed by g dt, where g is the
+contact force at t. So ``g |dt/dz|`` is the growth of a small change of z up to the onset, and thus the largest growth
+of tangents there, including all bounces. If bounces remain after a last impact at time s with speed u, then t = s + 2 R
+u / ((1 - R) g), as the contact force hardly changes in this time (Budd and Dux, Phil. Trans. R. Soc. A 347, 1994,
 365-389).
 """
 
@@ -35,17 +35,27 @@ from .contact_duration import matrix_product
 from .monodromy import saltation_entries
 from .strobe import strobe
 
-MAX_PER_PERIOD = 32  # rests of a period that are told apart
+MAX_PER_PERIOD = 32  # sticking phases per period that are distinguished
 
 
 class StickingPhases(NamedTuple):
-    """The rests of some drive periods of a periodic motion.
+    """Sticking phases within some drive periods of a periodic motion.
 
-    has_sticking: whether there are any; count: how often the mass comes to rest; chatter_walls: letters of the walls on
-    which it does so by complete chatter, "", "L", "R" or "LR"; growth_rate: the largest growth of tangents between
-    rests, a drive period of the time between them, nan where there is none. intervals: of each rest the side, the time
-    of the last impact before it that was flown, and when the wall lets go, since the start; the first may have begun
-    before it."""
+    Attributes
+    ----------
+    has_sticking : bool
+        True if the mass sticks at some time.
+    count : int
+        Number of onsets of sticking.
+    chatter_walls : {"", "L", "R", "LR"}
+        Walls on which the mass comes to stick by complete chatter.
+    growth_rate : float
+        Largest growth rate of tangents between sticking phases, per drive period of the time between them; nan without
+        one.
+    intervals : tuple of tuple
+        (side, time of the last impact that is flown before the onset, time of the release) of each phase, since the
+        start. The first phase may have begun before the start.
+    """
 
     has_sticking: bool
     count: int  # type: ignore[assignment]  # a tuple has a method of this name
@@ -58,9 +68,21 @@ NO_STICKING = StickingPhases(False, 0, "", np.nan, ())
 
 
 def may_stick(scene, status, contact):
-    """Whether the mass may rest on a wall: in some periods it chatters, ends one there, or a wall takes all its speed.
+    """Test for possible sticking: chatter, sticking at the end of a period, or a wall with R = 0.
 
-    status, contact: of the periods, the statuses with slots enough for all impacts.
+    Parameters
+    ----------
+    scene : Scene
+        A single scene.
+    status : sequence of int
+        Statuses of the periods, with slots for all impacts.
+    contact : sequence of float
+        Contacts at the ends of the periods.
+
+    Returns
+    -------
+    bool
+        False if the mass certainly does not stick.
     """
     has_plastic_wall = any(float(scene.bounce(side)) == 0 for side in scene.walls)
     return bool(
@@ -69,7 +91,22 @@ def may_stick(scene, status, contact):
 
 
 def find_sticking_phases(scene, state, periods):
-    """The `StickingPhases` of a periodic motion from a `State` of it on, numbers, over its so many periods."""
+    """Find the sticking phases of a periodic motion.
+
+    Parameters
+    ----------
+    scene : Scene
+        A single scene.
+    state : State
+        State on the motion, of plain numbers.
+    periods : int
+        Number of drive periods of the motion.
+
+    Returns
+    -------
+    StickingPhases
+        Sticking phases within these periods.
+    """
     dtype = scene.dtype
     state = State(*(np.asarray(value, dtype).reshape(()) for value in (state.x, state.v, state.phase, state.contact)))
     starts_sticking, release_matrix, phases, release_times = (
@@ -79,7 +116,7 @@ def find_sticking_phases(scene, state, periods):
         [],
     )
     drive_period = 2.0 * np.pi / float(scene.frequency)
-    for period in range(2 * periods):  # the first time round tells since when the mass is free
+    for period in range(2 * periods):  # the first round yields the last release before the start
         release_matrix, rows, period_releases = jax.device_get(_scan_period(scene, state, release_matrix))
         if period >= periods:
             period_start = drive_period * (period - periods)
@@ -102,7 +139,7 @@ def find_sticking_phases(scene, state, periods):
 
 
 def _sticking_intervals(side_and_start, release_times, total_time):
-    """(side, begin, end) of each rest, of which some may last on into the next time round."""
+    """Return (side, start, end) of each sticking phase; a phase may end in the next round."""
     all_releases = sorted([*release_times, *(end + total_time for end in release_times)])
     intervals = []
     for side, start in side_and_start:
@@ -112,7 +149,7 @@ def _sticking_intervals(side_and_start, release_times, total_time):
 
 
 class ReleaseMatrix(NamedTuple):
-    """The derivative since the mass was last let go from a wall, by rows, over exp(size), and how long ago that was."""
+    """Derivative since the last release, by rows, divided by exp(size), and the time since this release."""
 
     a: Float[ArrayLike, ""]
     b: Float[ArrayLike, ""]
@@ -124,8 +161,11 @@ class ReleaseMatrix(NamedTuple):
 
 @persistent_jit(compiler_options=COMPILER_OPTIONS)
 def _scan_period(scene, state, release_matrix):
-    """(`ReleaseMatrix` a period later; of the rests that begin in it: side, 0 none, whether by hops, growth, time
-    before, time since the period's start; the times of releases since then, -1 none)."""
+    """Scan one period for onsets and releases.
+
+    Return the `ReleaseMatrix` after the period; of each onset the side (0 for none), a flag for chatter, growth, free
+    time before it and time since the start of the period; and the times of the releases, -1 for none.
+    """
     coeffs = compute_coefficients(scene)
     path, entry_status = start_path(coeffs, state)
     path = path._replace(time_remaining=jnp.where(entry_status == Status.OK, coeffs.period, 0.0))
@@ -169,8 +209,7 @@ def _scan_period(scene, state, release_matrix):
 
 
 def _advance_matrix(coeffs, path, step, release_matrix, was_sticking, is_sticking):
-    """(`ReleaseMatrix` after a step, what a rest that begins there is told by: side, whether by hops, growth, time
-    before)."""
+    """Return (`ReleaseMatrix` after a step; side, chatter flag, growth and free time of an onset in this step)."""
     side, step_time = step.side, step.time
     _, flow_matrix = flow_of(coeffs).fly_with_matrix(coeffs, path.x, path.v, path.cosine, path.sine, step_time)
     matrix, age = matrix_product(matrix_by_rows(flow_matrix), release_matrix[:4]), release_matrix.age + step_time
@@ -195,9 +234,10 @@ def _advance_matrix(coeffs, path, step, release_matrix, was_sticking, is_stickin
 
 
 def _onset_growth(coeffs, step, side, speed, restitution, matrix):
-    """(ln of the press times how much the rest's beginning moves with the state that was let go, the time of the hops).
+    """Return (ln of contact force times d(onset time)/d(released state), duration of the bounces).
 
-    The last impact that is seen comes earlier by dx / speed; the hops after it last as long as its speed says.
+    The last impact that is flown comes earlier by dx / speed; the duration of the bounces after it depends on its
+    speed.
     """
     cosine, sine = step.path.cosine, step.path.sine
     wall_position, wall_velocity, contact_force, force_rate = wall_surface(coeffs, side, cosine, sine)
@@ -208,7 +248,7 @@ def _onset_growth(coeffs, step, side, speed, restitution, matrix):
     wall_acceleration = (
         flow_of(coeffs).acceleration_and_jerk(coeffs, wall_position, wall_velocity, cosine, sine)[0]
         - side * contact_force
-    )  # the wall's own
+    )  # that of the wall
     time_per_speed = 2.0 * restitution / ((1.0 - restitution) * contact_force)
     time_by_x = -side / speed
     onset_by_time = (
@@ -224,7 +264,7 @@ def _onset_growth(coeffs, step, side, speed, restitution, matrix):
 
 
 def _normalise(release_matrix):
-    """The same with its largest entry 1."""
+    """Scale the matrix so that its largest entry is 1."""
     largest = jnp.max(abs(jnp.stack(release_matrix[:4])))
     largest = jnp.where(largest > 0, largest, 1.0)
     return ReleaseMatrix(

@@ -1,4 +1,4 @@
-"""A journey with stops at times that are given: the stepping of `simulate` and `sample`."""
+"""Fly along a path with stops at given times, for `simulate` and `sample`."""
 
 from typing import NamedTuple
 
@@ -13,9 +13,12 @@ from ..flight.flight_state import CAPPED
 
 
 class Stops(NamedTuple):
-    """One after the other, along the first axis: how long each stretch is, with its low part, of lanes or one number
-    for all; the drive's cosine and sine at its end, which the lanes are turned to there; end: on the clock by which
-    impacts are told, None: each piece has its own, that starts at 0."""
+    """Stops in order along the first axis.
+
+    `span` and `span_low` are the length of the flight to each stop and its low part, for each lane or for all. `cosine`
+    and `sine` are those of the drive at the stop, to which the lanes are reset. `end` is the time of the stop on the
+    clock of the log of impacts; None means that each piece has its own clock, which starts at 0.
+    """
 
     span: Float[jax.Array, "stops ..."]
     span_low: Float[jax.Array, "stops ..."]
@@ -25,8 +28,7 @@ class Stops(NamedTuple):
 
 
 class FlightPiece(NamedTuple):
-    """What is flown at once, a drive period at most: where it begins, its length and how long before its stop it
-    ends."""
+    """Piece of flight, at most a drive period: its start, its length, and the time from its end to the stop."""
 
     path: integrate.Path
     length: Float[jax.Array, "..."]
@@ -34,10 +36,12 @@ class FlightPiece(NamedTuple):
 
 
 def fly_to_stops(coeffs, loop, extra, stops, limits, after_piece, observe):
-    """((journey, more) at the last stop, what `observe` says of both at each stop).
+    """Return ((loop state, extra) at the last stop, values of `observe` at each stop).
 
-    extra: what else is carried along; after_piece: of (piece, journey after it, more) the new (journey, more), after
-    each piece: at least one a stretch. limits: of a piece, unless note leaves the journey's counts as they are."""
+    `extra` is carried along. `after_piece` maps (piece, loop state after it, extra) to the new (loop state, extra),
+    after each piece, at least once for each stop. `limits` apply to a piece, unless `after_piece` keeps the counters of
+    the loop state.
+    """
 
     def fly_to_stop(carry, stop):
         zero = jnp.zeros_like(carry[0].path.x)
@@ -52,7 +56,7 @@ def fly_to_stops(coeffs, loop, extra, stops, limits, after_piece, observe):
 
 
 def _piece_stepper(coeffs, stop, limits, after_piece):
-    """A turn: the next piece of a stretch."""
+    """Return the function that flies the next piece to a stop."""
 
     def fly_piece(carry):
         loop, extra, time_to_stop, time_to_stop_low, _ = carry

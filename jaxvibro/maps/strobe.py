@@ -1,4 +1,4 @@
-"""The stroboscopic map: the state one or more drive periods later, and the impacts on the way."""
+"""Stroboscopic (Poincaré) map: the state one or more drive periods later, and the impacts in between."""
 
 import math
 from functools import partial
@@ -15,10 +15,9 @@ from ..scene.scene import Scene
 from ..scene.state import Impacts, State, state_arrays
 from . import derivatives, one_period, two_tiers
 
-MIN_TWO_TIER_LANES = (
-    256  # lanes of which one is nearly always given up: up to a chunk of them are done by both tiers in one call
-)
-CHUNK_LANES = 1024  # lanes that lean steps have given up are done so many at a time
+# The fast path nearly always gives up one of this many lanes: up to a chunk of lanes, one call runs both tiers.
+MIN_TWO_TIER_LANES = 256
+CHUNK_LANES = 1024  # number of lanes of a rerun by the reference path
 
 
 @persistent_jit(static_argnums=(2, 3, 4), compiler_options=COMPILER_OPTIONS)
@@ -33,7 +32,7 @@ def _fast_strobe(scene, state, slots, clearance):
 
 @persistent_jit(static_argnums=(2, 3), compiler_options=COMPILER_OPTIONS)
 def _fast_strobe_single(scene, state_values, slots, clearance):
-    """The same of one state, its numbers in a row: each array that is handed over takes some microseconds."""
+    """Run the fast path for one state whose numbers are packed in one array: each array argument costs microseconds."""
     return two_tiers.fast_strobe(scene, State(*state_values), slots, MIN_LANES, clearance)
 
 
@@ -44,17 +43,17 @@ def _reference_strobe(scene, state, slots, clearance, n_due):
 
 @partial(jax.jit, donate_argnums=0)
 def _replace_lanes(results, indices, replacement):
-    """The results with those of some lanes replaced, in place; a place beyond the end is none."""
+    """Replace some lanes of the results in place; an index beyond the end is ignored."""
     return jax.tree.map(lambda old, new: old.at[indices].set(new, mode="drop"), results, replacement)
 
 
 def _take_lanes(tree, indices, shape):
-    """The lanes at some places of numbers that broadcast to a shape."""
+    """Select lanes by index from leaves that broadcast to a shape."""
     return jax.tree.map(lambda leaf: np.broadcast_to(leaf, shape)[indices] if leaf.ndim else leaf, tree)
 
 
 def concrete_strobe(scene, state, periods, slots, clearance):
-    """The strobe of numbers that are known: what the lean tier does not need is not compiled."""
+    """Evaluate the map for concrete numbers; compile only the tiers that the lanes need."""
     state_values = (state.x, state.v, state.phase, state.contact)
     shapes = [scene.shape, *map(np.shape, state_values)]
     shape = np.broadcast_shapes(*shapes) if any(shapes) else ()
@@ -85,28 +84,75 @@ def concrete_strobe(scene, state, periods, slots, clearance):
 def strobe(
     scene: Scene, state: State, periods: int = 1, slots: int = 4, clearance: bool = False
 ) -> tuple[State, Impacts]:
-    """The state after a number of drive periods, and the impacts on the way: (State, Impacts).
+    """Evaluate the stroboscopic map and record the impacts.
 
-    scene: a `Scene`; state: a `State` at its phase; their numbers broadcast together, and the results have that shape.
-    periods: whole number >= 1; slots: impacts to record, >= 0: with more of them the status is FULL, and all else is
-    right; clearance: whether to measure `Impacts.least_clearance`, which else is None. What is not asked for costs no
-    time. The state's phase comes back unchanged. An impact at the end belongs to the period that ends: the state is the
-    one after it, and its contact says so. A start on a wall and moving into it rebounds at time 0. A flight that turns
-    back within 8 ulp of its largest length (x, v, A, the walls') of a wall may count as a contact or as none. n periods
-    in one call are n strobes: between rigid walls in double precision bit for bit; elsewhere
-    but for roundings, which it carries on: they differ by less than 16 eps (1 + T) s (1 + the sum of abs M), T = 2 pi /
-    omega, s the largest length or speed, M the derivative from each strobe on to the end (docs/numbers.md).
+    The numbers of `scene` and `state` broadcast together, and the results have the broadcast shape. The map has
+    derivatives of any order in forward and reverse mode.
 
-    jax.grad, jacfwd, jacrev, hessian and the rest go through it, at any order: by x, v, phase and every number of the
-    scene; of the state, the impacts' times and speeds and the least speed. The rest of `Impacts` counts as constant.
-    A derivative is nan where there is no end: the status says so. An impact at the end, and an entry into a soft wall
-    or an exit from it at the end, make derivatives one-sided: they are those of the state and contact returned. With
-    more than 32 impacts a period since the last rest that of the state may be nan, and is where it is of higher order.
-    At an impact without speed there is none: what comes is that of the flight past it. A mass at rest forgets its
-    start, and the impacts before it.
+    Parameters
+    ----------
+    scene : Scene
+        Oscillator, drive and walls. A single scene or a batch.
+    state : State
+        Initial state at its phase. A single state or a batch.
+    periods : int, optional
+        Number of drive periods, at least 1.
+    slots : int, optional
+        Number of impacts to record, at least 0. If there are more impacts, the status is FULL and all other results are
+        still right.
+    clearance : bool, optional
+        Measure `Impacts.least_clearance`. The field is None if `clearance` is False, and the measurement then costs no
+        time.
 
-    Raises ArgumentError for periods, slots, clearance or a state that cannot be; all else is a status of each lane
-    (`Impacts`).
+    Returns
+    -------
+    end : State
+        State after the last period. Its phase is that of `state`.
+    impacts : Impacts
+        Impacts in order of time, and the status of each lane.
+
+    Raises
+    ------
+    ArgumentError
+        If `periods`, `slots`, `clearance` or `state` is invalid. All other failures are reported by `Impacts.status`.
+
+    See Also
+    --------
+    sample : States at given times.
+    simulate : Trajectory of one state, for plots.
+    monodromy : First derivative with respect to the state, as a product of matrices.
+
+    Notes
+    -----
+    *Impacts at the ends.* An impact at the end belongs to the period that ends: `end` is the state after it, and its
+    contact says so. A state on a wall that moves into the wall rebounds at time 0. A flight that turns back within 8
+    ulp of the largest length (x, v, A and the walls' positions) from a wall may count as an impact or as none.
+
+    *Several periods.* A call with n periods is equivalent to n calls with one. Between rigid walls and in double
+    precision the results agree bit for bit. Otherwise they differ by rounding, by less than ``16 eps (1 + T) s (1 + sum
+    of |M|)``. Here T = 2 pi / omega, s is the largest length or speed, and M is the derivative of the final state with
+    respect to each intermediate state (``docs/numbers.md``).
+
+    *Derivatives.* ``jax.grad``, ``jax.jacfwd``, ``jax.jacrev``, ``jax.hessian`` and their compositions apply, by x, v,
+    the phase and every number of the scene. Differentiable are the end, the times and speeds of the impacts and the
+    least speed; the other fields of `Impacts` are constants. Derivatives follow these rules:
+
+    - They are nan if there is no end state, that is for a status from CAP on.
+    - They are one-sided if an impact, an entry into a soft wall or an exit from it happens at the end. They belong to
+      the state and contact that are returned.
+    - With more than 32 impacts per period since the last release, those of the state may be nan; those of higher order
+      are nan.
+    - At a grazing they do not exist. The result is that of the flight without the impact.
+    - If the mass sticks, later states do not depend on its initial state or on the impacts before it sticks.
+
+    Examples
+    --------
+    >>> end, impacts = jv.strobe(scene, state)
+    >>> round(float(end.x), 6), round(float(end.v), 6), int(impacts.count)
+    (0.674479, 2.09915, 1)
+    >>> position = lambda amplitude: jv.strobe(scene.replace(amplitude=amplitude), state)[0].x
+    >>> round(float(jax.grad(position)(2.0)), 6)
+    0.442388
     """
     periods, slots = check.whole_number("periods", periods, 1), check.whole_number("slots", slots, 0)
     if not isinstance(clearance, bool | np.bool_):

@@ -1,7 +1,7 @@
-"""The stroboscopic map in two tiers: lean steps first, full ones for the lanes that those give up.
+"""Stroboscopic map in two tiers: the fast path first, the reference path for the lanes that it gives up.
 
-Which tier does a lane's period depends on the lane alone, so that a batch may be cut and permuted as one likes. A
-period of many begins with the state that the one before has ended with: it is a strobe of its own.
+The tier of a lane depends on this lane alone, so that a batch may be cut and permuted at will. Each of several periods
+begins with the state at the end of the one before: it is a strobe of its own.
 """
 
 from dataclasses import replace
@@ -26,12 +26,15 @@ from . import one_period
 from .one_period import ReplayHistory
 from .replay_derivatives import collect_replay_data, move_slots_first, replay_derivatives
 
-BLOCKS_PER_STRIP = 8  # blocks of one kernel: what is launched around a kernel takes a tenth of a block's time
+BLOCKS_PER_STRIP = 8  # blocks of one kernel: the launch of a kernel takes a tenth of a block's time
 
 
 class StrobeSettings(NamedTuple):
-    """What is asked for, static: how many slots, whether the least clearance, derivatives by which leaves of (scene,
-    state), and how many slots of a `one_period.Past` a period, which is for a replay."""
+    """Static options of a strobe.
+
+    `slots` are the recorded impacts; `clearance` requests the least clearance; `argnums` are the indices of the leaves
+    of (scene, state) to differentiate by; `history_slots` are the slots of a `ReplayHistory` per period.
+    """
 
     slots: int
     clearance: bool = False
@@ -40,13 +43,33 @@ class StrobeSettings(NamedTuple):
 
 
 def strobe(scene, state, periods, slots, min_lanes, clearance=False):
-    """(State, Impacts) of numbers that broadcast, in blocks of so many lanes at least."""
+    """Evaluate the map for numbers that broadcast.
+
+    Parameters
+    ----------
+    scene, state : Scene, State
+        Numbers that broadcast with each other.
+    periods : int
+        Number of drive periods.
+    slots : int
+        Number of impacts to record.
+    min_lanes : int
+        Smallest number of lanes of a block.
+    clearance : bool, optional
+        Measure the least clearance.
+
+    Returns
+    -------
+    end : State
+        State after the last period.
+    impacts : Impacts
+        Recorded impacts.
+    """
     return strobe_with_record(scene, state, periods, slots, min_lanes, clearance)[0]
 
 
 def strobe_with_record(scene, state, periods, slots, min_lanes, clearance=False, history_slots=0):
-    """((State, Impacts), `one_period.Past`), as `strobe`; history_slots: slots of the past, not more than of the
-    impacts."""
+    """Return ((State, Impacts), `ReplayHistory`); `history_slots` is at most the number of slots of the impacts."""
     if not has_fast_path(scene):
         return one_period.strobe_with_record(scene, state, periods, slots, min_lanes, clearance, history_slots)
     scene, state, shape = _flatten_lanes(scene, state)
@@ -57,9 +80,9 @@ def strobe_with_record(scene, state, periods, slots, min_lanes, clearance=False,
 
 
 def strobe_with_jacobian(tree, *leaves, periods, slots, min_lanes, argnums):
-    """((State, Impacts), (those of x, of v)): with derivatives by the chosen ones of the leaves of (scene, state).
+    """Return ((State, Impacts), (derivatives of x, of v)) with respect to chosen leaves of (scene, state).
 
-    An axis for each choice, last. The scene is one that the lean tier `has_fast_path`.
+    The derivatives have a last axis for the leaves `argnums`. The scene must have a fast path (`has_fast_path`).
     """
     scene, state, shape = _flatten_lanes(*tree.unflatten(leaves))
     zero, one = jnp.zeros_like(state.x), jnp.ones_like(state.x)
@@ -72,7 +95,7 @@ def strobe_with_jacobian(tree, *leaves, periods, slots, min_lanes, argnums):
 
 
 def _state_argnums(tree):
-    """The places of x and v among the leaves of (scene, state)."""
+    """Return the indices of x and v among the leaves of (scene, state)."""
     return tree.num_leaves - 4, tree.num_leaves - 3
 
 
@@ -88,22 +111,21 @@ def _restore_shape(tree, shape):
 
 
 def fast_strobe(scene, state, slots, min_lanes, clearance=False):
-    """((State, Impacts), whether a lane was given up: then the rest of what is said of it is of no meaning)."""
+    """Return ((State, Impacts), given_up); the results of lanes that are given up have no meaning."""
     scene, state, shape = _flatten_lanes(scene, state)
     results, _, given_up = _fast_in_blocks(scene, state, (), StrobeSettings(slots, clearance), min_lanes)
     return _restore_shape((results, given_up), shape)
 
 
 def has_fast_path(scene):
-    """Whether the lean tier knows such a scene: spring, damper, a drive of one term and rigid walls, in double
-    precision."""
+    """Test that the fast path applies: spring, damper, one drive term and rigid walls, in double precision."""
     walls = [wall for wall in (scene.left, scene.right) if wall is not None]
     is_single_term = scene.force is None and not scene.drive
     return is_single_term and bool(walls) and not any(wall.soft for wall in walls) and scene.dtype == np.float64
 
 
 def _flatten_lanes(scene, state):
-    """(scene, state, shape): numbers that are scalars or of all lanes in one axis, and the shape of the lanes."""
+    """Return (scene, state, shape of the lanes); numbers become scalars or have all lanes along one axis."""
     shape = jnp.broadcast_shapes(*map(jnp.shape, jax.tree.leaves((scene, state))))
     state = replace(state, x=jnp.broadcast_to(state.x, shape))
 
@@ -133,7 +155,7 @@ def _empty_results(dtype, settings, n_lanes):
 
 
 def _fast_strip(scene, state, start_tangents, settings, min_lanes):
-    """`_fast_period`, a block after the other."""
+    """Run `_fast_period` block after block."""
     make_empty = partial(_empty_results, scene.dtype, settings)
     return run_in_blocks(
         lambda arguments: _fast_period(*arguments, settings), (scene, state, start_tangents), make_empty, min_lanes
@@ -141,7 +163,7 @@ def _fast_strip(scene, state, start_tangents, settings, min_lanes):
 
 
 def _fast_period(scene, state, start_tangents, settings):
-    """((State, Impacts), tangents by the chosen numbers, whether a lane was given up) of a period by lean steps."""
+    """Return ((State, Impacts), tangents by the active arguments, given_up) of a period by the fast path."""
     coeffs = compute_coefficients(scene)
     fast_coeffs = fast_coefficients.scale_coefficients(coeffs)
     path, entry_status = start_path(coeffs, state)
@@ -174,7 +196,7 @@ def _fast_period(scene, state, start_tangents, settings):
 
 
 def _argument_shift(fast_coeffs, scene, state, argnum):
-    """The `lean_tangent.Shift` where one number of scene and state moves."""
+    """Return the `fast_tangent.ParameterDirection` of one number of scene and state."""
     leaves, tree = jax.tree.flatten((scene, state))
     rates = [jnp.ones_like(leaf) if k == argnum else None for k, leaf in enumerate(leaves)]
     rates, state_rates = tree.unflatten(rates)
@@ -182,8 +204,7 @@ def _argument_shift(fast_coeffs, scene, state, argnum):
 
 
 def _strobe_period(scene, state, start_tangents, settings, min_lanes):
-    """((State, Impacts), `ReplayHistory`, tangents) of one period, of flat numbers: by lean steps, else by full
-    ones."""
+    """Return ((State, Impacts), `ReplayHistory`, tangents) of one period: fast path, else reference path."""
     results, tangents, given_up = _fast_in_blocks(scene, state, start_tangents, settings, min_lanes)
     rerun = partial(_reference_rerun, (scene, state, start_tangents), settings, given_up)
     history = one_period.history_without_release(results[1], settings.history_slots)
@@ -191,7 +212,7 @@ def _strobe_period(scene, state, start_tangents, settings, min_lanes):
 
 
 def _reference_rerun(arguments, settings, is_due, results):
-    """The results with those of some lanes replaced, a block at a time."""
+    """Replace the results of the lanes that are due, block by block, by the reference path."""
     run = partial(_reference_period, settings=settings)
     if not is_due.shape:
         return run(*arguments)
@@ -209,7 +230,7 @@ def _reference_rerun(arguments, settings, is_due, results):
 
 
 def _reference_period(scene, state, start_tangents, settings):
-    """As `_strobe_period`, by full steps; derivatives by a replay."""
+    """Compute a period by the reference path, with derivatives by replay; results as for `_strobe_period`."""
     argnums = settings.argnums
     settings_dict = {
         "slots": settings.slots,
@@ -241,9 +262,7 @@ def _reference_period(scene, state, start_tangents, settings):
             sum(columns[k][component] * rate for k, rate in zip(state_argnums, tangent, strict=True))
             for component in (0, 1)
         ]
-        state_part = [
-            choose(forgets_start, 0.0, component) for component in state_part
-        ]  # whatever the start was, nan too
+        state_part = [choose(forgets_start, 0.0, component) for component in state_part]  # for any start, also nan
         return (
             Tangent(*state_part)
             if argnum in state_argnums
@@ -255,7 +274,7 @@ def _reference_period(scene, state, start_tangents, settings):
 
 
 def _append_period(scene, settings, min_lanes, period, results):
-    """The results with those of one period more, the k-th from 0."""
+    """Append one more period, with index `period` from 0, to the results."""
     slots = settings.slots
     (state, old_impacts), old_history, tangents = results
     (end, new_impacts), new_history, tangents = _strobe_period(scene, state, tangents, settings, min_lanes)
@@ -278,7 +297,7 @@ def _append_period(scene, settings, min_lanes, period, results):
 
 
 def _append_rows(n_old, old_rows, new_rows):
-    """Rows with others after the first so many; slots last."""
+    """Append rows after the first `n_old` entries; slots are the last axis."""
     source = jnp.arange(old_rows.shape[-1]) - n_old.astype(int)[..., None]
     return jnp.where(source >= 0, jnp.take_along_axis(new_rows, jnp.maximum(source, 0), -1), old_rows)
 
@@ -288,7 +307,7 @@ def _delay_times(times, start_time):
 
 
 def _join_histories(n_impacts, old_history, new_history, start_time):
-    """The `ReplayHistory` of a path and a period after it; n_impacts: the path's impacts."""
+    """Join the `ReplayHistory` of a path with `n_impacts` impacts and that of the period after it."""
     has_release = new_history.release_time >= 0
     release_time = jnp.where(has_release, new_history.release_time + start_time, old_history.release_time)
     if new_history.count is None:

@@ -1,4 +1,4 @@
-"""What walls bear: how fast the mass meets them, how hard they push, the energy that they take."""
+"""Compute the loads on the walls: impact speeds, contact forces and dissipated energy."""
 
 import math
 
@@ -21,12 +21,12 @@ from .contact_duration import contact_time_of
 from .sample import sample
 from .strobe import strobe
 
-FIRST_SLOTS, MAX_SLOTS = 32, 1024  # impacts of a lane that are looked at first, and at most
-N_NODES = 32  # of Gauss and Legendre in a stay within a soft wall
-N_GRID, NEWTON_STEPS = 129, 4  # points of a stay from which Newton's steps to the largest force begin, and these
-ROWS_PER_CHUNK = 4096  # stays that are looked at together
-MIN_LOG2_ROWS = 3  # power of two of the stays that are looked at together
-END_OFFSET = np.finfo(float).eps  # of a stay: how far from its ends the mass is looked at
+FIRST_SLOTS, MAX_SLOTS = 32, 1024  # recorded impacts of a lane: first attempt and limit
+N_NODES = 32  # Gauss-Legendre points in a contact phase
+N_GRID, NEWTON_STEPS = 129, 4  # grid for the largest force in a contact phase, and Newton steps from it
+ROWS_PER_CHUNK = 4096  # contact phases that are evaluated together
+MIN_LOG2_ROWS = 3  # contact phases are padded to a power of two, at least 2**3
+END_OFFSET = np.finfo(float).eps  # relative distance of the end samples from the ends of a contact phase
 LOAD_COLUMNS = {
     "largest_speed": (SPEED, "largest speed before an impact, relative to the wall"),
     "largest_force": (FORCE, "largest force of the wall on the mass"),
@@ -36,23 +36,60 @@ LOAD_COLUMNS = {
 
 @check.host_only("use strobe and sample")
 def wall_loads(scene: Scene, state: State | xr.Dataset, periods: int = 1) -> xr.Dataset:
-    """What the walls bear within drive periods from a state on: an xarray.Dataset.
+    """Compute the largest impact speed, the largest force and the work rate on each wall.
 
-    scene: a `Scene`; state: a `State` at its phase; their numbers broadcast together; or a Dataset of `sweep` from this
-    scene, whose dimensions and coordinates stay: of all states that it recorded, each at its value. periods: whole
-    number >= 1. Of an orbit `wall_loads(orbit.scene, orbit.state, orbit.periods)`.
+    Parameters
+    ----------
+    scene : Scene
+        Oscillator, drive and walls. A single scene or a batch.
+    state : State or xarray.Dataset
+        Initial state at its phase; its numbers broadcast with those of `scene`. Or a Dataset of `sweep` for this scene:
+        the loads are computed for all recorded states, each at its value of the parameter.
+    periods : int, optional
+        Number of drive periods, at least 1.
 
-    Along the lanes, named lane or lane_0, lane_1, ..., or as those of the sweep, and "wall", those that there are:
-    largest_speed, before an impact and relative to the wall, 0 where there is none; largest_force, K length: of a
-    soft wall what it adds to the spring and the damper of a free mass, k2 depth + 2 (gamma2 - gamma) x', beside a
-    `Force` k2 depth + 2 gamma2 x', or its `Push`, 0 where it is not met, nan of a rigid wall; work_rate, K length^2 w0:
-    the energy that the wall takes in its own frame, over the time, at a rigid one (1 - R^2) u^2 / 2 an impact of speed
-    u, all of it at the last before a rest, at a soft one the integral of its force times the speed into it. status: of
-    each lane, as of `strobe`; from CAP on there are no numbers. Impacts and stays are those of `strobe`; within a stay
-    the force is taken at 32 points of Gauss and Legendre and the ends, and is right to 1e-9 of itself where the wall's
-    law is smooth.
+    Returns
+    -------
+    xarray.Dataset
+        Variables along the lanes and along "wall", which holds the sides of the existing walls. The dimensions of the
+        lanes are named "lane", or "lane_0", "lane_1", ..., or as in the sweep, whose coordinates are kept. The
+        variables are listed in the Notes.
 
-    Raises ArgumentError as `strobe` does.
+    Raises
+    ------
+    ArgumentError
+        If the arguments are invalid, as for `strobe`, or if a Dataset is not one of `sweep`.
+
+    See Also
+    --------
+    strobe : The impacts themselves.
+    sweep : States along a parameter.
+
+    Notes
+    -----
+    The Dataset has four variables:
+
+    - ``largest_speed``, in lengths per t: largest speed before an impact relative to the wall, 0 without an impact.
+    - ``largest_force``, in K length: largest force of a soft wall on the mass, 0 if the wall is not reached, nan for a
+      rigid wall. The force is the one that the wall adds to the spring and damper of the free mass, ``k2 depth + 2
+      (gamma2 - gamma) x'``. With a `Force` it is ``k2 depth + 2 gamma2 x'``, and with a `Push` it is that law.
+    - ``work_rate``, in K length^2 w0: energy that the wall takes in its own frame, divided by the time. An impact on a
+      rigid wall with the speed u takes ``(1 - R^2) u^2 / 2``; the last impact before the mass sticks takes all of its
+      energy. A soft wall takes the integral of its force times the speed into it.
+    - ``status``: worst status of each lane, as for `strobe`. From CAP on the loads are nan.
+
+    Impacts and contact phases are those of `strobe`. The force within a contact phase is evaluated at 32 Gauss-Legendre
+    points and at both ends. Its relative error is 1e-9 where the law of the wall is smooth.
+
+    For an orbit call ``wall_loads(orbit.scene, orbit.state, orbit.periods)``.
+
+    Examples
+    --------
+    >>> loads = jv.wall_loads(orbit.scene, orbit.state, orbit.periods)
+    >>> loads["largest_speed"].values.round(6)
+    array([1.956105, 1.956105])
+    >>> loads["wall"].values.tolist()
+    ['left', 'right']
     """
     periods = check.whole_number("periods", periods, 1)
     if isinstance(state, xr.Dataset):
@@ -61,9 +98,11 @@ def wall_loads(scene: Scene, state: State | xr.Dataset, periods: int = 1) -> xr.
 
 
 def _loads_of_sweep(scene, sweep_data, periods):
-    """The Dataset of the states that a sweep recorded, with its dimensions and coordinates."""
+    """Compute the loads for the states that a sweep recorded, with its dimensions and coordinates."""
     if "swept" not in sweep_data.attrs or not {"x", "v"} <= set(sweep_data.variables):
-        raise check.ArgumentError("state", "must be a State, or a Dataset of sweep", f"with {', '.join(sweep_data)}")
+        raise check.ArgumentError(
+            "state", "must be a State, or a Dataset of sweep", f"a Dataset with {', '.join(sweep_data)}"
+        )
     check.require_single(scene)
     name, sweep_x = sweep_data.attrs["swept"], sweep_data["x"]
     values = sweep_data[name].broadcast_like(sweep_x).transpose(*sweep_x.dims)
@@ -75,6 +114,7 @@ def _loads_of_sweep(scene, sweep_data, periods):
 
 
 def _loads_of_states(scene, state, periods):
+    """Compute the loads of states that broadcast with the scene."""
     shape = np.broadcast_shapes(scene.shape, *map(np.shape, jax.tree.leaves(state)))
     scales, scene, state = scales_attributes(scene), _flatten_lanes(scene, shape), _flatten_lanes(state, shape)
     status, loads = np.zeros(math.prod(shape), int), np.zeros((len(LOAD_COLUMNS), math.prod(shape), len(scene.walls)))
@@ -91,7 +131,7 @@ def _loads_of_states(scene, state, periods):
 
 
 def _strobe_all_impacts(scene, state):
-    """One period on, with slots for all impacts, where these are not too many."""
+    """Advance one period with slots for all impacts, up to `MAX_SLOTS`."""
     end, impacts = strobe(scene, state, 1, FIRST_SLOTS)
     max_count = int(np.max(np.where(impacts.status < Status.CAP, impacts.count, 0), initial=0))
     return (
@@ -102,11 +142,12 @@ def _strobe_all_impacts(scene, state):
 
 
 def _flatten_lanes(tree, shape):
+    """Broadcast all leaves to a shape and flatten them."""
     return jax.tree.map(lambda leaf: np.broadcast_to(leaf, shape).reshape(-1), tree)
 
 
 def _loads_of_wall(scene, state, impacts, side):
-    """(largest speed, 0 without one, largest force, work) of one wall within a period, each (lanes,)."""
+    """Return (largest speed, largest force, work) of one wall within a period, each (lanes,)."""
     is_impact = np.asarray(impacts.side) == WALL_SIGNS[SIDES.index(side)]
     is_impact &= (np.asarray(impacts.status) < Status.CAP)[:, None]
     speeds = np.where(is_impact, impacts.speed, 0.0).max(axis=1)
@@ -116,7 +157,7 @@ def _loads_of_wall(scene, state, impacts, side):
 
 
 def _impact_work(scene, impacts, is_impact, side):
-    """The energy that the impacts on a rigid wall take. The slowest before a rest is taken for the last."""
+    """Sum the energy that impacts on a rigid wall take; the slowest impact before sticking counts as the last."""
     speeds, restitution = np.asarray(impacts.speed), np.asarray(scene.bounce(side))[:, None]
     has_chatter = np.asarray(impacts.least_speed) == 0.0
     is_slowest = np.argmin(np.where(impacts.side != 0, speeds, np.inf), axis=1)[:, None] == np.arange(speeds.shape[1])
@@ -126,12 +167,27 @@ def _impact_work(scene, impacts, is_impact, side):
 
 
 def impact_energy_loss(speed, restitution, is_last):
-    """The energy that an impact takes in the wall's frame; is_last: before a rest, whose hops take what is left."""
+    """Compute the energy that an impact takes in the frame of the wall.
+
+    Parameters
+    ----------
+    speed : array
+        Speed before the impact relative to the wall, in lengths per t.
+    restitution : array
+        Coefficient of restitution R.
+    is_last : array of bool
+        True for the last impact before the mass sticks, whose bounces take the remaining energy.
+
+    Returns
+    -------
+    array
+        Energy per mass, ``(1 - R^2) speed^2 / 2``, or ``speed^2 / 2`` for the last impact.
+    """
     return 0.5 * np.where(is_last, 1.0, 1.0 - restitution**2) * speed**2
 
 
 def _contact_loads(scene, state, impacts, is_impact, side):
-    """(largest force, work) of the stays within a soft wall, (lanes,)."""
+    """Return (largest force, work) of the contact phases within a soft wall, each (lanes,)."""
     sign = WALL_SIGNS[SIDES.index(side)]
     initial_wall_position, wall_velocity = _wall_motion(scene, np.asarray(state.phase), side)
     contact, depth = np.asarray(state.contact) * sign, sign * (np.asarray(state.x) - initial_wall_position)
@@ -178,21 +234,21 @@ def _select_lanes(tree, lanes):
 
 
 def _wall_motion(scene, phase, side):
-    """Where a wall is at phases (lanes, ...), and how fast."""
+    """Return position and velocity of a wall at phases of shape (lanes, ...)."""
     expanded_scene = jax.tree.map(lambda leaf: np.asarray(leaf).reshape(-1, *[1] * (phase.ndim - 1)), scene)
     return [np.asarray(array) + 0.0 * phase for array in wall_states(expanded_scene, phase)[SIDES.index(side)]]
 
 
 @persistent_jit(compiler_options=FAST_COMPILE)
 def _contact_times(scene, sign, depth, rate, phase, max_time):
-    """How long stays last that begin so deep within the wall on a side, going so fast into it; at most the longest."""
+    """Compute the durations of contact phases from their initial depths and rates, at most `max_time`."""
     coeffs = flow_coefficients(scene)
     contact = sign * jnp.where(depth > 0, 1.0 * Contact.WITHIN, 1.0 * Contact.ENTERED)
     return contact_time_of(coeffs, contact, sign * depth, sign * rate, jnp.cos(phase), jnp.sin(phase), max_time)
 
 
 def _contact_force(scene, depth, v, wall_velocity, side):
-    """(the force of a soft wall against the mass, how fast that goes into it), at depths (lanes, points)."""
+    """Return (force of a soft wall against the mass, speed into the wall) at depths of shape (lanes, points)."""
     wall, sign = getattr(scene, side), WALL_SIGNS[SIDES.index(side)]
     rate = sign * (v - wall_velocity)
     if wall.law is not None:
@@ -206,8 +262,7 @@ def _contact_force(scene, depth, v, wall_velocity, side):
 
 
 def _largest_force(contact_force):
-    """The largest of the polynomial through each row's values at Gauss and Legendre's points, and of its end values:
-    the largest on a grid, then Newton's steps to where the slope is zero."""
+    """Maximise the interpolating polynomial of each row, end values included: on a grid, then by Newton steps."""
     nodes, _ = legendre.leggauss(N_NODES)
     grid = np.cos(np.linspace(0.0, np.pi, N_GRID))
     maxima = []
@@ -224,6 +279,7 @@ def _largest_force(contact_force):
 
 
 def _loads_dataset(scene, shape, loads, status):
+    """Assemble the Dataset of the loads."""
     lane_dims = ["lane"] if len(shape) == 1 else [f"lane_{axis}" for axis in range(len(shape))]
     variables = {
         name: ([*lane_dims, "wall"], values.reshape(*shape, -1), {"long_name": long_name, "units": unit})

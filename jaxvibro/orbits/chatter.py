@@ -1,18 +1,19 @@
-"""The hops by which a mass comes to rest on a wall, and those by which it just does not.
+"""Compute the bounces of a mass that comes to stick on a wall, or only just fails to stick.
 
-Time tau is counted from the release, the root of the press P where the wall lets a mass go that rests on it: tau < 0
-before. A hop leaves the wall at tau with a speed w; its height y >= 0 starts as w s - P s^2 / 2 + ... and ends with
-a landing, after which the mass leaves with R times the speed of it. A mass is at rest where infinitely many hops end
-before tau = 0. That it does so is as good as sure where the time of all hops is short beside what is left: then it is
-2 w / ((1 - R) P) (1 - 2/3 w (P' + gamma P) / (P^2 (1 - R))), by which the series is ended; the next terms are beyond
-rounding.
+Time tau is counted from the release, the zero of the contact force P at which the wall releases a sticking mass: tau <
+0 before it. A bounce leaves the wall at tau with a speed w. Its height y >= 0 starts as w s - P s^2 / 2 + ... and ends
+with a landing, after which the mass leaves with R times the landing speed. The mass sticks if infinitely many bounces
+end before tau = 0. This is practically certain if the total time of the bounces is short compared with the time
+remaining. The total time is then 2 w / ((1 - R) P) (1 - 2/3 w (P' + gamma P) / (P^2 (1 - R))), which completes the
+series; further terms are below rounding.
 
-Speeds up to a critical one come to rest. Near the release, where P = -c tau, hops at this speed shrink in proportion:
-with q in (1/3, 1) the root of (1 + q)(3 q - 1)^2 = 8 R q the time left by lam = (3 q - 1) / 2 a hop, the speed by
-lam^2, w = 3 (1 - q^2) / 8 c tau^2, and what a speed is too much grows by mu = (1 + q)^2 / (2 q^2 (3 q - 1))
-(Nordmark and Piiroinen, Phil. Trans. R. Soc. A 367, 2009). So the critical speed is a smooth function of tau and of the
-scene, the stable manifold of that shrinking, and is found by halving: which speeds end in rest is decided by hops,
-whose heights are counted from the wall and so keep their digits however low they are.
+A mass that leaves with at most a critical speed comes to stick. Near the release, where P = -c tau, bounces at this
+speed shrink in proportion. Let q in (1/3, 1) be the root of (1 + q)(3 q - 1)^2 = 8 R q. A bounce multiplies the time
+remaining by lam = (3 q - 1) / 2 and the speed by lam^2, with w = 3 (1 - q^2) / 8 c tau^2, and multiplies an excess of
+speed by mu = (1 + q)^2 / (2 q^2 (3 q - 1)) (Nordmark and Piiroinen, Phil. Trans. R. Soc. A 367, 2009). The critical
+speed is therefore a smooth function of tau and of the scene: it is the stable manifold of this contraction. Bisection
+computes it; the bounces decide which speeds lead to sticking. Their heights are relative to the wall and therefore keep
+full relative accuracy, even if they are very low.
 """
 
 import math
@@ -30,18 +31,22 @@ from ..flight.flows import flow_of
 from ..flight.soft_contact import restitution_of
 from .wall_at_contact import contact_force_derivatives, wall_derivatives
 
-HOP_ORDER = 12  # of a hop's polynomial
-MAX_HOP_TIME = 0.4  # of `Frame.reach`: a hop that is longer is none of a series'
-COMPARISON_TIME = 0.3  # of the same: so long before the release speeds are compared with the critical one
-NEWTON_STEPS = 6  # of Newton's steps from a cubic's root to the landing
-SERIES_TOLERANCE = 1e-4  # of what is left, or of the reach: so short are all further hops where the series is ended
-MAX_HOPS = 100_000  # hops
-N_BISECTIONS = 62  # of the bracket of the critical speed
+HOP_ORDER = 12  # order of the polynomial of a bounce
+MAX_HOP_TIME = 0.4  # of `FlowCoefficients.max_step`: longer bounces do not belong to a series
+COMPARISON_TIME = 0.3  # of `max_step`, before the release: time at which speeds are compared with the critical one
+NEWTON_STEPS = 6  # from the root of a cubic to the landing
+SERIES_TOLERANCE = 1e-4  # of the time remaining and of `max_step`: total time of bounces that the series completes
+MAX_HOPS = 100_000
+N_BISECTIONS = 62  # bisections of the bracket of the critical speed
 
 
 class Hop(NamedTuple):
-    """time: how long it is; landing_speed: the speed at its end, against the wall, inf times where it does not end;
-    press, force_rate: of the wall at its start; third_derivative: y's third derivative there; terms: of its height."""
+    """Bounce on a wall.
+
+    `time` is its flight time. `landing_speed` is the speed at its end relative to the wall, inf if it does not land.
+    `contact_force` and `force_rate` are those of the wall at its start, `third_derivative` is that of the height y, and
+    `terms` are the Taylor coefficients of y / s.
+    """
 
     time: Float[Array, ""]
     landing_speed: Float[Array, ""]
@@ -52,9 +57,12 @@ class Hop(NamedTuple):
 
 
 class ChatterEnd(NamedTuple):
-    """sticking_time: how long the mass rests before the release, negative: it does not come to rest; first_hop_time:
-    how long the first hop is, `Frame.reach` where it is longer; height, velocity: over the wall and away from it, at
-    times asked for."""
+    """End of a sequence of bounces.
+
+    `sticking_time` is the duration of sticking before the release, negative if the mass does not stick.
+    `first_hop_time` is the flight time of the first bounce, `FlowCoefficients.max_step` if it is longer. `height` and
+    `velocity` are relative to the wall, away from it, at the requested times.
+    """
 
     sticking_time: Float[Array, ""]
     first_hop_time: Float[Array, ""]
@@ -63,8 +71,10 @@ class ChatterEnd(NamedTuple):
 
 
 def evaluate_hop(coeffs, side, phasor, speed):
-    """The `Hop` from a wall that a mass leaves with a speed, a number, or without one where it is drawn away; phasor:
-    the drive's cosine and sine."""
+    """Return the `Hop` of a mass that leaves a wall with a speed, or lifts off with zero speed.
+
+    `phasor` is (cosine, sine) of the drive at its start.
+    """
     wall_position, wall_velocity, *wall_derivs = wall_derivatives(coeffs, side, *phasor, HOP_ORDER)
     jet = flow_of(coeffs).jet(coeffs, wall_position, wall_velocity - side * speed, *phasor, HOP_ORDER)
     height_derivs = [
@@ -74,7 +84,7 @@ def evaluate_hop(coeffs, side, phasor, speed):
     height_terms = (
         speed,
         *(height_deriv / math.factorial(k) for k, height_deriv in enumerate(height_derivs, 2)),
-    )  # of y / s
+    )  # Taylor coefficients of y / s
     discriminant = height_terms[1] * height_terms[1] - 4.0 * height_terms[2] * speed
     lifts = (speed == 0) & (contact_force < 0)
     lands = jnp.where(lifts, height_terms[2] < 0, (discriminant > 0) & (height_terms[1] < 0))
@@ -99,7 +109,7 @@ def evaluate_hop(coeffs, side, phasor, speed):
 
 
 def _horner(height_terms, time):
-    """A polynomial and its slope."""
+    """Return the value and the slope of a polynomial."""
     value, slope = height_terms[-1], jnp.zeros_like(height_terms[-1])
     for term in height_terms[-2::-1]:
         value, slope = value * time + term, slope * time + value
@@ -107,8 +117,11 @@ def _horner(height_terms, time):
 
 
 def chatter_end(coeffs, side, release_phasor, tau, speed, elapsed_times):
-    """The `ChatterEnd` of hops that begin at tau with a speed, numbers. release_phasor: the drive's cosine and sine
-    there; since: (times,) since tau, at which the mass is looked for."""
+    """Return the `ChatterEnd` of bounces that begin at tau with a speed, both scalars.
+
+    `release_phasor` is (cosine, sine) of the drive at the release. `elapsed_times`, of shape (times,), are the times
+    since tau at which the height is evaluated.
+    """
     restitution = restitution_of(coeffs, side) + 0.0 * speed
     zero = 0.0 * (tau + speed)
 
@@ -156,9 +169,9 @@ def chatter_end(coeffs, side, release_phasor, tau, speed, elapsed_times):
 
 
 def _total_hop_time(coeffs, restitution, speed, hop):
-    """(how long all hops last from one on, whether that is right to rounding)."""
+    """Return (total time of all bounces from this one, True if it is accurate to rounding)."""
     contact_force = jnp.where(hop.contact_force > 0, hop.contact_force, 1.0)
-    drag = 0.5 * (hop.third_derivative + hop.force_rate)  # damping times the press
+    drag = 0.5 * (hop.third_derivative + hop.force_rate)  # damping times the contact force
     correction = speed * (hop.force_rate + drag) / (contact_force * contact_force * (1.0 - restitution))
     leading_time = 2.0 * speed / ((1.0 - restitution) * contact_force)
     return leading_time * (1.0 - 2.0 / 3.0 * correction), (abs(correction) <= SERIES_TOLERANCE) & (
@@ -167,7 +180,7 @@ def _total_hop_time(coeffs, restitution, speed, hop):
 
 
 def approach_release(coeffs, side, release_phasor, tau, speed):
-    """(tau, speed) of the first landing, or of the start, from which on the release is near."""
+    """Return (tau, speed) at the first landing near the release, or at the start if it is near."""
     restitution = restitution_of(coeffs, side)
 
     def is_unfinished(carry):
@@ -184,7 +197,7 @@ def approach_release(coeffs, side, release_phasor, tau, speed):
 
 
 def critical_speed(coeffs, side, release_phasor, tau):
-    """The speed from which on a mass that leaves a wall at tau < 0 does not come to rest; 0 where tau is not."""
+    """Return the largest speed with which a mass that leaves a wall at tau < 0 comes to stick; 0 for other tau."""
     taus = tau * jnp.linspace(0.0, 1.0, 17)
     contact_forces = jax.vmap(
         lambda hop_tau: (

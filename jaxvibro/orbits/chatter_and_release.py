@@ -1,8 +1,8 @@
-"""Orbits that rest, by their impacts: from where a wall lets the mass go, to the hops by which it comes to rest again.
+"""Orbits that stick, by their impacts: from the release to the bounces by which the mass comes to stick again.
 
-A rest forgets its past, so that an orbit is known from a release on. Its rows (`impact_equations.Cycle`) are a release,
-the impacts up to a hop from which on all hops are short and under one press, and the next release. What those hops do
-is asked of `chatter`: whether they end in rest, how long that lasts, and where the mass is meanwhile.
+Sticking erases the past, so that an orbit is determined from a release on. Its rows (`impact_equations.ImpactSequence`)
+are a release, the impacts up to a bounce from which all bounces are short and have a positive contact force, and the
+next release. `chatter` computes these bounces: their end, the duration of sticking, and the state in between.
 """
 
 from functools import partial
@@ -25,18 +25,28 @@ from ..scene.codes import Contact
 from . import chatter
 from .wall_at_contact import contact_force_derivatives
 
-SCAN_STEP = 0.2  # of `Frame.reach`: between two looks at the press
-NEWTON_STEPS = 5  # of Newton's steps to where the press is least
-MAX_FIRST_HOP = 0.5  # of `chatter.LONGEST`: so long a first hop may be where its row is chosen
-MAX_HOPS = 64  # hops that are flown to find such a row
-MIN_FLIGHT_TIME = 0.1  # of `chatter.LONGEST`: where a shorter flight of a mass without speed is a row, it is none
+SCAN_STEP = 0.2  # of `FlowCoefficients.max_step`: between two samples of the contact force
+NEWTON_STEPS = 5  # to a minimum of the contact force
+MAX_FIRST_HOP = 0.5  # of `chatter.MAX_HOP_TIME`: longest first bounce of a row that is chosen
+MAX_HOPS = 64  # bounces that are computed to find such a row
+MIN_FLIGHT_TIME = 0.1  # of `chatter.MAX_HOP_TIME`: shorter flights of a mass with zero speed are no rows
 
 
 class ChatterOutcome(NamedTuple):
-    """Of each row that a release follows, inf of others. sticking_time: how long the mass rests, negative: it does not;
-    hold: the least press on the way to the release, inf: it only falls; hop_margin: positive while the hops from this
-    row on are all short, and pressed; of a row that the mass is drawn off from without speed, while it is not back too
-    soon. height, velocity: (rows, times), over the wall and away from it, at times asked for."""
+    """Chatter of each row that a release follows, inf for other rows.
+
+    Attributes
+    ----------
+    sticking_time : Array
+        Duration of sticking; negative if the mass does not stick.
+    min_contact_force : Array
+        Smallest contact force on the way to the release; inf if it only decreases.
+    hop_margin : Array
+        Positive while all bounces from this row are short and the contact force is positive. For a row that the mass
+        leaves with zero speed because the force pulls it off, positive while the mass does not return too soon.
+    height, velocity : Array
+        State relative to the wall, away from it, at the requested times; of shape (rows, times).
+    """
 
     sticking_time: Float[Array, "*rows"]
     min_contact_force: Float[Array, "*rows"]
@@ -46,8 +56,12 @@ class ChatterOutcome(NamedTuple):
 
 
 class ChatterStart(NamedTuple):
-    """What a series of hops begins with. side: of the wall; cosine, sine: of the drive at the release; tau: before it;
-    speed: of leaving the wall; lifts: where R is 0, whether the mass is drawn away at once, to come back and rest."""
+    """Start of a sequence of bounces.
+
+    `side` is that of the wall; `cosine` and `sine` are those of the drive at the release; `tau` is the time before the
+    release, negative; `speed` is that of leaving the wall. `lifts` is true if R is 0 and the mass is pulled off at
+    once, to return and stick.
+    """
 
     side: Float[Array, "*rows"]
     cosine: Float[Array, "*rows"]
@@ -58,8 +72,24 @@ class ChatterStart(NamedTuple):
 
 
 def chatter_starts(coeffs, sequence, flights):
-    """(the `ChatterStart` of each row, those that a release follows); of others one that ends at once. flights: the
-    cycle's `impact_equations.Flights`."""
+    """Return the start of the bounces of each row that a release follows.
+
+    Parameters
+    ----------
+    coeffs : FlowCoefficients
+        Coefficients of the scene.
+    sequence : ImpactSequence
+        Sequence with releases.
+    flights : Flights
+        Flights of the sequence.
+
+    Returns
+    -------
+    starts : ChatterStart
+        Starts for all rows; other rows have one that ends at once.
+    ends_in_release : Array of bool
+        True for rows that a release follows.
+    """
     ends_in_release = (sequence.sides != 0) & (sequence.releases[flights.next_row] > 0)
     last_row = jnp.sum(sequence.sides != 0) - 1
     wrap_time = jnp.where(jnp.arange(len(sequence.sides)) == last_row, sequence.periods * coeffs.period, 0.0)
@@ -76,7 +106,24 @@ def chatter_starts(coeffs, sequence, flights):
 
 
 def chatter_outcomes(coeffs, sequence, flights, query_times):
-    """The `ChatterOutcome` of a cycle that rests; query_times: since the section's phase, (times,)."""
+    """Compute the chatter of an impact sequence that sticks.
+
+    Parameters
+    ----------
+    coeffs : FlowCoefficients
+        Coefficients of the scene.
+    sequence : ImpactSequence
+        Sequence with releases.
+    flights : Flights
+        Flights of the sequence.
+    query_times : Array
+        Times since the phase of the section at which the height is evaluated, of shape (times,).
+
+    Returns
+    -------
+    ChatterOutcome
+        Outcome of each row.
+    """
     starts, ends_in_release = chatter_starts(coeffs, sequence, flights)
     total_time = sequence.periods * coeffs.period
     elapsed_times = query_times - sequence.times[:, None]
@@ -106,7 +153,7 @@ def chatter_outcomes(coeffs, sequence, flights, query_times):
 
 
 def _chatter_outcome(coeffs, start, elapsed_times):
-    """The `ChatterOutcome` of one row."""
+    """Return the `ChatterOutcome` of one row."""
     release_phasor = start.cosine, start.sine
     chatter_end = chatter.chatter_end(coeffs, start.side, release_phasor, start.tau, start.speed, elapsed_times)
     contact_force, force_rate, _ = _contact_force_jet(coeffs, start, start.tau)
@@ -125,14 +172,27 @@ def _chatter_outcome(coeffs, start, elapsed_times):
 
 
 def _contact_force_jet(coeffs, start, tau):
-    """The press on the wall, its change, and how that changes."""
+    """Return the contact force on the wall with its first and second derivatives."""
     phasor = flow.rotate_by_angle(start.cosine, start.sine, coeffs.frequency * tau)
     return [start.side * derivative for derivative in contact_force_derivatives(coeffs, start.side, phasor, 2)]
 
 
 def min_contact_force(coeffs, start):
-    """The least press between two falls of it, inf: it only falls; also that of `initial_contact_force`, its sign
-    turned where the mass `lifts`."""
+    """Compute the smallest contact force at a minimum before the release.
+
+    Parameters
+    ----------
+    coeffs : FlowCoefficients
+        Coefficients of the scene.
+    start : ChatterStart
+        Start of the bounces, of one row.
+
+    Returns
+    -------
+    Array
+        A scalar: the smallest local minimum of the force, inf without one. `initial_contact_force` is included, with
+        its sign reversed if the mass `lifts`.
+    """
     n_cells = jnp.ceil(abs(start.tau) / (SCAN_STEP * coeffs.max_step)).astype(int) + 2
     cell_time = abs(start.tau) / n_cells
 
@@ -158,8 +218,23 @@ def min_contact_force(coeffs, start):
 
 
 def lift_off_force(coeffs, sequence, flights):
-    """How hard the mass is drawn off the wall of each row where R is 0 and no release follows, (rows,), inf of others:
-    below zero it is pressed on it, and would rest."""
+    """Compute the force that pulls the mass off the wall at impacts with R = 0.
+
+    Parameters
+    ----------
+    coeffs : FlowCoefficients
+        Coefficients of the scene.
+    sequence : ImpactSequence
+        The impacts.
+    flights : Flights
+        Flights of the sequence.
+
+    Returns
+    -------
+    Array
+        Force of each row, of shape (rows,): negative if the mass is pressed on the wall and would stick, inf for rows
+        with R > 0 or a release next.
+    """
     contact_force, _ = contact_force_derivatives(
         coeffs, sequence.sides, (flights.contact_map.cosine, flights.contact_map.sine)
     )
@@ -170,13 +245,43 @@ def lift_off_force(coeffs, sequence, flights):
 
 
 def initial_contact_force(coeffs, start):
-    """The press at the impact where R is 0 and it rises: below zero the mass is drawn off its wall; inf elsewhere."""
+    """Compute the contact force at an impact with R = 0 if the force increases.
+
+    Parameters
+    ----------
+    coeffs : FlowCoefficients
+        Coefficients of the scene.
+    start : ChatterStart
+        Start of the bounces, of one row.
+
+    Returns
+    -------
+    Array
+        A scalar: negative if the mass is pulled off its wall; inf for R > 0 or a decreasing force.
+    """
     contact_force, force_rate, _ = _contact_force_jet(coeffs, start, start.tau)
     return jnp.where((restitution_of(coeffs, start.side) == 0) & (force_rate > 0), contact_force, jnp.inf)
 
 
 def map_chatter_starts(measure, coeffs, sequence, flights):
-    """A measure of a `ChatterStart`, as `excess_speed`, of each row, (rows,); inf of rows that no release follows."""
+    """Evaluate a function of a `ChatterStart`, such as `excess_speed`, for each row.
+
+    Parameters
+    ----------
+    measure : callable
+        Function of (coeffs, start) that returns a scalar.
+    coeffs : FlowCoefficients
+        Coefficients of the scene.
+    sequence : ImpactSequence
+        Sequence with releases.
+    flights : Flights
+        Flights of the sequence.
+
+    Returns
+    -------
+    Array
+        Values of shape (rows,); inf for rows that no release follows.
+    """
 
     def measure_row(row):
         start, ends_in_release = row
@@ -186,12 +291,25 @@ def map_chatter_starts(measure, coeffs, sequence, flights):
 
     return lax.map(
         measure_row, chatter_starts(coeffs, sequence, flights)
-    )  # side by side, each would take as long as all of them
+    )  # row by row: under vmap each row would take as long as all of them
 
 
 def excess_speed(coeffs, start):
-    """By how much the speed is too large for the hops to end in rest, after those that are far from the release; where
-    R is 0 how long after it the impact is, or that to which the mass comes back that is drawn off."""
+    """Compute the excess of the speed over the critical speed for sticking.
+
+    Parameters
+    ----------
+    coeffs : FlowCoefficients
+        Coefficients of the scene.
+    start : ChatterStart
+        Start of the bounces, of one row.
+
+    Returns
+    -------
+    Array
+        A scalar: excess of the speed after the bounces that are far from the release. For R = 0 it is the time from the
+        release to the impact, or to the return of a mass that is pulled off.
+    """
     release_phasor = start.cosine, start.sine
     phasor = flow.rotate_by_angle(*release_phasor, coeffs.frequency * start.tau)
     return_tau = start.tau + chatter.evaluate_hop(coeffs, start.side, phasor, jnp.zeros_like(start.tau)).time
@@ -231,18 +349,42 @@ def _examine_impact(scene, side, phase, tau, speed):
 
 @persistent_jit(compiler_options=FAST_COMPILE)
 def _examine_compiled(scene, side, phase, tau, speed):
-    """(rest, hold, plain; times before the release and speeds of the impacts that follow; whether it lifts) of an
-    impact at tau with a speed; phase: the drive's at the release."""
+    """Examine an impact at tau with a speed; `phase` is that of the drive at the release.
+
+    Return (sticking time, smallest contact force, hop margin, times before the release and speeds of the next impacts,
+    lifts).
+    """
     return call_as_kernel(_examine_impact, scene, side, phase, tau, speed)
 
 
 def sticking_orbit_rows(scene, phase, times, speeds, sides, intervals, periods, tolerance=0.0):
-    """(times, speeds, sides) of an orbit that rests, in order of travel, with the sides of `Contact.STUCK` at releases,
-    and one more where the mass lifts before its rest.
+    """Reduce the impacts of an orbit that sticks to the rows of an `ImpactSequence`.
 
-    phase: the section's; times, speeds, sides: of its impacts since then; intervals: of its rests, as `rests.Rests` has
-    them. An impact is a row up to the first from which on all hops on its wall are short and pressed. tolerance: of
-    speeds and presses, by which a rest that just is one may be none."""
+    Parameters
+    ----------
+    scene : Scene
+        A single scene.
+    phase : float
+        Phase of the section, in rad.
+    times, speeds, sides : numpy.ndarray
+        Impacts since this phase.
+    intervals : tuple of tuple
+        Sticking phases, as in `StickingPhases.intervals`.
+    periods : int
+        Number of drive periods.
+    tolerance : float, optional
+        Tolerance of speeds and contact forces within which a marginal sticking phase may be none.
+
+    Returns
+    -------
+    times, speeds, sides : numpy.ndarray
+        Rows in order of time. A release has a multiple of its side: ``Contact.STUCK``, or one more if the mass lifts
+        before it sticks.
+
+    Notes
+    -----
+    An impact is a row up to the first from which all bounces on its wall are short and have a positive contact force.
+    """
     total_time, frequency = periods * 2.0 * np.pi / float(scene.frequency), float(scene.frequency)
     order = np.argsort(times)
     impacts = [(times[k], speeds[k], int(sides[k])) for k in order]
@@ -252,7 +394,7 @@ def sticking_orbit_rows(scene, phase, times, speeds, sides, intervals, periods, 
     ]
     rows, dropped = [], set()
     for (side, _, release_time), last_impact in zip(intervals, last_impacts, strict=True):
-        chain = []  # the impacts on this wall alone, back from the last
+        chain = []  # consecutive impacts on this wall, up to the last
         for k in range(len(impacts)):
             index = (last_impact - k) % len(impacts)
             if impacts[index][2] != side or (k and index in last_impacts):
@@ -269,7 +411,7 @@ def sticking_orbit_rows(scene, phase, times, speeds, sides, intervals, periods, 
 
 
 def _truncate_chain(scene, phase, release_time, total_time, chain, tolerance):
-    """(how many of a chain of impacts are rows, impacts that are rows besides, whether the last of them lifts)."""
+    """Return (number of rows of a chain of impacts, additional impacts as rows, True if the last one lifts)."""
     to_array = partial(np.asarray, dtype=scene.dtype)
     for k, (time, speed, side) in enumerate(chain):
         tau = (time - release_time) % -total_time

@@ -1,9 +1,10 @@
-"""A stay within a soft wall, as the equations of the impacts ask for it: time and again for few lanes.
+"""Contact phase within a linear soft wall, for the equations of the impacts: repeated evaluations for few lanes.
 
-Its end is the same as `contact_duration` says, by `soft_polynomial`: arrays that the kernels of a replay, whose results
-are stages on many lanes, do not take, and which make fewer operations. How it changes with its start is known from the
-free flow's matrix alone: the velocity of a motion moves as the motion does, but under the force's rate of change, so
-that what a later entry does is the velocity at the end less the free flow of velocity and acceleration at the start.
+The final state is that of `contact_duration`, computed by `soft_polynomial`. Its arrays need fewer operations but do
+not fit the kernels of a replay, whose results are stages on many lanes. The derivative with respect to the initial
+state follows from the matrix of the free flow alone. The velocity of a motion evolves as the motion does, but under the
+rate of change of the force. So the effect of a later entry is the velocity at the end minus the free flow of velocity
+and acceleration at the start.
 """
 
 from typing import NamedTuple
@@ -21,15 +22,18 @@ from ..flight.soft_wall_exit import first_exit_time
 from ..maps.contact_duration import MEMORY_STEPS, NEWTON_STEPS
 from ..scene.codes import Contact
 
-MAX_PERIODS = 8.0  # drive periods that a stay is searched for
-NEWTON_TOLERANCE = 2.0**-30  # of itself: the step of Newton's method from which the next leaves rounding alone
+MAX_PERIODS = 8.0  # largest duration of a contact phase in drive periods
+NEWTON_TOLERANCE = 2.0**-30  # relative size of a Newton step after which the next is accurate to rounding
 
 
 class ContactPhase(NamedTuple):
-    """time; v: the velocity against the wall at its end; cosine, sine: the drive's there. entry_acceleration: the
-    acceleration from the wall at its start; free_flow: the free flow's matrix ((p00, p01), (-stiffness p01, p11)) over
-    it; time_by_time, time_by_velocity: how the time of its end changes with that of its start, with the velocity
-    there."""
+    """Contact phase within a soft wall and its derivatives.
+
+    `time` is its duration, `v` the velocity relative to the wall at its end, and `cosine`, `sine` those of the drive
+    there. `entry_acceleration` is the acceleration relative to the wall at its start. `free_flow` is (p00, p01, p11) of
+    the free flow's matrix ((p00, p01), (-stiffness p01, p11)) over this duration. `time_by_time` and `time_by_velocity`
+    are the derivatives of the exit time with respect to the time and the velocity of the entry.
+    """
 
     time: Float[Array, "*lanes"]
     v: Float[Array, "*lanes"]
@@ -42,10 +46,11 @@ class ContactPhase(NamedTuple):
 
 
 def solve_contact_phase(coeffs, side, cosine, sine, speed, approx_time):
-    """The `ContactPhase` of lanes that meet a soft wall on a side with a speed; side 0: of none, any numbers.
+    """Return the `ContactPhase` of lanes that enter a soft wall at a speed; values are arbitrary for side 0 (no wall).
 
-    Smooth in all numbers, also where the speed goes through zero: the stay goes through zero with it, and from there on
-    is a negative time. First and second derivatives are right. approx_time: its time by `guess_contact_time`.
+    The result is smooth in all numbers, also where the speed passes through zero: the duration passes through zero with
+    it and is negative beyond. First and second derivatives are exact. `approx_time` is the duration from
+    `guess_contact_time`.
     """
     contact = side * Contact.ENTERED
     contact_coeffs = soft_contact.coeffs_by_lane(coeffs, contact)
@@ -81,10 +86,11 @@ def solve_contact_phase(coeffs, side, cosine, sine, speed, approx_time):
 
 
 def guess_contact_time(coeffs, side, cosine, sine, speed, min_contact_time=None):
-    """The time of a stay: the first return, or, with no speed into the wall, what a parabola says. No derivatives.
+    """Return the duration of a contact phase: the first return, or a parabola's guess for zero speed into the wall.
 
-    nan where the mass does not leave for `MAX_PERIODS`. min_contact_time: a time at which it is within the wall,
-    whatever it did before; None: 0."""
+    The result has no derivatives. It is nan if the mass does not leave within `MAX_PERIODS`. `min_contact_time` is a
+    time at which the mass is within the wall, for any earlier motion; None means 0.
+    """
     coeffs, side, cosine, sine, speed = lax.stop_gradient((coeffs, side, cosine, sine, speed))
     contact, v = side * Contact.ENTERED, side * speed
     contact_coeffs = soft_contact.coeffs_by_lane(coeffs, contact)
@@ -109,10 +115,10 @@ def guess_contact_time(coeffs, side, cosine, sine, speed, min_contact_time=None)
 
 
 def _short_contact_phase(contact_coeffs, basis, polynomial, v, entry_acceleration, approx_time):
-    """(time, velocity, p00, p01, p11, later, faster) of a stay no longer than a step; approx_time: near its end.
+    """Return (time, velocity, p00, p01, p11, time_by_time, time_by_velocity) of a contact phase within one step.
 
-    The root at 0 is divided out, also of what is divided by the velocity at the end: y = v p01 + rest is zero there, so
-    that v is no other than -rest / p01.
+    The root at 0 is divided out, also from the quotients by the velocity at the end: there y = v p01 + rest is zero, so
+    v is -rest / p01.
     """
     max_step, constant_polynomial = lax.stop_gradient((contact_coeffs.max_step, polynomial[1:]))
 
@@ -130,7 +136,7 @@ def _short_contact_phase(contact_coeffs, basis, polynomial, v, entry_acceleratio
     )
     step_fraction = _newton_step(
         polynomial[1:], _newton_step(polynomial[1:], step_fraction)
-    )  # two steps from the root: right to the third derivative
+    )  # two steps from the root: exact to the third derivative
     powers = soft_polynomial.powers(step_fraction)
     _, position_terms, velocity_terms, *_ = basis
     p00, p01_per_fraction = (
@@ -156,7 +162,7 @@ def _short_contact_phase(contact_coeffs, basis, polynomial, v, entry_acceleratio
 
 
 def _newton_step(polynomial, step_fraction):
-    """Nearer to a root of the polynomial with these coefficients."""
+    """Improve a root of the polynomial with these coefficients by one Newton step."""
     powers = soft_polynomial.powers(step_fraction)
     value, slope = (
         soft_polynomial.evaluate(coefficients, powers)
@@ -166,10 +172,10 @@ def _newton_step(polynomial, step_fraction):
 
 
 def _long_contact_phase(contact_coeffs, contact, basis, entry_velocity, entry_acceleration, cosine, sine, approx_time):
-    """As `_short_contact_phase`, of a longer stay, at a time that is right but for rounding: what is left changes all
-    by the first terms of its series, two, so that second derivatives are right.
+    """Return the results of `_short_contact_phase` for a longer contact phase from a time that is accurate to rounding.
 
-    Where p01 is small it follows from y = 0 at the end, as in `contact_duration.from_wall_to_wall`.
+    The two first terms of the Taylor series in the remaining delay make second derivatives exact. Where p01 is small it
+    follows from y = 0 at the end, as in `contact_duration.wall_to_wall_flow`.
     """
     flow_response = soft_polynomial.contact_response(contact_coeffs, contact, basis, approx_time)
     (p00, p01, p11), zero = flow_response.free_flow, lax.full_like(entry_velocity, 0.0)

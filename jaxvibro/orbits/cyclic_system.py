@@ -1,8 +1,8 @@
-"""Linear systems of a cycle: two equations and two unknowns an impact, each row with its own unknowns and the next's.
+"""Solve cyclic block systems: two equations and two unknowns for each impact, coupled to the next impact.
 
-With some parameters more and as many rows more (a border) they are solved by Givens' rotations, impact by impact: the
-unknowns of one after the other are left to those of the first and the parameters, where the circle closes. Nothing is
-divided by the speeds, so that a branch can go through speed zero.
+With parameters and as many border rows, Givens rotations eliminate the unknowns impact by impact. The unknowns of the
+first impact and the parameters remain, for the closure of the cycle. There is no division by speeds, so that a branch
+can pass through speed zero.
 """
 
 from typing import NamedTuple
@@ -17,8 +17,19 @@ from continuation.linear_solver import LinearSolution, solve
 
 
 class CyclicBlockMatrix(NamedTuple):
-    """diagonal: (rows, 2, 2), each row's derivative by its own time and speed; coupling: by the next row's; by:
-    (rows, 2, p), by the parameters; last_row: the row whose next is the first; those after it are empty."""
+    """Block matrix of a cyclic system.
+
+    Attributes
+    ----------
+    diagonal : Array
+        Derivative of each row with respect to its own time and speed, of shape (rows, 2, 2).
+    coupling : Array
+        Derivative of each row with respect to the time and speed of the next row, of shape (rows, 2, 2).
+    param_blocks : Array
+        Derivative of each row with respect to the parameters, of shape (rows, 2, parameters).
+    last_row : Array of int
+        Row that is followed by the first. Rows after it are empty.
+    """
 
     diagonal: Float[Array, "rows 2 2"]
     coupling: Float[Array, "rows 2 2"]
@@ -27,8 +38,20 @@ class CyclicBlockMatrix(NamedTuple):
 
 
 def assemble_matrix(jacobian, param_jacobian=None):
-    """The `CyclicBlockMatrix` of the `Slopes` of `impact_equations.equations`, and of their derivative by p parameters,
-    (2 rows, p), None for none."""
+    """Assemble the block matrix from the derivative of the equations of the impacts.
+
+    Parameters
+    ----------
+    jacobian : SequenceJacobian
+        Derivative with respect to times and speeds.
+    param_jacobian : Array, optional
+        Derivative with respect to p parameters, of shape (2 rows, p).
+
+    Returns
+    -------
+    CyclicBlockMatrix
+        The block matrix.
+    """
     diagonal = jnp.stack([jnp.stack(entries, 1) for entries in jacobian.diagonal], 1)
     e, f = jacobian.coupling
     zero = jnp.zeros_like(e)
@@ -39,9 +62,21 @@ def assemble_matrix(jacobian, param_jacobian=None):
 
 @jax.jit
 def solve_bordered(cyclic_matrix, border, right_sides):
-    """The ring's equations, then the border's rows, for times, speeds and parameters: `linear.Eliminated`.
+    """Solve the cyclic system with border rows for times, speeds and parameters.
 
-    border: (p, 2 rows + p), or (2 rows + 1,) for one parameter; right_sides: (2 rows + p, k), empty rows zero.
+    Parameters
+    ----------
+    cyclic_matrix : CyclicBlockMatrix
+        The block matrix, with p parameters.
+    border : Array
+        Border rows, of shape (p, 2 rows + p), or (2 rows + 1,) for one parameter.
+    right_sides : Array
+        Right sides, of shape (2 rows + p, k), zero in empty rows.
+
+    Returns
+    -------
+    LinearSolution
+        Solution, pivot ratio and determinant.
     """
     n_rows, n_params = len(cyclic_matrix.diagonal), cyclic_matrix.param_blocks.shape[2]
     border = border.reshape(n_params, -1)
@@ -65,8 +100,19 @@ def solve_bordered(cyclic_matrix, border, right_sides):
 
 
 def determinants(cyclic_matrix):
-    """The determinants of the equations by times and speeds: as they are, and where what comes after the last impact is
-    the first's times -1, for a cycle that changes its sign each time round."""
+    """Compute the determinants of the system for the multipliers 1 and -1.
+
+    Parameters
+    ----------
+    cyclic_matrix : CyclicBlockMatrix
+        The block matrix.
+
+    Returns
+    -------
+    tuple of Array
+        Determinant of the equations by times and speeds as they are, and with the sign of the first impact reversed
+        where it follows the last, for perturbations that change sign in each round.
+    """
     blocks = jnp.concatenate([cyclic_matrix.diagonal, cyclic_matrix.coupling], 2)
     no_border = jnp.zeros((0, 4), blocks.dtype)
     closure_rows, _, pivot_product, _ = _eliminate_rows(
@@ -77,10 +123,27 @@ def determinants(cyclic_matrix):
 
 
 def null_vectors(cyclic_matrix, multiplier):
-    """(w, v), (2 rows,) each, for which w J and J v are zero where J is singular: the equations by times and speeds,
-    what comes after the last impact being the first's times turn. Elsewhere w J v measures how far that is: its
-    derivative is w J' v, but for what is as small as w J v. It has one sign along a locus: w J v grows with the turn,
-    at a multiplier that is not a double one."""
+    """Compute left and right null vectors of the system for a multiplier.
+
+    Parameters
+    ----------
+    cyclic_matrix : CyclicBlockMatrix
+        The block matrix.
+    multiplier : float
+        Factor of the first impact where it follows the last.
+
+    Returns
+    -------
+    left_null, right_null : Array
+        w and v, each of shape (2 rows,), for which w J and J v vanish if J is singular. J is the derivative of the
+        equations with respect to times and speeds.
+
+    Notes
+    -----
+    If J is not singular, w J v measures its distance from a singular matrix: its derivative is w J' v, up to terms as
+    small as w J v. The sign of w is such that w J v increases with the multiplier; so w J v has one sign along a locus,
+    at a simple multiplier.
+    """
     row_index = jnp.arange(len(cyclic_matrix.diagonal))
     reversed_order = jnp.where(row_index <= cyclic_matrix.last_row, cyclic_matrix.last_row - row_index, row_index)
     previous_row = jnp.where(row_index < cyclic_matrix.last_row, reversed_order - 1, cyclic_matrix.last_row)
@@ -100,13 +163,28 @@ def null_vectors(cyclic_matrix, multiplier):
 
 
 def multiplier_derivative(left_null, cyclic_matrix, right_null):
-    """How w J v, J as in `null_vectors`, changes with the turn."""
+    """Compute the derivative of w J v with respect to the multiplier, with J as in `null_vectors`.
+
+    Parameters
+    ----------
+    left_null : Array
+        w, of shape (2 rows,).
+    cyclic_matrix : CyclicBlockMatrix
+        The block matrix.
+    right_null : Array
+        v, of shape (2 rows,).
+
+    Returns
+    -------
+    Array
+        The derivative, a scalar.
+    """
     w, v = (pair_rows(flat_vector, len(cyclic_matrix.diagonal)) for flat_vector in (left_null, right_null))
     return w[cyclic_matrix.last_row] @ cyclic_matrix.coupling[cyclic_matrix.last_row] @ v[0]
 
 
 def _null_vector(diagonal, coupling, last_row, multiplier):
-    """(rows, 2): of all equations but one, the one that is least independent of the others, this is a solution."""
+    """Return the solution, of shape (rows, 2), of all equations except the least independent one."""
     n_rows = len(diagonal)
     blocks = jnp.concatenate([diagonal, coupling, jnp.zeros((n_rows, 2, 1), diagonal.dtype)], 2)
     border_blocks, corner = (jnp.zeros(shape, blocks.dtype) for shape in ((n_rows, 0, 2), (0, 5)))
@@ -121,7 +199,24 @@ def _null_vector(diagonal, coupling, last_row, multiplier):
 
 
 def bilinear_form(left_vector, cyclic_matrix, right_vector, multiplier):
-    """w J v, J as in `null_vectors`."""
+    """Compute w J v, with J as in `null_vectors`.
+
+    Parameters
+    ----------
+    left_vector : Array
+        w, of shape (2 rows,).
+    cyclic_matrix : CyclicBlockMatrix
+        The block matrix.
+    right_vector : Array
+        v, of shape (2 rows,).
+    multiplier : float
+        Factor of the first impact where it follows the last.
+
+    Returns
+    -------
+    Array
+        A scalar.
+    """
     w, v = (pair_rows(flat_vector, len(cyclic_matrix.diagonal)) for flat_vector in (left_vector, right_vector))
     row_index = jnp.arange(len(v))
     next_v = (
@@ -135,7 +230,20 @@ def bilinear_form(left_vector, cyclic_matrix, right_vector, multiplier):
 
 
 def left_product(left_vector, cyclic_matrix):
-    """w J, (2 rows,), J being the equations themselves."""
+    """Compute w J, with J the derivative of the equations with respect to times and speeds.
+
+    Parameters
+    ----------
+    left_vector : Array
+        w, of shape (2 rows,).
+    cyclic_matrix : CyclicBlockMatrix
+        The block matrix.
+
+    Returns
+    -------
+    Array
+        Product of shape (2 rows,).
+    """
     w, row_index = pair_rows(left_vector, len(cyclic_matrix.diagonal)), jnp.arange(len(cyclic_matrix.diagonal))
     coupling_part = jnp.einsum("ki,kij->kj", w, cyclic_matrix.coupling)[
         jnp.where(row_index == 0, cyclic_matrix.last_row, row_index - 1)
@@ -145,8 +253,20 @@ def left_product(left_vector, cyclic_matrix):
 
 
 def dense_matrix(cyclic_matrix, multiplier=1.0):
-    """The equations' derivative as a matrix (2 rows, 2 rows + p), closed as in `null_vectors`; 1 for an empty
-    unknown."""
+    """Convert the block matrix to a dense matrix.
+
+    Parameters
+    ----------
+    cyclic_matrix : CyclicBlockMatrix
+        The block matrix, with p parameters.
+    multiplier : float, optional
+        Factor of the first impact where it follows the last.
+
+    Returns
+    -------
+    Array
+        Matrix of shape (2 rows, 2 rows + p), with 1 on the diagonal of empty rows.
+    """
     n_rows = len(cyclic_matrix.diagonal)
     row_index = jnp.arange(n_rows)
     is_impact = row_index <= cyclic_matrix.last_row
@@ -163,20 +283,33 @@ def dense_matrix(cyclic_matrix, multiplier=1.0):
 
 
 def pair_rows(flat_vector, n_rows):
-    """Numbers by times, then speeds, (2 rows, k), as (rows, 2, k)."""
+    """Reorder times, then speeds to pairs for each row.
+
+    Parameters
+    ----------
+    flat_vector : Array
+        Numbers of shape (2 rows, k).
+    n_rows : int
+        Number of rows.
+
+    Returns
+    -------
+    Array
+        Pairs of shape (rows, 2, k).
+    """
     return jnp.stack([flat_vector[:n_rows], flat_vector[n_rows : 2 * n_rows]], 1)
 
 
 def _unpair_rows(row_pairs):
-    """(rows, 2) by times, then speeds, (2 rows,)."""
+    """Reorder pairs of shape (rows, 2) to times, then speeds, of shape (2 rows,)."""
     return jnp.concatenate([row_pairs[:, 0], row_pairs[:, 1]])
 
 
 def _eliminate_rows(blocks, border_blocks, corner, last_row):
-    """All unknowns eliminated but the first's: (the last relation, the border's rows, the product of the pivots, and
-    the rows that give the others back).
+    """Eliminate all unknowns except those of the first row.
 
-    A row has columns of the first unknowns (2), of those after the present ones (2), of parameters, right sides.
+    Return (closing equations, border rows, product of the pivots, rows for the back substitution). The columns of a row
+    belong to the first unknowns (2), those after the present ones (2), the parameters and the right sides.
     """
 
     def eliminate_row(carry, row_data):
@@ -204,7 +337,7 @@ def _eliminate_rows(blocks, border_blocks, corner, last_row):
 
 @jax.jit
 def _triangularise(above, below):
-    """Two and two rows turned so that the first two columns are upper triangular: ((0, 1), (2, 3)) after."""
+    """Rotate two and two rows so that the first two columns are upper triangular; return rows (0, 1) and (2, 3)."""
     rows = [*above, *below]
     for column, k, j in ((0, 0, 1), (0, 2, 3), (0, 0, 2), (1, 1, 3), (1, 1, 2)):
         a, b = rows[k][column], rows[j][column]
@@ -218,7 +351,10 @@ def _triangularise(above, below):
 
 
 def _back_substitute(pivot_rows, first_unknowns, closing_unknowns, parameters, last_row):
-    """All unknowns, (rows, 2, k), from the first's (2, k), these as they come again, and the parameters' (p, k)."""
+    """Return all unknowns, of shape (rows, 2, k), from those of the first row and the parameters.
+
+    `closing_unknowns` are those of the first row where it follows the last.
+    """
     n_params = len(parameters)
 
     def substitute_row(next_unknowns, row_data):

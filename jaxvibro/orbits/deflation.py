@@ -1,9 +1,9 @@
-"""Many solutions of the equations of the impacts from one guess each: Newton's method, led away from those it has met.
+"""Find several solutions of the equations of the impacts from one guess: Newton's method with deflation.
 
-Where r are met, F is multiplied by prod (1 + 1 / |u - r|^2), which has no zero at any r: from the same guess Newton's
-method then comes to another solution, or to none (Farrell, Birkisson and Funke, SIAM J. Sci. Comput. 37, A2026, 2015).
-Its step is the old one times a number, as what multiplies F is one. The distance counts phases and speeds, from
-whichever impact or period they are counted.
+With known solutions r, F is multiplied by ``prod (1 + 1 / |u - r|^2)``, which removes the zeros at all r. Newton's
+method from the same guess then reaches another solution, or none (Farrell, Birkisson and Funke, SIAM J. Sci. Comput.
+37, A2026, 2015). As the factor is a scalar, the step is the original one times a scalar. The distance compares phases
+and speeds, for all rotations of impacts and periods.
 """
 
 from functools import partial
@@ -22,13 +22,15 @@ from ..flight.coefficients import flow_coefficients
 from . import flight_clearance, impact_equations
 
 N_SOLUTIONS = 3  # solutions from one guess
-MAX_NEWTON_STEPS = 60  # of Newton's steps
-MIN_DENOMINATOR = 1e-3  # of what a step is divided by: less, and it is without a bound
+MAX_NEWTON_STEPS = 60
+MIN_DENOMINATOR = 1e-3  # smallest denominator of a deflated step, which bounds the step
 
 
 class DeflatedSolutions(NamedTuple):
-    """Solutions from one guess after the other: times and speeds of the impacts, in order, and whether they are an
-    orbit's: impacts have speeds, and flights keep to their walls."""
+    """Solutions from one guess in order of discovery: times and speeds of the impacts in order, and admissibility.
+
+    A solution is admissible if its impacts have positive speeds and its flights stay between the walls.
+    """
 
     times: Float[Array, "*lanes rows"]
     speeds: Float[Array, "*lanes rows"]
@@ -36,8 +38,22 @@ class DeflatedSolutions(NamedTuple):
 
 
 def solve_with_deflation(scenes, guesses, max_speed):
-    """The `DeflatedSolutions` of lanes, for each of `N_SOLUTIONS` in turn: (rounds, lanes). scenes: with a number for
-    each lane; guesses: `Cycle`s of the lanes; max_speed: a speed that is large, by lane."""
+    """Find up to `N_SOLUTIONS` solutions from the guess of each lane.
+
+    Parameters
+    ----------
+    scenes : Scene
+        Scene with a number for each lane.
+    guesses : ImpactSequence
+        Guesses of the lanes.
+    max_speed : array
+        Large speed of each lane, which scales distances.
+
+    Returns
+    -------
+    DeflatedSolutions
+        Solutions with leaves of shape (solutions, lanes, ...).
+    """
     n_lanes, n_rows = guesses.times.shape
     known_solutions, is_known = np.zeros((n_lanes, N_SOLUTIONS, 2, n_rows)), np.zeros((n_lanes, N_SOLUTIONS))
     solutions = []
@@ -55,7 +71,7 @@ def solve_with_deflation(scenes, guesses, max_speed):
 @persistent_jit
 @jax.vmap
 def _solve_lane(scene, guess, known_solutions, is_known, max_speed):
-    """(the `DeflatedSolutions`, whether Newton's method came to it)."""
+    """Return (`DeflatedSolutions`, True if Newton's method has converged) of one lane."""
     coeffs, n_rows = flow_coefficients(scene), len(guess.sides)
     max_change = jnp.repeat(
         jnp.array([impact_equations.MAX_TIME_CHANGE * coeffs.period, jnp.inf]), n_rows, total_repeat_length=2 * n_rows
@@ -100,7 +116,7 @@ def _solve_lane(scene, guess, known_solutions, is_known, max_speed):
 
 
 def _log_deflation(coeffs, sides, known_solutions, is_known, max_speed, u):
-    """The logarithm of what F is multiplied by."""
+    """Evaluate the logarithm of the deflation factor."""
     n_rows, is_impact = len(sides), sides != 0
     n_impacts, row_index = jnp.sum(is_impact), jnp.arange(len(sides))
     phase, speed = coeffs.frequency * u[:n_rows], u[n_rows:]

@@ -1,4 +1,4 @@
-"""Orbits from states: `find_orbit` from one, settled or not; `find_orbits` from many."""
+"""Find a periodic orbit from one state."""
 
 import numpy as np
 
@@ -16,10 +16,10 @@ from .orbit import Orbit, OrbitError
 from .orbit_from_impacts import orbit_from_impacts, orbit_from_random_guesses
 from .shooting import orbit_from_state
 
-RETURN_TOLERANCE = 1e-3  # of the largest x and v: a return as near as this
+RETURN_TOLERANCE = 1e-3  # relative to the largest x and v: the state has returned
 ADVICE_UNDRIVEN = (
-    "a free motion repeats, if at all, after a period of its own, and does so from every phase, so that no single "
-    "orbit has the drive's period; give the scene a drive, or let damping and walls bring the mass to rest"
+    "a free motion repeats, if at all, with a period of its own and from every phase, so that no isolated orbit has "
+    "the drive's period; give the scene a drive, or damping or restitution that let the motion decay"
 )
 
 
@@ -31,16 +31,50 @@ def find_orbit(
     itinerary: tuple[str, ...] | list[str] | None = None,
     settle: int = 200,
 ) -> Orbit:
-    """The periodic orbit that a state settles on, or, with settle=0, an orbit near it, stable or not: an `Orbit`.
+    """Find the periodic orbit that a state settles on, or one near the state.
 
-    scene: a single one; state: a `State` of numbers, the section lies at its phase. periods: drive periods n of the
-    orbit, at most 64; None takes the least number, up to 32, after which the state comes back; what is found may have
-    a divisor of it. itinerary: the walls to be hit, a word of "L" and "R" a period, ("LR",) or ("LRL", "R"), compared
-    cyclically; None takes those that are hit from the state on. Where the state hits others, the orbit may be far from
-    it: of those that random guesses lead to the nearest is taken. settle: drive periods before Newton's method.
+    With ``settle=0`` the orbit near the state is found, stable or unstable.
 
-    Raises OrbitError, with status, residual and advice, where there is no such orbit: no return, no convergence, a
-    singular Jacobian (a bifurcation), a flight through a wall; ArgumentError for arguments that cannot be.
+    Parameters
+    ----------
+    scene : Scene
+        Oscillator, drive and walls. A single scene.
+    state : State
+        Initial state. The section lies at its phase.
+    periods : int, optional
+        Number n of drive periods of the orbit, at most 64. By default it is the smallest number up to 32 after which
+        the state returns. The minimal period of the orbit may be a divisor of n.
+    itinerary : sequence of str, optional
+        Walls to be hit: a word of "L" and "R" for each period, as ``("LR",)`` or ``("LRL", "R")``, compared cyclically.
+        By default it is the itinerary of the motion from the state. If the state hits other walls, the orbit may be far
+        from it: it is the nearest of those that random guesses lead to.
+    settle : int, optional
+        Number of drive periods before Newton's method, at least 0.
+
+    Returns
+    -------
+    Orbit
+        The periodic orbit.
+
+    Raises
+    ------
+    OrbitError
+        If there is no such orbit: the state does not return, Newton's method does not converge, the Jacobian is
+        singular (a bifurcation), or a flight passes through a wall. The error has a status, a residual and advice.
+    ArgumentError
+        If an argument is invalid.
+
+    See Also
+    --------
+    find_orbits : Orbits near many trajectories.
+    solve_orbits : Orbits of many scenes, with derivatives.
+    follow : Continue an orbit in a parameter.
+
+    Examples
+    --------
+    >>> orbit = jv.find_orbit(scene, state)
+    >>> orbit.label, orbit.stable
+    ('P111', True)
     """
     check.require_single(scene)
     state, settle = _single_lane(state_arrays(scene, state)), check.whole_number("settle", settle, 0)
@@ -72,30 +106,31 @@ def _single_lane(state):
 
 def _require_valid(iterates):
     if iterates.status[0] >= Status.CAP:
-        reason = f"the state cannot be followed ({Status(iterates.status[0]).word})"
+        reason = f"the motion from the state cannot be computed ({Status(iterates.status[0]).word})"
         raise OrbitError(reason, np.nan, "start between the walls of the scene, at the state's phase")
     return iterates
 
 
 def _return_period(scene, state, settle, initial_size):
-    """The least number of periods after which the state comes back: to within SETTLED where it has settled.
+    """Find the smallest number of periods after which the state returns, within `RETURN_TOLERANCE` once it has settled.
 
-    initial_size: of x and v at the start; a motion that has decayed to rounding beside that is at rest.
+    `initial_size` is the size of x and v at the start; a motion that has decayed to its rounding error is at
+    equilibrium.
     """
     points = _require_valid(iterate(scene, state, check.MAX_ORBIT_PERIODS)).points[:, 0]
     start_point = np.array([state.x[0], state.v[0]])
     distances, scale = abs(points - start_point).max(axis=1), abs(points).max()
     has_decayed = scale <= float(np.finfo(scene.dtype).eps) * initial_size
     if settle and distances.min() > RETURN_TOLERANCE * scale and not has_decayed:
-        advice = "settle longer; or give periods and settle=0 for an unstable orbit, or ask find_orbits"
+        advice = "settle longer; for an unstable orbit give periods and settle=0, or use find_orbits"
         raise OrbitError(
-            f"the state does not come back within {check.MAX_ORBIT_PERIODS} periods", float(distances.min()), advice
+            f"the state does not return within {check.MAX_ORBIT_PERIODS} periods", float(distances.min()), advice
         )
     return 1 if has_decayed else int(np.argmax(distances <= max(2.0 * distances.min(), 1e-6 * scale))) + 1
 
 
 def _orbit_near(scene, state, periods, itinerary):
-    """The orbit near a state: by its impacts, or by the state where it rests on a wall or meets none."""
+    """Solve for the orbit near a state: by its impacts, or by the state if the mass sticks or hits no wall."""
     iterates = _require_valid(iterate(scene, state, periods))
     observed_itinerary = words.words_of_rows(iterates.side[:, 0])
     start = State(*(float(component[0]) for component in (state.x, state.v, state.phase, state.contact)))
@@ -119,8 +154,10 @@ def _orbit_near(scene, state, periods, itinerary):
 
 
 def _missed_impact(scene, start, x, v, max_delay):
-    """(time after the end, speed, side) of the impact with which a round that begins on a rigid wall ends, where a
-    rounding, or a guess's error, has put it after the end; None where there is none so soon."""
+    """Return (delay, speed, side) of the impact that closes an orbit which starts on a rigid wall, or None.
+
+    Rounding, or the error of a guess, may put this impact after the end of the last period.
+    """
     for side, wall, (wall_position, wall_velocity) in zip(
         (-1, 1), (scene.left, scene.right), wall_states(scene, start.phase), strict=True
     ):

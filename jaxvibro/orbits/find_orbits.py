@@ -1,7 +1,7 @@
-"""The periodic orbits that many trajectories come near, stable and unstable: Newton's method from their returns.
+"""Find the periodic orbits near many trajectories, stable and unstable, by Newton's method.
 
-A trajectory that comes near an unstable orbit follows it for a while, so it comes back near itself. Each stretch of n
-periods, those with the nearest ends and some at random, is a guess of the impacts of an orbit.
+A trajectory that passes near an unstable orbit follows it for a while, so it returns near itself. Each stretch of n
+periods is a guess of the impacts of an orbit. The stretches with the nearest ends and some random ones are tried.
 """
 
 from dataclasses import replace
@@ -24,24 +24,56 @@ from .orbit_comparison import impacts_as_points, is_same_orbit, mirror_points
 from .orbit_from_impacts import orbit_from_impacts, padded_sequence, solve_guesses
 from .shooting import orbit_from_state
 
-SETTLE_PERIODS = 300  # drive periods after which a second look at the trajectories is taken
-MAX_NEAREST, N_RANDOM = 2048, 1024  # stretches of each length that are tried
-CELL_SIZE = 1e-4  # of the largest x and v: stretches that begin nearer to each other are one
-LANES_PER_CALL = 256  # of one call of Newton's method
-MAX_IMPACTS = 32  # impacts of an orbit
-ORBIT_TOLERANCE = 1e-7  # of the largest speed: two orbits as near are one
+SETTLE_PERIODS = 300  # drive periods before the second record of the trajectories
+MAX_NEAREST, N_RANDOM = 2048, 1024  # stretches of each length that serve as guesses
+CELL_SIZE = 1e-4  # relative to the largest x and v: one stretch is kept of those that begin in a cell
+LANES_PER_CALL = 256  # guesses per call of Newton's method
+MAX_IMPACTS = 32  # largest number of impacts of an orbit
+ORBIT_TOLERANCE = 1e-7  # relative to the largest speed: closer orbits are the same
 
 
 @check.host_only("use solve_orbits, which takes guesses")
 def find_orbits(scene: Scene, max_period: int = 4, starts: int = 200, seed: int = 0) -> tuple[Orbit, ...]:
-    """The periodic orbits of a scene up to a number of drive periods, stable and unstable: a tuple of `Orbit`.
+    """Find the periodic orbits of a scene up to a given period, stable and unstable.
 
-    scene: a single one. starts: trajectories that are searched, at phase 0, drawn from `seed` as
-    `initial_conditions.box` says. Found are the orbits that trajectories come near: on an attractor, on the way to it,
-    at the start; more starts find more. Each is there once, the least period first; of mirror images both, and they say
-    so.
+    Trajectories from random initial states provide the guesses for Newton's method.
 
-    Raises ArgumentError for a batch of scenes and for counts that cannot be.
+    Parameters
+    ----------
+    scene : Scene
+        Oscillator, drive and walls. A single scene.
+    max_period : int, optional
+        Largest number of drive periods, from 1 to 32.
+    starts : int, optional
+        Number of trajectories, at least 1. They start at phase 0, at random in the box of initial states.
+    seed : int, optional
+        Seed of the random numbers.
+
+    Returns
+    -------
+    tuple of Orbit
+        The distinct orbits, in order of their period. Mirror images are both included; `Orbit.mirror_of` links them.
+
+    Raises
+    ------
+    ArgumentError
+        If `scene` is a batch, or if a count is out of range.
+
+    See Also
+    --------
+    find_orbit : Orbit near one state.
+    find_attractors : Attractors, periodic or not.
+
+    Notes
+    -----
+    `find_orbits` may miss orbits that the sampled trajectories do not approach. Trajectories approach orbits on an
+    attractor, on the transient and at the start. More starts find more orbits.
+
+    Examples
+    --------
+    >>> orbits = jv.find_orbits(scene, max_period=1, starts=20)
+    >>> [(orbit.label, orbit.stable) for orbit in orbits]
+    [('P100', True), ('P111', False), ('P111', True)]
     """
     check.require_single(scene)
     max_periods = check.whole_number("max_period", max_period, 1)
@@ -63,13 +95,13 @@ def find_orbits(scene: Scene, max_period: int = 4, starts: int = 200, seed: int 
 
 
 class _OrbitCollection:
-    """Orbits met so far, each once."""
+    """Distinct orbits found in a scene."""
 
     def __init__(self, scene, max_speed):
         self.scene, self.max_speed, self.orbits, self.point_sets = scene, max_speed, [], []
 
     def add(self, solve):
-        """Adds what `solve` returns, unless it is known or no orbit."""
+        """Add the orbit that `solve` returns, unless it is known or there is none."""
         try:
             orbit = solve()
         except OrbitError:
@@ -80,21 +112,21 @@ class _OrbitCollection:
             self.point_sets.append(points)
 
     def points_of(self, orbit):
-        """The orbit's impacts as points."""
+        """Return the impacts of an orbit as points."""
         time = orbit.impacts.time + orbit.state.phase / float(self.scene.frequency)
         return impacts_as_points(
             float(self.scene.frequency), time, orbit.impacts.side, orbit.impacts.speed, self.max_speed
         )
 
     def find_index(self, periods, points):
-        """The place of the orbit with these impacts, None where it is not known."""
+        """Return the index of the orbit with these impacts, or None."""
         for index, (other, other_points) in enumerate(zip(self.orbits, self.point_sets, strict=True)):
             if other.periods == periods and is_same_orbit(points, other_points, ORBIT_TOLERANCE):
                 return index
         return None
 
     def with_mirror_images(self):
-        """The orbits in order, each with the place of its mirror image."""
+        """Return the orbits in order, each with the index of its mirror image."""
         is_symmetric_scene = is_symmetric(self.scene)
         if is_symmetric_scene:
             for orbit, points in zip(list(self.orbits), list(self.point_sets), strict=True):
@@ -114,7 +146,7 @@ def _sort_key(orbit):
 
 
 def _mirror_orbit(orbit):
-    """The mirror image of an orbit: the other walls, half a period later."""
+    """Solve for the mirror image of an orbit: the other walls, half a period later."""
     drive_period = 2.0 * np.pi / float(orbit.scene.frequency)
     impacts, total_time = orbit.impacts, orbit.periods * drive_period
     if orbit.unknowns == "state":
@@ -130,7 +162,7 @@ def _mirror_orbit(orbit):
 
 
 def _candidate_guesses(scene, runs, periods, rng):
-    """Guesses of orbits, {impacts: (list of (times, speeds, sides), periods)}: stretches of trajectories."""
+    """Collect stretches of trajectories as guesses: {number of impacts: (list of (times, speeds, sides), periods)}."""
     drive_period = 2.0 * np.pi / float(scene.frequency)
     guesses_by_count = {}
     for run in runs:
@@ -139,7 +171,7 @@ def _candidate_guesses(scene, runs, periods, rng):
         flat_distances = np.where((run.status < Status.CAP)[None, :], distances, np.inf).ravel()
         order = np.argsort(flat_distances, kind="stable")
         cells = np.round(points[:-periods].reshape(-1, 2)[order] / (CELL_SIZE * abs(points).max())).astype(int)
-        nearest = order[np.sort(np.unique(cells, axis=0, return_index=True)[1])[:MAX_NEAREST]]  # one of each spot
+        nearest = order[np.sort(np.unique(cells, axis=0, return_index=True)[1])[:MAX_NEAREST]]  # one in each cell
         selection = np.unique(np.concatenate([nearest, rng.integers(0, flat_distances.size, N_RANDOM)]))
         for start, lane in zip(
             *np.unravel_index(selection[np.isfinite(flat_distances[selection])], distances.shape), strict=True
@@ -156,8 +188,7 @@ def _candidate_guesses(scene, runs, periods, rng):
 
 
 def _distinct_solutions(scene, guesses_by_count):
-    """The arguments of `orbit_from_impacts` for each distinct solution that Newton's method reaches from the
-    guesses."""
+    """Yield the arguments of `orbit_from_impacts` for each distinct solution that Newton's method reaches."""
     drive_period = 2.0 * np.pi / float(scene.frequency)
     for n_impacts, (guesses, periods) in sorted(guesses_by_count.items()):
         keys = set()
@@ -176,7 +207,7 @@ def _distinct_solutions(scene, guesses_by_count):
 
 
 def _sequence_key(times, speeds, sides, periods, drive_period):
-    """Equal for equal cycles, whichever of their periods comes first, but for an accident of rounding."""
+    """Return a key that is the same for cyclically equal impact sequences, unless rounding breaks a tie."""
     shifted_keys = []
     for shift in range(periods):
         shifted_times = np.mod(times - shift * drive_period, periods * drive_period)
@@ -188,7 +219,7 @@ def _sequence_key(times, speeds, sides, periods, drive_period):
 
 
 def _returning_states(run, periods):
-    """States that have come back after so many periods: orbits that rest on a wall are found from nothing else."""
+    """Yield states that return after a number of periods; orbits that stick are only found in this way."""
     points = run.points
     tolerance = 1e-6 * abs(points[-1]).max(initial=1.0)
     has_returned = abs(points[-1] - points[-1 - periods]).max(axis=-1) <= tolerance

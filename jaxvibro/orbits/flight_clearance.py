@@ -1,7 +1,7 @@
-"""How close the flights of a cycle come to the walls between their impacts, and how deep behind them.
+"""Compute the clearance of the flights of an impact sequence: distance from the walls, or depth behind them.
 
-A flight is sampled; where x - x_b turns back between two samples, the turning point is found by Newton's steps. This
-measures; whether an orbit is one is decided by certified flights (`by_impacts`).
+A flight is sampled. Where the distance x - x_b turns between two samples, Newton steps locate the turning point. These
+are measurements; certified flights decide if an orbit is admissible (`orbit_from_impacts`).
 """
 
 from typing import NamedTuple
@@ -16,16 +16,18 @@ from continuation.array_type import Array
 from ..flight.flows import flow_of
 from ..flight.wall_motion import subtract, wall_jet
 
-SAMPLE_ANGLE = 0.1  # between samples, of the fastest angle: the drive's, a wall's, the free oscillation's, in radians
-NEWTON_STEPS = 5  # of Newton's steps from a parabola's guess
-GRAZING_TOLERANCE = 1e-8  # of the scene's length: a clearance or a speed (length per t) as small is zero
-OVERLAP_FACTOR = 1.0625  # of its periods, that the flight of a motion without impacts is looked at
-STEP_TOLERANCE = 1e-3  # of the samples' distance: Newton's last step at a turning point
+SAMPLE_ANGLE = 0.1  # rad between samples, of the fastest of drive, walls and free oscillation
+NEWTON_STEPS = 5  # from the guess of a parabola
+GRAZING_TOLERANCE = 1e-8  # of the scene's length: smaller clearances, and speeds (length per t), count as zero
+OVERLAP_FACTOR = 1.0625  # of its periods: duration of the flight without impacts that is examined
+STEP_TOLERANCE = 1e-3  # of the sampling interval: largest last Newton step at a turning point
 
 
 class Flight(NamedTuple):
-    """What is asked of flights: how long they are, x, v and the drive's cosine and sine at their start, (rows,) each.
-    `impact_equations.Flights` have these too."""
+    """Duration, state and drive at the start of flights, of shape (rows,).
+
+    `impact_equations.Flights` has these fields too.
+    """
 
     time: Float[Array, " rows"]
     x: Float[Array, " rows"]
@@ -35,23 +37,66 @@ class Flight(NamedTuple):
 
 
 def impact_free_flight(coeffs, phase, periods, x, v):
-    """The one `Flight` of a periodic motion that hits no wall, from x, v at a phase: over a little more than its
-    periods."""
+    """Describe a periodic motion without impacts as a flight over slightly more than its periods.
+
+    Parameters
+    ----------
+    coeffs : FlowCoefficients
+        Coefficients of the scene.
+    phase : float
+        Phase of the section, in rad.
+    periods : int
+        Number of drive periods.
+    x, v : float
+        State at the section.
+
+    Returns
+    -------
+    Flight
+        One flight, of shape (1,).
+    """
     flight_fields = OVERLAP_FACTOR * periods * coeffs.period, x, v, jnp.cos(phase), jnp.sin(phase)
     return Flight(*(jnp.reshape(field, 1) for field in flight_fields))
 
 
 def sample_count(coeffs, flights):
-    """How many samples the longest of some flights needs."""
+    """Compute the number of samples that the longest flight needs.
+
+    Parameters
+    ----------
+    coeffs : FlowCoefficients
+        Coefficients of the scene.
+    flights : Flight or Flights
+        The flights.
+
+    Returns
+    -------
+    Array of int
+        Number of samples, a scalar.
+    """
     time_scale = flow_of(coeffs).shortest_step(coeffs, flights)
     return jnp.ceil(jnp.max(flights.time) / (SAMPLE_ANGLE * time_scale)).astype(int) + 8
 
 
 def turning_clearances(coeffs, flights, n_samples):
-    """The least distance to each wall at a turning point of a flight towards it, and its time since the flight's start.
+    """Compute the smallest distance to each wall at the turning points of each flight.
 
-    flights: the `impact_equations.Flights`. Shapes (rows, walls); inf where there is none. Below 0 the flight passes
-    through.
+    Parameters
+    ----------
+    coeffs : FlowCoefficients
+        Coefficients of the scene.
+    flights : Flight or Flights
+        The flights.
+    n_samples : int
+        Number of samples of a flight.
+
+    Returns
+    -------
+    distance : Array
+        Smallest distance at a turning point towards the wall, of shape (rows, walls). It is inf if there is none, and
+        negative if the flight passes through the wall.
+    time : Array
+        Time of this turning point since the start of the flight, of shape (rows, walls).
     """
     if not coeffs.walls:
         empty = jnp.zeros((len(flights.time), 0), flights.time.dtype)
@@ -87,8 +132,24 @@ def turning_clearances(coeffs, flights, n_samples):
 
 
 def is_admissible(coeffs, flights, speeds, first_grazes=False):
-    """Whether flights keep to their walls, and hit them with positive speeds one after the other. grazes:
-    whether the first is one that is to have none."""
+    """Test that flights stay between the walls and hit them with positive speeds, one after the other.
+
+    Parameters
+    ----------
+    coeffs : FlowCoefficients
+        Coefficients of the scene.
+    flights : Flight or Flights
+        The flights.
+    speeds : Array
+        Impact speeds.
+    first_grazes : bool, optional
+        True if the first impact is a grazing, whose speed is zero.
+
+    Returns
+    -------
+    Array of bool
+        A scalar.
+    """
     distances, _ = turning_clearances(coeffs, flights, sample_count(coeffs, flights))
     impact_speeds = speeds[1:] if first_grazes else speeds
     tolerance = GRAZING_TOLERANCE * coeffs.length_scale if first_grazes else 0.0
@@ -96,16 +157,47 @@ def is_admissible(coeffs, flights, speeds, first_grazes=False):
 
 
 def state_in_flight(coeffs, flights, time):
-    """(x, v, the drive's cosine and sine) a time after each flight's start."""
+    """Compute the state some time after the start of each flight.
+
+    Parameters
+    ----------
+    coeffs : FlowCoefficients
+        Coefficients of the scene.
+    flights : Flight or Flights
+        The flights.
+    time : Array
+        Time since the start of each flight.
+
+    Returns
+    -------
+    tuple of Array
+        (x, v, cosine, sine), the last two of the drive's phase.
+    """
     return flow_of(coeffs).fly(coeffs, flights.x, flights.v, flights.cosine, flights.sine, time)
 
 
 def relative_motion(coeffs, flights, time):
-    """For each wall: the distance to it, speed and acceleration towards it, a time after each flight's start."""
+    """Compute the motion relative to each wall some time after the start of each flight.
+
+    Parameters
+    ----------
+    coeffs : FlowCoefficients
+        Coefficients of the scene.
+    flights : Flight or Flights
+        The flights.
+    time : Array
+        Time since the start of each flight.
+
+    Returns
+    -------
+    list of tuple
+        For each wall (distance to it, speed towards it, acceleration towards it).
+    """
     return _motion_towards_walls(coeffs, *state_in_flight(coeffs, flights, time))
 
 
 def _motion_towards_walls(coeffs, x, v, cosine, sine):
+    """Return for each wall (distance to it, speed towards it, acceleration towards it)."""
     acceleration, _ = flow_of(coeffs).acceleration_and_jerk(coeffs, x, v, cosine, sine)
     motions = []
     for wall in coeffs.walls:
@@ -121,8 +213,10 @@ def _motion_towards_walls(coeffs, x, v, cosine, sine):
 
 
 def _nearest_turning_points(coeffs, flights, sample_time, n_samples):
-    """For each wall the nearest turning point as the samples see it: (its distance, inf: none; the samples' cell; how
-    far into the cell Newton's steps begin)."""
+    """Return for each wall the nearest turning point of the samples: (distance, cell, initial fraction of the cell).
+
+    The distance is inf without a turning point; Newton steps begin at the fraction of the cell.
+    """
     zero, advance_sample = jnp.zeros_like(sample_time), flow_of(coeffs).flight_map(coeffs, sample_time)
 
     def scan_cell(cell, carry):
@@ -141,8 +235,11 @@ def _nearest_turning_points(coeffs, flights, sample_time, n_samples):
 
 
 def _nearer_turning_point(cell, sample_time, cell_start, cell_end, nearest):
-    """The nearer of the best turning point so far and those of a cell: where the speed towards the wall ends, once; or
-    where, as its slopes say, it may rise above zero and end within the cell, or end and begin again."""
+    """Return the nearer of the previous turning point and those of a cell.
+
+    A cell has a turning point if the speed towards the wall crosses zero downwards once. From the slopes, the speed may
+    also rise above zero and fall again within the cell, or fall below zero and rise again.
+    """
     (start_distance, start_speed, start_accel), (end_distance, end_speed, end_accel) = cell_start, cell_end
     crosses_zero = (start_speed > 0) & (end_speed <= 0)
     may_rise = (start_speed <= 0) & (end_speed <= 0) & (start_accel > 0) & (end_accel < 0)
@@ -151,9 +248,9 @@ def _nearer_turning_point(cell, sample_time, cell_start, cell_end, nearest):
     jerk = jnp.where(may_rise | may_dip, (end_accel - start_accel) / safe_time, 1.0)
     extremal_speed = start_speed - start_accel * (end_speed - end_accel * sample_time - start_speed) / (
         jerk * safe_time
-    )  # where the slopes' lines meet
+    )  # at the intersection of the lines given by the slopes
     is_nearer = crosses_zero | (may_rise & (extremal_speed > 0)) | (may_dip & (extremal_speed < 0))
-    # where a parabola through the end with the smaller slope falls through zero
+    # downward zero of a parabola through the end with the smaller slope
     from_start = abs(start_accel) < abs(end_accel)
     speed, accel, offset = (
         jnp.where(from_start, *values)

@@ -1,7 +1,7 @@
-"""A stay within a soft wall beside a force of the user's own, as the equations of the impacts ask for it (`saltation`).
+"""Contact phase within a soft wall under a user-defined force, for the equations of the impacts (`saltation`).
 
-When and how fast the mass leaves is a smooth function of when and how fast it comes, also where that speed is zero; its
-derivatives are by jvp along the steps of `pushed_stay`.
+Time and speed of the exit are smooth functions of time and speed of the entry, also where the speed is zero. Their
+derivatives are forward-mode derivatives of the steps of `force_law_contact.fly_contact_phase`.
 """
 
 from typing import NamedTuple
@@ -20,17 +20,18 @@ from ..flight.force_law_contact import entry_state, fly_contact_phase
 from ..flight.force_law_flow import traverse_contact
 from .wall_at_contact import wall_derivatives
 
-MAX_PERIODS = 8.0  # drive periods that a stay is searched for
-MIN_TIME_INSIDE = (
-    1e-20  # drive periods, by which a time since an entry is longer: there the root of the depth has no slope
-)
-DERIVATIVE_ORDER = 3  # to which derivatives of its end are right
+MAX_PERIODS = 8.0  # largest duration of a contact phase in drive periods
+MIN_TIME_INSIDE = 1e-20  # drive periods, added to times since the entry, where the root of the depth has no slope
+DERIVATIVE_ORDER = 3  # order up to which derivatives of the exit are exact
 
 
 class ContactExit(NamedTuple):
-    """time of the stay, nan where it does not end in `MAX_PERIODS`; speed: the rate of the depth at its end; the
-    drive's cosine and sine there; and how time and speed change with the time of the entry and with its speed, by
-    rows."""
+    """Exit from a contact phase.
+
+    `time` is the duration of the phase, nan if it does not end within `MAX_PERIODS`. `speed` is the rate of the depth
+    at its end, and `cosine`, `sine` are those of the drive there. `derivatives` are those of the time and the speed of
+    the exit with respect to the time and the speed of the entry, by rows.
+    """
 
     time: Float[Array, "*lanes"]
     speed: Float[Array, "*lanes"]
@@ -40,7 +41,7 @@ class ContactExit(NamedTuple):
 
 
 def solve_contact_exit(coeffs, is_soft, side, cosine, sine, speed):
-    """The `ContactExit` of lanes that meet the soft wall on a side, which gives; benign in others."""
+    """Return the `ContactExit` of lanes that enter a soft wall; arbitrary finite values where `is_soft` is false."""
     side, speed = jnp.where(is_soft, side, 1.0), jnp.where(is_soft, speed, 1.0)
     max_time = jnp.where(is_soft, MAX_PERIODS * coeffs.period, 0.0)
     passage = traverse_contact(*lax.stop_gradient((coeffs, side, entry_state(speed, cosine, sine), max_time)))
@@ -54,7 +55,7 @@ def solve_contact_exit(coeffs, is_soft, side, cosine, sine, speed):
     def directional_derivative(delay_change, speed_change):
         return jax.jvp(exit_of_entry, (zero, speed), (delay_change + zero, speed_change + zero))
 
-    basis = jnp.eye(2, dtype=speed.dtype)  # both ways in one loop, which is compiled once
+    basis = jnp.eye(2, dtype=speed.dtype)  # both directions in one loop, which compiles once
     (contact_time, exit_speed), ((time_by_time, time_by_speed), (speed_by_time, speed_by_speed)) = jax.vmap(
         directional_derivative, out_axes=(None, 0)
     )(basis[0], basis[1])
@@ -68,7 +69,10 @@ def solve_contact_exit(coeffs, is_soft, side, cosine, sine, speed):
 
 
 def exit_map(coeffs, sides, is_soft, speed, contact_map, min_contact_time=None):
-    """((the `saltation.Meeting`'s state, phasor, by_time, by_speed, opening, stay), its free) where a wall gives."""
+    """Return the fields of a `ContactMap` after contact phases.
+
+    The result is ((state, phasor, state_by_time, state_by_speed, exit_velocity, contact_time), free_flow).
+    """
     contact_exit = solve_contact_exit(coeffs, is_soft, sides, contact_map.cosine, contact_map.sine, speed)
     wall_position, wall_velocity, wall_acceleration = wall_derivatives(
         coeffs, sides, contact_exit.cosine, contact_exit.sine
@@ -88,8 +92,11 @@ def exit_map(coeffs, sides, is_soft, speed, contact_map, min_contact_time=None):
 
 
 def _exit_state_derivatives(contact_exit, wall_acceleration, acceleration_after, side):
-    """(how (x, v) change with the time of the entry, with its speed) where the flight after a stay begins, at a fixed
-    time; wall_acceleration, acceleration_after: the accelerations of the wall and of the free mass there."""
+    """Return the derivatives of (x, v) with respect to the time and the speed of the entry.
+
+    The derivatives are taken at a fixed start of the next flight. `wall_acceleration` and `acceleration_after` are
+    those of the wall and of the free mass there.
+    """
     time_by_time, time_by_speed, speed_by_time, speed_by_speed = contact_exit.derivatives
     state_by_time = (
         -side * contact_exit.speed * time_by_time,
@@ -102,8 +109,10 @@ def _exit_state_derivatives(contact_exit, wall_acceleration, acceleration_after,
 
 
 def contact_matrix(coeffs, sides, contact_map, acceleration_before, acceleration_after):
-    """(rows, determinant) of what stays do to (x, v) at a fixed time; acceleration_before, acceleration_after: the
-    accelerations of the free mass."""
+    """Return (matrix by rows, determinant) of contact phases for (x, v) at a fixed time.
+
+    The accelerations are those of the free mass.
+    """
     _, _, wall_acceleration = wall_derivatives(coeffs, sides, *contact_map.phasor)
     time_by_time, time_by_speed, speed_by_time, speed_by_speed = contact_map.free_flow
     acceleration_before, acceleration_after = (
@@ -131,7 +140,7 @@ def contact_matrix(coeffs, sides, contact_map, acceleration_before, acceleration
 
 
 def state_in_contact(coeffs, contact_map, sides, row, elapsed_time, free_state):
-    """(x, v) a time after the meetings in rows row: within the wall during the stay, else the state given."""
+    """Return (x, v) some time after the impacts in rows `row`; it is `free_state` outside contact phases."""
     is_inside = contact_map.is_soft[row] & (elapsed_time < contact_map.contact_time[row])
     side, time_inside = sides[row], jnp.where(is_inside, elapsed_time, 0.0)
     entry = side, contact_map.cosine[row], contact_map.sine[row], side * contact_map.approach_velocity[row]
@@ -145,7 +154,7 @@ def state_in_contact(coeffs, contact_map, sides, row, elapsed_time, free_state):
 
 
 def depth_since_entry(coeffs, is_soft, side, cosine, sine, speed, elapsed_time):
-    """(depth, its rate) so long after the entry of lanes that are still within the wall then; benign in others."""
+    """Return (depth, its rate) at a time since the entry; arbitrary finite values where `is_soft` is false."""
     side, speed = jnp.where(is_soft, side, 1.0), jnp.where(is_soft, speed, 1.0)
     time_inside = jnp.where(is_soft, elapsed_time + MIN_TIME_INSIDE * coeffs.period, 0.0)
     contact_result = fly_contact_phase(
@@ -155,12 +164,12 @@ def depth_since_entry(coeffs, is_soft, side, cosine, sine, speed, elapsed_time):
 
 
 def max_oscillation_rate(coeffs, contact_map, sides):
-    """How fast the mass swings within soft walls at most, a scalar: by how long it stays."""
+    """Return an estimate of the largest oscillation rate within soft walls, a scalar, from the durations of contact."""
     is_contact = contact_map.is_soft & (sides != 0) & (contact_map.contact_time > 0)
     return jnp.max(jnp.where(is_contact, jnp.pi / jnp.where(is_contact, contact_map.contact_time, 1.0), 0.0))
 
 
 def max_contact_step(coeffs, contact_map, sides):
-    """How far stays can be followed in one piece, a scalar."""
+    """Return the longest step within contact phases, a scalar."""
     contact_times = jnp.where(contact_map.is_soft, jnp.maximum(contact_map.contact_time, 0.0), 0.0)
     return jnp.maximum(jnp.max(contact_times), jnp.finfo(contact_times.dtype).tiny)

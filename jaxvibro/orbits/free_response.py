@@ -1,5 +1,7 @@
-"""The motion that meets no wall: the free response to the drive, as a state and as an orbit; in closed form but under a
-force of the user's own."""
+"""Free response to the drive, without impacts: as a state and as an orbit.
+
+The response is in closed form, except under a user-defined force.
+"""
 
 import jax
 import jax.numpy as jnp
@@ -14,15 +16,15 @@ from ..scene.state import State
 from .orbit import OrbitError
 from .shooting import orbit_from_state, strobe_period
 
-MAX_NEWTON_STEPS = 20  # of Newton's steps
-STEP_TOLERANCE = 1e-12  # of 1 + the largest of x and v: a step as small is the last
+MAX_NEWTON_STEPS = 20
+STEP_TOLERANCE = 1e-12  # relative to 1 + the largest of x and v: size of the last step
 
 
 def free_response(scene):
-    """The `State` at phase 0 of the motion that is periodic if there are no walls; nan where, at resonance, none is.
+    """Return the `State` at phase 0 of the periodic motion without walls; nan if none exists, at resonance.
 
-    scene: a single one. Under a force of the user's own that to which Newton's method leads from rest at 0; of the
-    linear flow under several terms of the drive its first step is the motion.
+    `scene` is a single one. Under a user-defined force it is the motion to which Newton's method leads from rest at 0.
+    For the linear flow with several drive terms the first Newton step gives the motion.
     """
     if scene.force is not None or scene.drive:
         return _newton_from_rest(scene)
@@ -37,6 +39,7 @@ def free_response(scene):
 
 
 def _newton_from_rest(scene):
+    """Solve for the free response by Newton's method from rest at 0."""
     state = np.zeros(2)
     for _ in range(MAX_NEWTON_STEPS):
         (x, v), matrix = jax.device_get(_free_period(scene, state))
@@ -53,25 +56,36 @@ def _newton_from_rest(scene):
 
 @persistent_jit
 def _free_period(scene, state):
-    """((x, v), the matrix) a drive period later, walls not looked at."""
+    """Return ((x, v), flight matrix) after a drive period without walls."""
     return fly_with_matrix(scene, *state, jnp.zeros(()), 2.0 * jnp.pi / scene.frequency)
 
 
 @persistent_jit(compiler_options=FAST_COMPILE, numpy_first=True)
 def _period_responses(scene):
-    """The `flow.responses` over a drive period."""
+    """Return the `flow.flight_responses` over a drive period."""
     return flow.flight_responses(scene.frequency, scene.damping, jnp.asarray(2.0 * jnp.pi / scene.frequency))
 
 
 def free_orbit(scene):
-    """The free response as an `Orbit`, P100, where it keeps off the walls all the way round; else None."""
+    """Return the free response as an orbit, P100, if it does not reach a wall.
+
+    Parameters
+    ----------
+    scene : Scene
+        A single scene.
+
+    Returns
+    -------
+    Orbit or None
+        The orbit; None if the free response meets a wall, or if the Jacobian is singular, without damping.
+    """
     state = free_response(scene)
     end, impacts, _ = strobe_period(scene, state)
     tolerance = float(np.finfo(scene.dtype).eps) ** 0.5 * max(1.0, abs(state.x), abs(state.v))
-    comes_back = max(abs(end.x - state.x), abs(end.v - state.v)) <= tolerance  # not so from within a soft wall
+    comes_back = max(abs(end.x - state.x), abs(end.v - state.v)) <= tolerance  # false for a start within a soft wall
     if impacts.status != Status.OK or impacts.count or end.contact or not comes_back:
         return None
     try:
         return orbit_from_state(scene, state, 1)
-    except OrbitError:  # singular: without damping
+    except OrbitError:  # the Jacobian is singular: there is no damping
         return None

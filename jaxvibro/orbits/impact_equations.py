@@ -1,9 +1,9 @@
-"""Periodic orbits by their impacts: times and speeds as unknowns, for walls hit in a given order.
+"""Equations of periodic orbits in the times and speeds of their impacts, for walls hit in a given order.
 
-Between an impact at time t_i and the next at t_j the mass flies freely; there it must be at the wall, with the speed
-u_j against it. These equations stay smooth where a speed goes to zero, and see no wall between impacts: whether an
-orbit passes through one is asked afterwards (`flight_clearance`). All of it is for one cycle; arrays have a row an
-impact, those beyond the last are empty, with side 0.
+Between an impact at time t_i and the next at t_j the mass flies freely. At t_j it must be at the wall, with the speed
+u_j relative to it. These equations stay smooth where a speed vanishes. They ignore walls between impacts:
+`flight_clearance` checks afterwards if an orbit passes through a wall. The functions act on one sequence. Arrays have a
+row for each impact; rows beyond the last impact are empty, with side 0.
 """
 
 from typing import NamedTuple
@@ -23,18 +23,37 @@ from ..maps.contact_duration import matrix_product
 from .saltation import ContactMap, evaluate_contact_map, saltation_matrices, state_in_contact
 from .wall_at_contact import contact_force_derivatives
 
-MAX_TIME_CHANGE = 0.1  # of a drive period: the largest change of a time in one of Newton's steps
+MAX_TIME_CHANGE = 0.1  # of a drive period: largest change of a time in a Newton step
 
 
 class ImpactSequence(NamedTuple):
-    """Impacts in order of travel. times: since the drive was at the section's phase; speeds: abs(y- - v_b), both
-    (rows,); sides: -1, +1, 0 an empty row; phase: the section's, rad; periods: the number of drive periods.
-    closure_sign: 1, or -1 where what follows is the mirror image of the impacts, so that they are half an orbit; None
-    is 1. multiplier: what a change of the first impact is multiplied by as it comes after the last, in derivatives
-    alone; None is 1. still: (rows,), 1 at touches, impacts without speed, of a soft wall, which do nothing; None: there
-    are none. releases: (rows,), 1 where a row is no impact but the end of a rest on its wall, without speed, 2 where R
-    is 0 and the mass is drawn off that wall once more before the rest; None: there are none. passed: (rows,), a time of
-    the stay within a soft wall before which the mass leaves for no return to it; None: 0."""
+    """Impacts of a periodic orbit in order of time.
+
+    Attributes
+    ----------
+    times : Array
+        Times since the phase of the section, in t, of shape (rows,).
+    speeds : Array
+        Speeds ``|y- - v_b|`` before the impacts, of shape (rows,).
+    sides : Array
+        Sides -1 or 1; 0 for an empty row.
+    phase : Array
+        Phase of the section, in rad.
+    periods : Array
+        Number of drive periods.
+    closure_sign : Array or None
+        1, or -1 if the impacts are half of an orbit, followed by their mirror image; None means 1.
+    multiplier : Array or None
+        Factor by which derivatives multiply a change of the first impact where it follows the last impact; None means
+        1. It does not affect values.
+    grazing : Array or None
+        1 for grazings of a soft wall, which have no effect, of shape (rows,); None means that there are none.
+    releases : Array or None
+        Releases from a wall, in rows with zero speed, of shape (rows,): 0 for an impact, 1 for a release, 2 for a
+        release if R is 0 and the mass lifts off this wall once more before it sticks. None means that there are none.
+    min_contact_time : Array or None
+        Time within the soft wall before which an exit does not count, of shape (rows,); None means 0.
+    """
 
     times: Float[Array, "*lanes rows"]
     speeds: Float[Array, "*lanes rows"]
@@ -49,9 +68,12 @@ class ImpactSequence(NamedTuple):
 
 
 class Flights(NamedTuple):
-    """The flight that follows each impact: its time; x, v, and the drive's cosine and sine at its start; x and v at its
-    end; the matrix of a flow's `matrix`; the row of the impact at its end, and -1 where that is met as its mirror
-    image, else 1; and the `saltation.Meeting` at its start."""
+    """Flights that follow the impacts, each field of shape (rows,).
+
+    `time` is the duration; `x`, `v`, `cosine` and `sine` are state and drive at the start; `end_x` and `end_v` are the
+    state at the end; `matrix` is that of the flow's `fly_with_matrix`. `next_row` is the row of the impact at the end,
+    and `mirror_sign` is -1 if this is its mirror image, else 1. `contact_map` is the `ContactMap` at the start.
+    """
 
     time: Float[Array, " rows"]
     x: Float[Array, " rows"]
@@ -68,7 +90,20 @@ class Flights(NamedTuple):
 
 @jax.jit
 def compute_flights(coeffs, sequence):
-    """The `Flights` of a cycle."""
+    """Compute the flights of an impact sequence.
+
+    Parameters
+    ----------
+    coeffs : FlowCoefficients
+        Coefficients of the scene.
+    sequence : ImpactSequence
+        The impacts.
+
+    Returns
+    -------
+    Flights
+        The flights after the impacts.
+    """
     sides, row_index = sequence.sides, jnp.arange(len(sequence.sides))
     last_row = jnp.sum(sides != 0) - 1
     next_row = jnp.where(row_index < last_row, row_index + 1, 0)
@@ -89,7 +124,7 @@ def compute_flights(coeffs, sequence):
 
 
 def _next_values(sequence, values, next_row):
-    """The values of the impacts that follow."""
+    """Return the values of the next impacts."""
     next_values = values[next_row]
     if sequence.multiplier is None:
         return next_values
@@ -99,8 +134,22 @@ def _next_values(sequence, values, next_row):
 
 
 def unroll_sequence(sequence, period, changes):
-    """The cycle with its first impact once more after its last. changes: (a change of its unknowns, by what that is
-    multiplied where the first comes again), some."""
+    """Append the first impact once more after the last.
+
+    Parameters
+    ----------
+    sequence : ImpactSequence
+        The impacts.
+    period : float
+        Drive period, in t.
+    changes : sequence of tuple
+        (change of the unknowns, factor of this change at the repeated impact), to be added.
+
+    Returns
+    -------
+    ImpactSequence
+        Sequence with one more row.
+    """
     n_rows, n_impacts = len(sequence.sides), jnp.sum(sequence.sides != 0)
     row_index = jnp.arange(n_rows + 1)
     is_repeat, source = row_index == n_impacts, jnp.where(row_index < n_impacts, row_index, 0)
@@ -115,8 +164,11 @@ def unroll_sequence(sequence, period, changes):
 
 
 class SequenceJacobian(NamedTuple):
-    """How each row's equations, first the gap, then the speed, change with its own time and speed: ((a, b), (c, d));
-    and with the next impact's: ((e, 0), (f, -1)). last_row: the row whose next is the first."""
+    """Derivative of each row's equations, first the gap, then the speed.
+
+    `diagonal` is ((a, b), (c, d)), with respect to the row's own time and speed. `coupling` is (e, f) of ((e, 0), (f,
+    -1)), with respect to those of the next impact. `last_row` is the row that is followed by the first.
+    """
 
     diagonal: tuple[
         tuple[Float[Array, " rows"], Float[Array, " rows"]], tuple[Float[Array, " rows"], Float[Array, " rows"]]
@@ -126,11 +178,27 @@ class SequenceJacobian(NamedTuple):
 
 
 def residual_and_jacobian(coeffs, sequence, flights=None):
-    """(F, its `SequenceJacobian`) of the unknowns u = (times, speeds): how far each flight ends from its wall, from its
-    speed.
+    """Evaluate the equations of an impact sequence and their derivative.
 
-    Before a release no flight ends: a rest forgets how it was come by, and the press on the wall and the speed are to
-    be zero. flights: the cycle's `Flights` where they are known.
+    The unknowns are u = (times, speeds). The residual is the distance of the end of each flight from its wall, and from
+    its speed. No flight ends before a release: sticking erases the past, so contact force and speed must be zero there
+    instead.
+
+    Parameters
+    ----------
+    coeffs : FlowCoefficients
+        Coefficients of the scene.
+    sequence : ImpactSequence
+        The impacts.
+    flights : Flights, optional
+        Flights of the sequence, if known.
+
+    Returns
+    -------
+    residual : Array
+        Gaps, then speed errors, of shape (2 rows,).
+    jacobian : SequenceJacobian
+        Derivative of the residual.
     """
     flights, sides = compute_flights(coeffs, sequence) if flights is None else flights, sequence.sides
     is_impact = sides != 0
@@ -166,12 +234,28 @@ def residual_and_jacobian(coeffs, sequence, flights=None):
 
 
 def solve_cyclic(jacobian, residual):
-    """(the change of the unknowns that these values ask for, how far from singular): row by row, each next change from
-    the one before, and the first so that the circle closes."""
+    """Solve the linear system of a Newton step row by row.
+
+    Each change follows from the one before, and the first from the closure of the cycle.
+
+    Parameters
+    ----------
+    jacobian : SequenceJacobian
+        Derivative of the equations.
+    residual : Array
+        Right side, of shape (2 rows,).
+
+    Returns
+    -------
+    change : Array
+        Solution, times then speeds, of shape (2 rows,).
+    pivot_ratio : Array
+        Relative distance from a singular system, a scalar.
+    """
     n_rows = len(residual) // 2
     ((a, b), (c, d)), (e, f) = jacobian.diagonal, jacobian.coupling
     gap, speed_error = residual[:n_rows], residual[n_rows:]
-    # (e, 0; f, -1) next = value - (a, b; c, d) own
+    # (e, 0; f, -1) next = residual - (a, b; c, d) own
     transfer = (-a / e, -b / e, c - f * a / e, d - f * b / e)
     shift = (gap / e, f * gap / e - speed_error)
     zero, one = jnp.zeros_like(gap[0]), jnp.ones_like(gap[0])
@@ -203,7 +287,7 @@ def solve_cyclic(jacobian, residual):
 
 
 def solve_sequence(scene, sequence):
-    """What Newton's method makes of a cycle's times and speeds: `newton.Solved`."""
+    """Return the `newton.NewtonSolution` that Newton's method reaches from the times and speeds of a sequence."""
     coeffs, n_rows = flow_coefficients(scene), len(sequence.sides)
 
     def equations_of(unknowns):
@@ -216,7 +300,7 @@ def solve_sequence(scene, sequence):
 
 
 def sort_sequence(scene, sequence, unknowns):
-    """The cycle with these times and speeds, its times within its periods and in order."""
+    """Return the sequence with these unknowns, its times within the periods and in order."""
     n_rows, total_time = len(sequence.sides), sequence.periods * 2.0 * jnp.pi / scene.frequency
     times, speeds = unknowns[:n_rows], unknowns[n_rows:]
     times = jnp.where(sequence.sides != 0, times - total_time * jnp.floor(times / total_time), jnp.inf)
@@ -229,8 +313,28 @@ def sort_sequence(scene, sequence, unknowns):
 
 
 def monodromy_invariants(coeffs, flights, sides):
-    """(trace, determinant) of the monodromy matrix, the product of P and Q of all flights; the determinant is the
-    product of theirs. Of orbits that rest both are zero, and are not asked for here."""
+    """Compute trace and determinant of the monodromy matrix from those of flights and impacts.
+
+    Parameters
+    ----------
+    coeffs : FlowCoefficients
+        Coefficients of the scene.
+    flights : Flights
+        Flights of the sequence.
+    sides : Array
+        Sides of the impacts, of shape (rows,).
+
+    Returns
+    -------
+    trace : Array
+        Trace of the product of P and Q of all flights.
+    determinant : Array
+        Product of their determinants.
+
+    Notes
+    -----
+    For orbits that stick both are zero; the function does not apply to them.
+    """
     saltations, saltation_dets = saltation_matrices(coeffs, flights.contact_map, sides)
 
     def multiply_row(row, carry):
@@ -250,7 +354,24 @@ def monodromy_invariants(coeffs, flights, sides):
 
 
 def states_at(coeffs, sequence, flights, time):
-    """(x, v) of the cycle at times since the section's phase, (any number,)."""
+    """Evaluate the state of a periodic orbit at given times.
+
+    Parameters
+    ----------
+    coeffs : FlowCoefficients
+        Coefficients of the scene.
+    sequence : ImpactSequence
+        The impacts.
+    flights : Flights
+        Flights of the sequence.
+    time : Array
+        Times since the phase of the section, of shape (times,).
+
+    Returns
+    -------
+    tuple of Array
+        (x, v), each of shape (times,).
+    """
     total_time = sequence.periods * coeffs.period
     elapsed_time = time[:, None] - sequence.times
     elapsed_time = jnp.where(

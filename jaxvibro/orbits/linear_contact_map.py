@@ -1,6 +1,6 @@
-"""A stay within a soft wall of a spring and a damper, as the equations of the impacts ask for it (`saltation`).
+"""Contact phase within a linear soft wall, for the equations of the impacts (`saltation`).
 
-The interface is that of `pushed_meeting`.
+The interface is that of `force_law_contact_map`.
 """
 
 from functools import reduce
@@ -16,7 +16,10 @@ from .wall_at_contact import wall_derivatives
 
 
 def exit_map(coeffs, sides, is_soft, speed, contact_map, min_contact_time=None):
-    """((the `saltation.Meeting`'s state, phasor, by_time, by_speed, opening, stay), its free) where a wall gives."""
+    """Return the fields of a `ContactMap` after contact phases.
+
+    The result is ((state, phasor, state_by_time, state_by_speed, exit_velocity, contact_time), free_flow).
+    """
     soft_side = choose(is_soft, sides, 0.0)
     entry = contact_map.cosine, contact_map.sine, speed
     contact_phase = solve_contact_phase(
@@ -27,7 +30,7 @@ def exit_map(coeffs, sides, is_soft, speed, contact_map, min_contact_time=None):
         soft_contact.coeffs_by_lane(coeffs, soft_side * Contact.ENTERED),
         contact_phase.free_flow,
     )
-    # at the end the damping jumps back, and with it the acceleration
+    # the damping jumps back at the exit, and with it the acceleration
     acceleration_jump = 2.0 * (coeffs.damping - contact_coeffs.damping) * (wall_velocity + contact_phase.v)
     flow_change = (
         p00 * contact_map.approach_velocity + p01 * contact_phase.entry_acceleration,
@@ -45,8 +48,7 @@ def exit_map(coeffs, sides, is_soft, speed, contact_map, min_contact_time=None):
 
 
 def contact_matrix(coeffs, sides, contact_map, acceleration_before, acceleration_after):
-    """(rows, determinant) of what stays do to (x, v); acceleration_before, acceleration_after: the accelerations of the
-    free mass."""
+    """Return (matrix by rows, determinant) of contact phases; the accelerations are those of the free mass."""
     contact, contact_time = (
         choose(contact_map.is_soft, sides * float(Contact.WITHIN), 0.0),
         jnp.maximum(contact_map.contact_time, 0.0),
@@ -63,7 +65,7 @@ def contact_matrix(coeffs, sides, contact_map, acceleration_before, acceleration
 
 
 def state_in_contact(coeffs, contact_map, sides, row, elapsed_time, free_state):
-    """(x, v) a time after the meetings in rows row: within the wall during the stay, else the state given."""
+    """Return (x, v) some time after the impacts in rows `row`; it is `free_state` outside contact phases."""
     contact = choose(contact_map.is_soft, sides * float(Contact.WITHIN), 0.0)[row]
     contact_coeffs = soft_contact.coeffs_by_lane(coeffs, contact)
     is_inside = (contact != 0) & (elapsed_time < contact_map.contact_time[row])
@@ -84,7 +86,7 @@ def state_in_contact(coeffs, contact_map, sides, row, elapsed_time, free_state):
 
 
 def max_oscillation_rate(coeffs, contact_map, sides):
-    """How fast the mass swings within soft walls at most, a scalar."""
+    """Return an upper bound of the oscillation rate within soft walls, a scalar."""
     return reduce(
         jnp.maximum,
         [flow.MAX_SCALED_STEP / soft_flow.max_step for soft_flow in coeffs.soft_flows if soft_flow is not None],
@@ -92,5 +94,5 @@ def max_oscillation_rate(coeffs, contact_map, sides):
 
 
 def max_contact_step(coeffs, contact_map, sides):
-    """How far stays can be followed in one piece, a scalar."""
+    """Return the longest step within contact phases, a scalar."""
     return jnp.min(soft_contact.lane_coefficients(coeffs, sides * float(Contact.WITHIN)).max_step)

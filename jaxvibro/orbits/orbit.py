@@ -1,4 +1,4 @@
-"""A periodic orbit and what is known of it; and why there is none."""
+"""Periodic orbit record, the error without one, and Floquet multipliers from trace and determinant."""
 
 from dataclasses import dataclass, field
 
@@ -12,13 +12,34 @@ from ..output.units import LENGTH, SPEED, TIME, unit_in_system
 from ..scene.scene import SIDES, Scene
 from ..scene.state import Impacts, State
 
-AREA_TOLERANCE = 1e-9  # of 1 + the trace, squared: nearer to 1 a determinant is 1
-STABILITY_MARGIN = 1e-9  # a multiplier as near to size 1 is a special point's, whose stability rounding would decide
+AREA_TOLERANCE = 1e-9  # relative to (1 + the trace)^2: a determinant this close to 1 counts as 1
+STABILITY_MARGIN = 1e-9  # closer to modulus 1, at special points, rounding would decide the stability
 
 
 class OrbitError(ValueError):
-    """There is no orbit to return. status: in a few words; residual: how far what was found is from an orbit, in the
-    scene's lengths, nan where nothing was; advice: what may help."""
+    """Failure to find a periodic orbit.
+
+    Attributes
+    ----------
+    status : str
+        Reason in a few words.
+    residual : float
+        Distance of the last iterate from an orbit, in lengths of the scene; nan if there is none.
+    advice : str
+        Possible remedy.
+
+    See Also
+    --------
+    find_orbit : Find the orbit near a state.
+
+    Examples
+    --------
+    >>> try:
+    ...     jv.find_orbit(scene, jv.State(x=0.9, v=-1.1), itinerary=("R",))
+    ... except jv.OrbitError as error:
+    ...     print(error.status)
+    no guess leads to a solution with this itinerary
+    """
 
     def __init__(self, status: str, residual: float, advice: str) -> None:
         super().__init__(status, residual, advice)
@@ -31,18 +52,53 @@ class OrbitError(ValueError):
 
 @dataclass(frozen=True, eq=False)
 class Orbit:
-    """A periodic orbit of a scene.
+    """Periodic orbit of a scene.
 
-    label: P n p q, inf for p or q on a wall with complete chatter: P1-0-inf. periods: n, the least number of drive
-    periods. state: on it, at the section's phase: the phase asked for, unless an impact is within a thousandth of a
-    period of it; then the middle of the longest flight. impacts: in n periods from there, without empty slots.
-    itinerary: the walls hit, a word a period. multipliers: Floquet's, the larger first, complex, shape (2,). stable:
-    both are smaller than 1, by more than rounding. residual: the largest error left in the equations that were solved
-    (lengths, lengths per t). least_speed, least_clearance: of the impacts, and of turning points towards a wall; inf
-    where there are none. unknowns: "impacts" where their times and speeds were solved for, "state" where the state was.
-    scene: whose orbit it is. mirror_of: in a tuple of `find_orbits` the place of its mirror image, its own where it is
-    symmetric; else None. rests: whether the mass rests on a wall for a while; hops of complete chatter are recorded up
-    to where they are certain to end.
+    Attributes
+    ----------
+    label : str
+        ``P n p q`` for n drive periods and p and q impacts on the left and right wall. A count is ``inf`` on a wall
+        with complete chatter, as in ``P1-0-inf``.
+    periods : int
+        Smallest number n of drive periods after which the motion repeats.
+    state : State
+        State on the orbit at the phase of the section. The section lies at the requested phase, unless an impact is
+        within a thousandth of a period of it; then it is in the middle of the longest flight.
+    impacts : Impacts
+        Impacts in n periods from `state`, without empty slots.
+    itinerary : tuple of str
+        Walls that are hit: a word of "L" and "R" for each period.
+    multipliers : array of complex
+        Floquet multipliers, the larger first, of shape (2,).
+    stable : bool
+        True if both multipliers are smaller than 1 in modulus, by more than rounding.
+    residual : float
+        Largest residual of the equations that were solved, in lengths or lengths per t.
+    least_speed : float
+        Smallest impact speed, in lengths per t; inf without impacts.
+    least_clearance : float
+        Smallest distance to a wall at a turning point towards it, in lengths; inf without one.
+    unknowns : {"impacts", "state"}
+        Unknowns that were solved for: times and speeds of the impacts, or the state.
+    scene : Scene
+        Scene of the orbit.
+    mirror_of : int or None
+        Index of the mirror image in the result of `find_orbits`; its own index for a symmetric orbit. None otherwise.
+    rests : bool
+        True if the mass sticks to a wall for a while. Bounces of complete chatter are recorded until they are certain
+        to end.
+
+    See Also
+    --------
+    find_orbit : Find the orbit near a state.
+    follow : Continue an orbit in a parameter.
+
+    Examples
+    --------
+    >>> orbit.label, orbit.itinerary, orbit.stable
+    ('P111', ('RL',), True)
+    >>> orbit.multipliers.round(6)
+    array([-0.235309+0.350203j, -0.235309-0.350203j])
     """
 
     label: str
@@ -61,10 +117,31 @@ class Orbit:
     rests: bool = False
 
     def table(self, units: str = "scene") -> str:
-        """What the orbit is, its state, and a line for each impact: when, on which wall, the speed before it. units:
-        "scene", or "physical" (s, mm, m/s) of a scene that has scales.
+        """Format the orbit as a table: summary, state, and time, wall and speed of each impact.
 
-        Raises ArgumentError for other units, and where the scene has no scales.
+        Parameters
+        ----------
+        units : {"scene", "physical"}, optional
+            Units of the numbers. Physical units are s, mm and m/s, and need a scene with scales.
+
+        Returns
+        -------
+        str
+            Table with a line for each impact.
+
+        Raises
+        ------
+        ArgumentError
+            If the units are unknown, or if the scene has no scales.
+
+        Examples
+        --------
+        >>> print(orbit.table())
+        P111, stable, multipliers -0.235309 +- 0.350203i
+        x 0.690524984655, v 1.80367847869 at phase 0
+        time         wall   speed
+        0.164095319  right  1.95610463
+        1.66009182   left   1.95610463
         """
         (length_unit, length_scale), (speed_unit, speed_scale), (time_unit, time_scale) = (
             unit_in_system(self.scene, quantity, units) for quantity in (LENGTH, SPEED, TIME)
@@ -87,15 +164,36 @@ class Orbit:
 
 
 def eigenvalue_pair(trace, determinant):
-    """The eigenvalues of a matrix with this trace and determinant: complex, shape (2,), see `eigenvalue_pairs`."""
+    """Compute the eigenvalues of a 2 by 2 matrix from trace and determinant.
+
+    Parameters
+    ----------
+    trace, determinant : float
+        Trace and determinant of the matrix.
+
+    Returns
+    -------
+    array of complex
+        Eigenvalues of shape (2,), as `eigenvalue_pairs` orders them.
+    """
     return eigenvalue_pairs(np.reshape(trace, 1), np.reshape(determinant, 1))[0]
 
 
 def eigenvalue_pairs(trace, determinant):
-    """The eigenvalues of matrices with these traces and determinants, (points,): (points, 2), the larger first.
+    """Compute the eigenvalues of 2 by 2 matrices from traces and determinants.
 
-    The larger is found without cancellation, the smaller from the determinant. Both are infinite where a number is not
-    finite: at an impact without speed.
+    The larger is computed without cancellation, the smaller from the determinant.
+
+    Parameters
+    ----------
+    trace, determinant : array
+        Traces and determinants of shape (points,).
+
+    Returns
+    -------
+    array of complex
+        Eigenvalues of shape (points, 2), the larger first. Both are infinite if a number is not finite, as at an impact
+        with zero speed.
     """
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         half_trace = 0.5 * trace
@@ -110,7 +208,32 @@ def eigenvalue_pairs(trace, determinant):
 
 
 def make_orbit(scene, state, impacts, itinerary, multipliers, residual, unknowns, sticking=NO_STICKING):
-    """The `Orbit` of these, its label and its stability read from them."""
+    """Assemble an `Orbit`; derive its label and its stability.
+
+    Parameters
+    ----------
+    scene : Scene
+        Scene of the orbit.
+    state : State
+        State at the section.
+    impacts : Impacts
+        Impacts in all periods, without empty slots.
+    itinerary : tuple of str
+        A word for each period.
+    multipliers : array of complex
+        Floquet multipliers of shape (2,).
+    residual : float
+        Largest residual of the equations.
+    unknowns : {"impacts", "state"}
+        Unknowns that were solved for.
+    sticking : StickingPhases, optional
+        Sticking phases of the orbit.
+
+    Returns
+    -------
+    Orbit
+        The orbit.
+    """
     return Orbit(
         label=words.label(itinerary, sticking.chatter_walls),
         periods=len(itinerary),
@@ -129,5 +252,16 @@ def make_orbit(scene, state, impacts, itinerary, multipliers, residual, unknowns
 
 
 def is_area_preserving(trace, determinant):
-    """Whether the product of the multipliers is 1, of each orbit that there is."""
+    """Test that the product of the multipliers of each orbit is 1.
+
+    Parameters
+    ----------
+    trace, determinant : array
+        Traces and determinants of the monodromy matrices.
+
+    Returns
+    -------
+    bool
+        True if all determinants are 1 up to `AREA_TOLERANCE`.
+    """
     return bool(np.all(abs(determinant - 1.0) <= AREA_TOLERANCE * (1.0 + abs(trace)) ** 2))

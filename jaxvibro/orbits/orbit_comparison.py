@@ -1,21 +1,32 @@
-"""Orbits seen at the walls: each impact is a point (wall, phase, speed). Whether two are one is told there.
+"""Compare orbits by their impacts, as points (wall, phase, speed).
 
-An impact tells the whole motion that follows. So orbits are the same where their impacts are, from whichever impact or
-period they are counted and however often they are gone through. The mirror image of an orbit exchanges the walls and
-comes half a drive period later, with the same speeds.
+An impact determines all motion that follows. So orbits are the same if their impacts are, whatever impact or period
+comes first and however often the orbit is traversed. The mirror image of an orbit exchanges the walls and is half a
+drive period later, with the same speeds.
 """
 
 import numpy as np
 
-WALL_OFFSET = 10.0  # between the two walls' points: more than any two of one wall
-MAX_QUERIES = 200  # impacts of one set that are looked for in another
+WALL_OFFSET = 10.0  # separates the points of the walls by more than the distance of any two on one wall
+MAX_QUERIES = 200  # impacts of one set that are compared with another
 
 
 def impacts_as_points(frequency, time, side, speed, speed_scale):
-    """The impacts as points (side APART, cos phase, sin phase, speed / length), shape (impacts, 4), in order.
+    """Convert impacts to points.
 
-    time, side, speed: of the impacts in periods that start at phase `time` 0, as in `Impacts`, slots last.
-    speed_scale: of the scene, per t a speed that is large.
+    Parameters
+    ----------
+    frequency : float
+        Frequency of the drive.
+    time, side, speed : numpy.ndarray
+        Impacts in periods that start with `time` 0 at phase 0, as in `Impacts`, slots last.
+    speed_scale : float
+        Large speed of the scene, in lengths per t.
+
+    Returns
+    -------
+    numpy.ndarray
+        Points (side * WALL_OFFSET, cos phase, sin phase, speed / speed_scale) in order, of shape (impacts, 4).
     """
     is_impact = side != 0
     phase = frequency * time[is_impact]
@@ -23,15 +34,38 @@ def impacts_as_points(frequency, time, side, speed, speed_scale):
 
 
 def mirror_points(points):
-    """The points of the mirror image: the other wall, half a drive period later."""
+    """Compute the points of the mirror image: the other wall, half a drive period later.
+
+    Parameters
+    ----------
+    points : numpy.ndarray
+        Points of shape (impacts, 4).
+
+    Returns
+    -------
+    numpy.ndarray
+        Points of the mirror image.
+    """
     return points * np.array([-1.0, -1.0, -1.0, 1.0])
 
 
 def is_same_orbit(points, other_points, tolerance=None):
-    """Whether two periodic orbits of a scene are one, or one several times the other: each impact is near one of the
-    other's, but for those without speed, which may be there or not. Without impacts there is one orbit.
+    """Test that two periodic orbits of a scene are the same, or one is a multiple of the other.
 
-    tolerance: of two points; None is eps^(1/4), for orbits that starts have settled on.
+    Each impact must be near one of the other orbit. Impacts with zero speed are ignored. Orbits without impacts are the
+    same.
+
+    Parameters
+    ----------
+    points, other_points : numpy.ndarray
+        Impacts of the orbits as points.
+    tolerance : float, optional
+        Largest distance of two points. By default it is eps^(1/4), for orbits on which states have settled.
+
+    Returns
+    -------
+    bool
+        True if they are the same.
     """
     tolerance = np.finfo(points.dtype).eps ** 0.25 if tolerance is None else tolerance
     points, other_points = (
@@ -44,8 +78,22 @@ def is_same_orbit(points, other_points, tolerance=None):
 
 
 def repetition_count(points, periods, tolerance):
-    """How many times an orbit of so many drive periods, its impacts in order of travel, goes through a shorter one;
-    impacts without speed do not count. Without others it is the response to the drive, which has the drive's period."""
+    """Count how many times an orbit traverses a shorter one.
+
+    Parameters
+    ----------
+    points : numpy.ndarray
+        Impacts as points, in order of time. Impacts with zero speed are ignored.
+    periods : int
+        Number of drive periods.
+    tolerance : float
+        Largest distance of two equal points.
+
+    Returns
+    -------
+    int
+        Number of repetitions. Without impacts the motion is the response to the drive, which repeats every period.
+    """
     points = _weight_phases(points[points[:, -1] > tolerance])
     n_impacts = len(points)
     if not n_impacts:
@@ -64,15 +112,25 @@ def repetition_count(points, periods, tolerance):
 
 
 def _weight_phases(points):
-    """The points with phases that count by the speed where that is small: as much worse is the time of it known."""
+    """Weight the phases by the speed where it is small: the times of slow impacts are less accurate."""
     return np.concatenate([points[:, :1], points[:, 1:3] * np.minimum(points[:, 3:], 1.0), points[:, 3:]], axis=1)
 
 
 def is_same_set(points, other_points):
-    """Whether two long samples, in order of time, fill the same set.
+    """Test that two long samples of impacts, in order of time, fill the same set.
 
-    They do where the median distance from one to the other is at most three times that between the halves of a
-    sample; one direction is enough, for an orbit that still roams part of a set.
+    The median distance from one to the other must be at most three times the median distance between the halves of a
+    sample. One direction is enough, for an orbit that still explores part of a set.
+
+    Parameters
+    ----------
+    points, other_points : numpy.ndarray
+        Samples as points, of shape (impacts, 4).
+
+    Returns
+    -------
+    bool
+        True if they fill the same set.
     """
     return bool(
         _median_distance(points, other_points) <= 3.0 * _distance_of_halves(other_points)
@@ -86,17 +144,17 @@ def _distance_of_halves(points):
 
 
 def _median_distance(points, other_points):
-    """The median distance from points, a sample of them, to the others; infinite where there are none."""
+    """Return the median distance from a sample of the points to the other points; inf without any."""
     distances = _nearest_distances(points[:: max(1, len(points) // MAX_QUERIES)], other_points)
     return np.median(distances) if len(distances) else np.inf
 
 
 def _nearest_distances(points, other_points):
-    """The distance of each point to the nearest of the others, good to the root of the rounding."""
+    """Return the distance of each point to the nearest other point, accurate to the square root of rounding."""
     if not len(other_points):
         return np.full(len(points), np.inf)
     squared_distances = np.einsum(
         "ik,jk->ij", -2.0 * points, other_points
-    )  # ten times as fast here as a threaded matrix product
+    )  # ten times as fast as a threaded matrix product for these shapes
     squared_distances += (other_points**2).sum(-1)
     return np.sqrt(np.maximum(squared_distances.min(axis=1) + (points**2).sum(-1), 0.0))

@@ -1,7 +1,7 @@
-"""From a guess of the impacts to an `Orbit` by Newton's method, or to the reason why there is none.
+"""Solve for an `Orbit` from a guess of its impacts by Newton's method, or report why there is none.
 
-Times and speeds are the unknowns, for walls hit in a given order. What solves their equations is an orbit only if no
-flight passes through a wall, and if certified flights from each impact meet the next wall next.
+The unknowns are times and speeds of the impacts, for walls hit in a given order. A solution of the equations is an
+orbit only if no flight passes through a wall, and if certified flights from each impact meet the expected wall next.
 """
 
 from functools import partial
@@ -28,17 +28,20 @@ from .impact_equations import ImpactSequence
 from .orbit import OrbitError, eigenvalue_pair, make_orbit
 from .orbit_comparison import impacts_as_points, repetition_count
 
-MIN_SECTION_GAP = 1e-3  # of a drive period: so near an impact the section is moved
-ADVICE_BRANCH_ENDED = "start nearer to another orbit: this one may be on a branch that has ended by grazing"
-N_GUESSES = 64  # of the impacts, where only the itinerary is known
-IMPACT_TOLERANCE = 1e-8  # of 1 + the largest speed: two impacts as near are one
-TIME_TOLERANCE = 1e-6  # of a drive period: so well must a certified flight end at the impact
+MIN_SECTION_GAP = 1e-3  # of a drive period: the section moves away from closer impacts
+ADVICE_BRANCH_ENDED = "start nearer to another orbit; the branch of this one may have ended at a grazing"
+N_GUESSES = 64  # random guesses if only the itinerary is known
+IMPACT_TOLERANCE = 1e-8  # relative to 1 + the largest speed: closer impacts are the same
+TIME_TOLERANCE = 1e-6  # of a drive period: tolerance of impact times in certified flights
 
 
 class SequenceSolution(NamedTuple):
-    """A cycle after Newton's method, and what is known of it. section_states: (x, v) at the section, of KEEP periods;
-    calls: clearance and time of each flight's closest call to each wall; trace and determinant: of the monodromy
-    matrix."""
+    """Impact sequence after Newton's method, with its diagnostics.
+
+    `section_states` are (x, v) at the section over `MAX_RECORDED_PERIODS` periods, and `midflight_states` are (x, v)
+    halfway along each flight. `closest_approaches` are clearance and time of the closest approach of each flight to
+    each wall. `trace` and `determinant` are those of the monodromy matrix.
+    """
 
     sequence: ImpactSequence
     newton_result: newton.NewtonSolution
@@ -59,7 +62,7 @@ def _solve_guess(scene, guess, call=call_directly):
 
 @persistent_jit(compiler_options=FAST_COMPILE, numpy_first=_solve_guess)
 def solve_guess(scene, guess):
-    """The `SequenceSolution` that Newton's method reaches from a cycle."""
+    """Return the `SequenceSolution` that Newton's method reaches from an impact sequence."""
     return _solve_guess(scene, guess, call_as_kernel)
 
 
@@ -85,7 +88,7 @@ def _measure_solution(scene, sequence, newton_result):
 
 
 def padded_sequence(scene, times, speeds, sides, phase, periods):
-    """A `ImpactSequence` with 2, 8, 32, ... rows, so that few shapes are compiled."""
+    """Return an `ImpactSequence` padded to 2, 8, 32, ... rows, so that few shapes are compiled."""
     rows = 2
     while rows < len(times):
         rows *= 4
@@ -95,7 +98,7 @@ def padded_sequence(scene, times, speeds, sides, phase, periods):
 
 
 def orbit_from_impacts(scene, times, speeds, sides, phase, periods):
-    """The orbit with impacts near these times since the section's phase. Raises OrbitError."""
+    """Solve for the orbit with impacts near given times since the section's phase. Raises OrbitError."""
     drive_period = 2.0 * np.pi / float(scene.frequency)
     solution = jax.device_get(solve_guess(scene, padded_sequence(scene, times, speeds, sides, phase, periods)))
     _require_converged(solution)
@@ -117,8 +120,24 @@ def orbit_from_impacts(scene, times, speeds, sides, phase, periods):
 
 
 def orbit_of_exact_impacts(scene, times, speeds, sides, periods, residual):
-    """The orbit that has exactly these impacts, times since phase 0, with this residual; its section where it may be.
-    Nothing is solved and nothing refused."""
+    """Assemble the orbit with exactly these impacts; nothing is solved or refused.
+
+    Parameters
+    ----------
+    scene : Scene
+        A single scene.
+    times, speeds, sides : numpy.ndarray
+        Impacts; times since phase 0, in t.
+    periods : int
+        Number of drive periods.
+    residual : float
+        Residual of the equations, to be stored in the orbit.
+
+    Returns
+    -------
+    Orbit
+        The orbit. Its section is at phase 0 unless an impact is near it.
+    """
     drive_period = 2.0 * np.pi / float(scene.frequency)
     section_delay = _section_delay(np.mod(times, periods * drive_period), drive_period)
     shifted_times = np.mod(times - section_delay, periods * drive_period)
@@ -128,9 +147,21 @@ def orbit_of_exact_impacts(scene, times, speeds, sides, periods, residual):
 
 
 def read_from_phase_zero(orbit, itinerary):
-    """An orbit that was solved by its impacts, read from phase 0 of its first drive period on.
+    """Move the section of an orbit to phase 0 of its first drive period.
 
-    An impact that is not told from phase 0 is put to the period, before or after, in which this itinerary has it.
+    The period to which an impact near phase 0 belongs is uncertain; it follows the given itinerary.
+
+    Parameters
+    ----------
+    orbit : Orbit
+        Orbit that was solved by its impacts.
+    itinerary : tuple of str
+        Itinerary that the result is to have.
+
+    Returns
+    -------
+    Orbit
+        The same orbit with its section at phase 0. Nothing is solved.
     """
     scene, impacts, n_periods = orbit.scene, orbit.impacts, orbit.periods
     drive_period = 2.0 * np.pi / float(scene.frequency)
@@ -158,7 +189,7 @@ def read_from_phase_zero(orbit, itinerary):
 
 
 def _orbit_without_solving(scene, times, speeds, sides, phase, periods, residual):
-    """The orbit with these impacts, times since the section's phase; nothing is solved."""
+    """Assemble the orbit with these impacts, times since the section's phase; nothing is solved."""
     sequence = padded_sequence(scene, times, speeds, sides, phase, periods)
     newton_fields = (np.asarray(value, scene.dtype) for value in ([], residual, 0.0, 1.0))
     newton_result = newton.NewtonSolution(*newton_fields, np.asarray(newton.OK))
@@ -172,6 +203,7 @@ _measure_compiled = persistent_jit(_measure_solution, compiler_options=FAST_COMP
 
 
 def _orbit_of_solution(scene, solution, n_impacts, drive_period):
+    """Assemble the orbit of a solution, its itinerary rotated to the canonical start."""
     times, speeds, sides, phase, periods = solution.sequence[:5]
     itinerary, section_points = (
         words.words_of_impacts(times[:n_impacts], sides[:n_impacts], int(periods), drive_period),
@@ -197,20 +229,23 @@ def _orbit_of_solution(scene, solution, n_impacts, drive_period):
 
 
 def _require_converged(solution):
+    """Raise OrbitError unless Newton's method has converged."""
     status, residual = int(solution.newton_result.status), float(solution.newton_result.residual)
     if status != newton.OK:
         raise OrbitError(newton.STATUS_TEXTS[status], residual, newton.ADVICE[status])
 
 
 def _minimal_period(times, speeds, sides, periods, drive_period):
-    """The least number of periods after which these impacts come again."""
+    """Return the smallest number of periods after which the impacts repeat."""
     points = impacts_as_points(2.0 * np.pi / drive_period, times, sides, speeds, 1.0 + speeds.max())
     return periods // repetition_count(points, periods, IMPACT_TOLERANCE)
 
 
 def _section_delay(times, drive_period):
-    """How long after the section's phase the section is to be: 0 where no impact is near it, else the middle of the
-    widest gap, of equal ones that which comes first."""
+    """Return the delay by which to move the section: 0 unless an impact is near it.
+
+    The section moves to the middle of the widest gap between impacts; the first of equally wide gaps is used.
+    """
     phases = np.sort(np.mod(times, drive_period))
     if min(phases[0], drive_period - phases[-1]) >= MIN_SECTION_GAP * drive_period:
         return 0.0
@@ -220,7 +255,7 @@ def _section_delay(times, drive_period):
 
 
 def _require_admissible(scene, solution, n_impacts):
-    """Refuse impacts without speed, and flights behind a wall: which, where, how deep."""
+    """Raise OrbitError for impacts with zero speed and for flights behind a wall."""
     speeds, (clearances, approach_times) = (
         solution.sequence.speeds[:n_impacts],
         (array[:n_impacts] for array in solution.closest_approaches),
@@ -240,8 +275,11 @@ def _require_admissible(scene, solution, n_impacts):
 
 
 def _require_certified(scene, solution, n_impacts, drive_period):
-    """Refuse what certified flights do not confirm: one from halfway along each flight to the end of the next, so that
-    none begins or ends on a wall."""
+    """Raise OrbitError unless certified flights confirm the impacts.
+
+    Each certified flight starts halfway along a flight and ends after the next flight, so that none begins or ends on a
+    wall.
+    """
     times, _, sides, phase = solution.sequence[:4]
     flights, next_row = solution.flights, solution.flights.next_row[:n_impacts]
     flight_times = flights.time[:n_impacts]
@@ -269,14 +307,15 @@ def _require_certified(scene, solution, n_impacts, drive_period):
         (is_time_wrong | (impact_sides != sides[np.stack([next_row, next_row[next_row]], axis=1)])).any(axis=1)
     )
     if failures.size:
-        reason = f"the flight after impact {failures[0] + 1} of {n_impacts} meets another wall, or none, or not then"
+        reason = f"the flight after impact {failures[0] + 1} of {n_impacts}"
+        reason += " does not meet the expected wall at the expected time"
         raise OrbitError(
             f"not admissible: {reason}", float(solution.newton_result.residual), "start nearer to an orbit"
         )
 
 
 def solve_guesses(scene, guesses):
-    """The cycle that Newton's method reaches from each of many: (cycles, `newton.Solved`), arrays with a row each."""
+    """Return (impact sequences, `newton.NewtonSolution`) from many guesses, with a row for each."""
     return jax.device_get(_solve_guesses_compiled(scene, guesses))
 
 
@@ -288,13 +327,13 @@ def _solve_guesses_compiled(scene, guess):
 
 
 def orbit_from_random_guesses(scene, itinerary, state, max_speed):
-    """An orbit with this itinerary, from guesses of its impacts at random: of those found the nearest to the state.
+    """Solve for an orbit with an itinerary from random guesses of its impacts; return the nearest to the state.
 
-    max_speed: a speed that is large for the scene. Raises OrbitError: the last reason met, where no guess leads to an
-    orbit."""
+    `max_speed` is a large speed of the scene. If no guess leads to an orbit, the last OrbitError is raised.
+    """
     letters, periods = "".join(itinerary), len(itinerary)
     if not letters:
-        raise OrbitError("the state does meet walls", np.nan, "start where the motion meets none")
+        raise OrbitError("the motion from the state hits walls", np.nan, "start a motion that hits no wall")
     drive_period = 2.0 * np.pi / float(scene.frequency)
     rng = np.random.default_rng(0)
     impact_periods = np.repeat(np.arange(periods), [len(word) for word in itinerary])

@@ -1,8 +1,8 @@
-"""What an impact, or a stay within a soft wall, makes of a mass that comes to a wall at a time with a speed.
+"""Contact map: the effect of an impact, or a contact phase, as a function of its time and speed.
 
-Both are the same to the equations of the impacts (`impact_equations`): from where and when the next flight begins, and
-how that changes with the impact's own time and speed. A stay takes time; it is as smooth as an impact where its speed
-is zero.
+The equations of the impacts (`impact_equations`) treat both alike: they need the start of the next flight and its
+derivative with respect to the time and the speed of the impact. A contact phase takes time. It is as smooth as an
+impact where its speed is zero.
 """
 
 from typing import NamedTuple
@@ -28,12 +28,34 @@ CONTACT_MAP_MODULES = {
 
 
 class ContactMap(NamedTuple):
-    """Of each impact: the drive's cosine and sine; the wall's position, velocity and acceleration; R and the velocity
-    against the wall; the acceleration before. And of the start of the flight that follows: the stay before it, None
-    where all walls are rigid; (x, v); the drive's (cosine, sine); how (x, v) change with the impact's time and speed,
-    the flight's start being kept; the velocity against the wall. is_soft: whether it is a stay, None where all walls
-    are rigid; free_flow: the free flow's matrix over it, beside a force of the user's own
-    `pushed_meeting.Leaving.slopes`."""
+    """Effect of impacts and contact phases on the flight that follows.
+
+    Attributes
+    ----------
+    cosine, sine : Array
+        Cosine and sine of the drive's phase at the impact.
+    wall_position, wall_velocity, wall_acceleration : Array
+        Motion of the wall at the impact.
+    restitution : Array
+        Coefficient of restitution R.
+    approach_velocity : Array
+        Velocity before the impact relative to the wall.
+    contact_time : Array or None
+        Duration of the contact phase; None if all walls are rigid.
+    state : tuple of Array
+        (x, v) at the start of the next flight.
+    phasor : tuple of Array
+        (cosine, sine) of the drive's phase there.
+    state_by_time, state_by_speed : tuple of Array
+        Derivatives of (x, v) with respect to the time and the speed of the impact, at a fixed start of the next flight.
+    exit_velocity : Array
+        Velocity at the start of the next flight relative to the wall.
+    is_soft : Array of bool or None
+        True for contact phases; None if all walls are rigid.
+    free_flow : tuple of Array or None
+        Matrix of the free flow over the contact phase. Under a user-defined force it is
+        `force_law_contact_map.ContactExit.derivatives`.
+    """
 
     cosine: Float[Array, "*shape"]
     sine: Float[Array, "*shape"]
@@ -53,8 +75,28 @@ class ContactMap(NamedTuple):
 
 
 def evaluate_contact_map(coeffs, sides, cosine, sine, speed, grazing=None, min_contact_time=None):
-    """The `ContactMap` of impacts on these sides, 0: of none, any numbers; arrays of one shape. grazing,
-    min_contact_time: as of a `Cycle`, the latter beside no force of the user's own."""
+    """Evaluate the contact map of impacts.
+
+    Parameters
+    ----------
+    coeffs : FlowCoefficients
+        Coefficients of the scene.
+    sides : Array
+        Sides of the impacts; 0 for an empty row, whose other entries are arbitrary.
+    cosine, sine : Array
+        Cosine and sine of the drive's phase at the impacts.
+    speed : Array
+        Speeds relative to the walls.
+    grazing : Array, optional
+        As in `ImpactSequence`.
+    min_contact_time : Array, optional
+        As in `ImpactSequence`; not used under a user-defined force.
+
+    Returns
+    -------
+    ContactMap
+        Effect of the impacts, of the shape of the arguments.
+    """
     wall_position, wall_velocity, wall_acceleration = wall_derivatives(coeffs, sides, cosine, sine)
     approach_velocity, zero = sides * speed, jnp.zeros_like(speed)
     restitution = soft_contact.restitution_of(coeffs, sides) + zero
@@ -109,7 +151,26 @@ def evaluate_contact_map(coeffs, sides, cosine, sine, speed, grazing=None, min_c
 
 
 def saltation_matrices(coeffs, contact_map, sides):
-    """(Q by rows, det Q) of each meeting (paper, (35)), for a stay S P S, S the saltation where the damping jumps."""
+    """Compute the saltation matrices of impacts (paper, (35)).
+
+    For a contact phase the matrix is S P S, where S is the saltation matrix of the jump of the damping.
+
+    Parameters
+    ----------
+    coeffs : FlowCoefficients
+        Coefficients of the scene.
+    contact_map : ContactMap
+        Effect of the impacts.
+    sides : Array
+        Sides of the impacts.
+
+    Returns
+    -------
+    matrix : tuple of Array
+        Entries of Q by rows.
+    determinant : Array
+        Determinants of Q.
+    """
     contact_module, accelerations = CONTACT_MAP_MODULES[coeffs.contact_law], flow_of(coeffs).acceleration_and_jerk
     acceleration_before, _ = accelerations(
         coeffs,
@@ -125,7 +186,7 @@ def saltation_matrices(coeffs, contact_map, sides):
         - (1.0 + contact_map.restitution) * contact_map.wall_acceleration
     ) / contact_map.approach_velocity
     if contact_module is not None:
-        shear = choose(contact_map.restitution < 0, 0.0, shear)  # a touch does nothing
+        shear = choose(contact_map.restitution < 0, 0.0, shear)  # a grazing of a soft wall has no effect
     rigid = (
         (-contact_map.restitution, jnp.zeros_like(shear), shear, -contact_map.restitution),
         contact_map.restitution * contact_map.restitution,
@@ -137,17 +198,47 @@ def saltation_matrices(coeffs, contact_map, sides):
 
 
 def state_in_contact(coeffs, contact_map, sides, row, elapsed_time, free_state):
-    """(x, v) a time after the meetings in rows row: within the wall during the stay, else the state given."""
+    """Return (x, v) some time after the impacts in rows `row`; it is `free_state` outside contact phases."""
     return CONTACT_MAP_MODULES[coeffs.contact_law].state_in_contact(
         coeffs, contact_map, sides, row, elapsed_time, free_state
     )
 
 
 def max_oscillation_rate(coeffs, contact_map, sides):
-    """How fast the mass swings within soft walls at most, a scalar."""
+    """Return an upper bound of the oscillation rate within soft walls.
+
+    Parameters
+    ----------
+    coeffs : FlowCoefficients
+        Coefficients of the scene.
+    contact_map : ContactMap
+        Effect of the impacts.
+    sides : Array
+        Sides of the impacts.
+
+    Returns
+    -------
+    Array
+        Rate, a scalar.
+    """
     return CONTACT_MAP_MODULES[coeffs.contact_law].max_oscillation_rate(coeffs, contact_map, sides)
 
 
 def max_contact_step(coeffs, contact_map, sides):
-    """How far stays can be followed in one piece, a scalar."""
+    """Return the longest step within contact phases.
+
+    Parameters
+    ----------
+    coeffs : FlowCoefficients
+        Coefficients of the scene.
+    contact_map : ContactMap
+        Effect of the impacts.
+    sides : Array
+        Sides of the impacts.
+
+    Returns
+    -------
+    Array
+        Step in t, a scalar.
+    """
     return CONTACT_MAP_MODULES[coeffs.contact_law].max_contact_step(coeffs, contact_map, sides)

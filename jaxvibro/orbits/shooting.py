@@ -1,5 +1,8 @@
-"""From a state on the section to an `Orbit` by Newton's method on the strobe: any orbit, also one that rests on a wall
-or meets none. Near grazing it is worse than the equations of the impacts (`by_impacts`)."""
+"""Solve for an `Orbit` from a state on the section by shooting: Newton's method with the strobe.
+
+Shooting finds any orbit, also one that sticks or has no impact. Near grazing it is less accurate than the equations of
+the impacts (`orbit_from_impacts`).
+"""
 
 import jax
 import numpy as np
@@ -18,12 +21,12 @@ from ..scene.codes import Status
 from ..scene.state import Impacts, State, state_arrays
 from .orbit import OrbitError, eigenvalue_pair, make_orbit
 
-MAX_NEWTON_STEPS = 12  # of Newton's steps
-MAX_SLOTS = 512  # impacts of a period that are recorded where there are more than usual
+MAX_NEWTON_STEPS = 12
+MAX_SLOTS = 512  # recorded impacts of a period with more than `REPLAY_SLOTS`
 
 
 def orbit_from_state(scene, state, periods):
-    """The orbit near a state, numbers at its phase. Raises OrbitError."""
+    """Solve for the orbit near a state of plain numbers at its phase. Raises OrbitError."""
     eps, step = float(np.finfo(scene.dtype).eps), np.inf
     for _ in range(MAX_NEWTON_STEPS):
         points, period_results, matrix = _shoot(scene, state, periods)
@@ -73,7 +76,7 @@ def _is_close(point, other, scale):
 
 
 def strobe_period(scene, state):
-    """(State, Impacts with their least clearance, M) a drive period later, of a state of numbers: NumPy's."""
+    """Return (State, Impacts with the least clearance, monodromy matrix) after a drive period, as NumPy arrays."""
     state = state_arrays(scene, state)
     end, impacts, (a, b, c, d) = _strobe_compiled(scene, state)
     if impacts.count > REPLAY_SLOTS:
@@ -95,13 +98,13 @@ _solve_linear = persistent_jit(solve, compiler_options=FAST_COMPILE, numpy_first
 
 
 def _shoot(scene, state, periods):
-    """(points on the section, shape (periods + 1, 2); (state, impacts) of each period; the monodromy matrix)."""
+    """Return (points on the section, of shape (periods + 1, 2); (state, impacts) of each period; monodromy matrix)."""
     points, period_results, matrix = [(float(state.x), float(state.v))], [], np.eye(2)
     for _ in range(periods):
         state, impacts, period_matrix = strobe_period(scene, state)
         matrix = period_matrix @ matrix
         if impacts.status >= Status.CAP:
-            reason = f"the state cannot be followed ({Status(int(impacts.status)).word})"
+            reason = f"the motion from the state cannot be computed ({Status(int(impacts.status)).word})"
             raise OrbitError(reason, np.nan, "start between the walls, nearer to an orbit")
         points.append((float(state.x), float(state.v)))
         period_results.append((state, impacts))
@@ -109,7 +112,7 @@ def _shoot(scene, state, periods):
 
 
 def _newton_step(state, end, residual, matrix):
-    """(the next state, how far it is from the last): where the start is forgotten the end itself."""
+    """Return (next state, step size). The next state is the final state if that is independent of the initial state."""
     if not matrix.any():
         return end, float(abs(residual).max())
     step, pivot_ratio, _ = _solve_linear(np.eye(2) - matrix, residual)
@@ -120,7 +123,7 @@ def _newton_step(state, end, residual, matrix):
 
 
 def _join_impacts(period_impacts, drive_period):
-    """The impacts of some periods as those of one, without empty slots."""
+    """Join the impacts of several periods, without empty slots."""
     rows = [
         (impacts.time + period * drive_period, impacts.side, impacts.speed)
         for period, impacts in enumerate(period_impacts)

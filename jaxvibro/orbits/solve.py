@@ -1,4 +1,4 @@
-"""Many periodic orbits at once, as functions of their scenes: `solve_orbits`."""
+"""Solve for many periodic orbits at once, as differentiable functions of their scenes."""
 
 from dataclasses import dataclass, field
 from functools import partial
@@ -33,10 +33,36 @@ STATIC_FIELD = {"static": True}
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class OrbitSolutions:
-    """Periodic orbits, one of each scene. state: at the section's phase; times: of the impacts, since that phase, of
-    the itinerary's order; speeds: abs(y- - v_b) before them; multipliers: Floquet's, the larger first; residual: the
-    largest number left in the equations, before Newton's last step; status: a `SolutionStatus`, NONE where Newton's
-    method does not converge, or where the guess is a state that hits other walls; itinerary: a word a period."""
+    """Periodic orbits, one for each scene, as `solve_orbits` returns them.
+
+    Attributes
+    ----------
+    state : State
+        State at the phase of the section, of shape (...).
+    times : Array
+        Times of the impacts since that phase, in t, in the order of the itinerary; of shape (..., impacts).
+    speeds : Array
+        Speeds ``|y- - v_b|`` before the impacts, in lengths per t; of shape (..., impacts).
+    multipliers : Array of complex
+        Floquet multipliers, the larger first; of shape (..., 2).
+    residual : Array
+        Largest residual of the equations before the last Newton step.
+    status : Array of int
+        A `SolutionStatus` for each lane. It is NONE if Newton's method does not converge, or if the guess is a state
+        that hits other walls. It is VIRTUAL if the orbit is inadmissible.
+    itinerary : tuple of str
+        A word of "L" and "R" for each period.
+
+    See Also
+    --------
+    solve_orbits : Solve for the orbits.
+
+    Examples
+    --------
+    >>> solutions = jv.solve_orbits(scene, orbit.state, orbit.itinerary)
+    >>> jv.SolutionStatus(int(solutions.status)).name
+    'OK'
+    """
 
     state: State
     times: Float[Array, "*shape impacts"]
@@ -54,19 +80,54 @@ def solve_orbits(
     itinerary: tuple[str, ...] | list[str],
     periods: int | None = None,
 ) -> OrbitSolutions:
-    """The periodic orbits near guesses that hit given walls in turn: `OrbitSolutions` of the shape of both together.
+    """Solve for the periodic orbits near guesses that hit given walls in turn.
 
-    scenes: a `Scene`, single or a batch. guesses: a `State`, numbers or arrays, whose flight hits these walls, counted
-    from any of its impacts; or (times, speeds) of the impacts, (..., impacts) each, since phase 0. itinerary: a word of
-    "L" and "R" a period, as ("LR",) or ("LRL", "R"); all words empty: the motion that meets no wall. periods: their
-    number, may be left out.
+    Newton's method solves the equations of the impacts, for stable and unstable orbits alike. The result is
+    differentiable.
 
-    Newton's method on the equations of the impacts; stable or not. Under jit, vmap and grad: derivatives by every
-    number of the scenes are those of the orbit as a root of its equations (implicit function theorem), of any order,
-    forward and reverse; by the guesses they are zero. A status of each lane says what was found; `find_orbit` confirms
-    an orbit by certified flights, which is not done here: clearances are those at the turning points of its flights.
+    Parameters
+    ----------
+    scenes : Scene
+        Oscillator, drive and walls. A single scene or a batch.
+    guesses : State or tuple of array
+        Guesses that broadcast with `scenes`. A `State` whose flight hits these walls, starting with any of its impacts.
+        Or (times, speeds) of the impacts since phase 0, each of shape (..., impacts).
+    itinerary : sequence of str
+        Walls to be hit: a word of "L" and "R" for each period, as ``("LR",)`` or ``("LRL", "R")``. Empty words mean the
+        motion without impacts.
+    periods : int, optional
+        Number of periods. If given, it must be the number of words.
 
-    Raises ArgumentError for arguments that cannot be.
+    Returns
+    -------
+    OrbitSolutions
+        The orbits, of the broadcast shape of `scenes` and `guesses`, with a status for each lane.
+
+    Raises
+    ------
+    ArgumentError
+        If an argument is invalid.
+
+    See Also
+    --------
+    find_orbit : One orbit, confirmed by certified flights.
+    follow : Continue an orbit in a parameter.
+
+    Notes
+    -----
+    The function works under ``jit``, ``vmap`` and ``grad``. Derivatives with respect to every number of the scenes are
+    those of a root of the equations (implicit function theorem), of any order, in forward and reverse mode. Derivatives
+    with respect to the guesses are zero.
+
+    A solution is admissible if its flights stay between the walls at their turning points. Unlike in `find_orbit`,
+    certified flights do not confirm this.
+
+    Examples
+    --------
+    >>> scenes = scene.replace(amplitude=np.array([1.9, 2.0, 2.1]))
+    >>> solutions = jv.solve_orbits(scenes, orbit.state, orbit.itinerary)
+    >>> np.asarray(solutions.speeds[:, 0]).round(4)
+    array([1.918 , 1.9561, 1.9941])
     """
     valid_itinerary = words.validate_itinerary(itinerary, periods)
     if not isinstance(scenes, Scene):
@@ -87,24 +148,32 @@ def solve_orbits(
 
 
 class OrbitTask(NamedTuple):
-    """What is static of an orbit: the tree of its scene's numbers, and the walls that it hits, a word a period."""
+    """Static description of orbits: number tree of the scene and itinerary.
+
+    Attributes
+    ----------
+    tree : jax.tree_util.PyTreeDef
+        Tree of the numbers of a scene.
+    words : tuple of str
+        Itinerary: a word of "L" and "R" for each period.
+    """
 
     tree: jax.tree_util.PyTreeDef
     words: tuple[str, ...]
 
     @property
     def sides(self) -> Float[np.ndarray, " impacts"]:
-        """-1 left, 1 right."""
+        """Sides of the impacts: -1 left, 1 right."""
         return words.wall_sides(self.words)
 
     @property
     def periods(self) -> int:
-        """Of the drive."""
+        """Number of drive periods."""
         return len(self.words)
 
 
 def _guess_rows(guesses, n_impacts, dtype):
-    """Times and speeds in rows. Raises ArgumentError."""
+    """Validate guesses of times and speeds and join them in rows. Raises ArgumentError."""
     if not isinstance(guesses, tuple | list) or len(guesses) != 2:
         raise check.ArgumentError("guesses", "must be a State, or (times, speeds)", guesses)
     rows = [
@@ -113,7 +182,7 @@ def _guess_rows(guesses, n_impacts, dtype):
     ]
     for name, row in zip(("times", "speeds"), rows, strict=True):
         if np.ndim(row) == 0 or np.shape(row)[-1] != n_impacts:
-            rule = f"must have an entry for each of the itinerary's {n_impacts} impacts, last"
+            rule = f"must have an entry for each of the itinerary's {n_impacts} impacts along the last axis"
             raise check.ArgumentError(f"guesses.{name}", rule, f"shape {np.shape(row)}")
     shape = jnp.broadcast_shapes(*map(np.shape, rows))
     if not n_impacts:
@@ -122,8 +191,10 @@ def _guess_rows(guesses, n_impacts, dtype):
 
 
 def _guess_from_state(scenes, guesses, sides, periods):
-    """(the section's phase, times and speeds of the impacts after states, begun with one that makes them those asked
-    for, nan where none does); without impacts x and v."""
+    """Return (phase of the section, times and speeds of the impacts after the states), or x and v without impacts.
+
+    The rows begin with the first impact from which the itinerary matches; they are nan if none does.
+    """
     scenes, guesses = lax.stop_gradient((scenes, guesses))
     if not len(sides):
         shape = jnp.broadcast_shapes(guesses.x.shape, guesses.v.shape)
@@ -147,7 +218,24 @@ def _guess_from_state(scenes, guesses, sides, periods):
 
 @partial(jax.jit, static_argnums=0)
 def solve_lanes(task, leaf_rows, phases, starts):
-    """The `OrbitSolutions` of lanes in one axis."""
+    """Solve for the orbits of lanes along one axis.
+
+    Parameters
+    ----------
+    task : OrbitTask
+        Static description of the orbits.
+    leaf_rows : array
+        Numbers of the scenes, of shape (lanes, numbers).
+    phases : array
+        Phases of the sections, of shape (lanes,), in rad.
+    starts : array
+        Guesses of the unknowns, of shape (lanes, unknowns): times, then speeds; or x and v without impacts.
+
+    Returns
+    -------
+    OrbitSolutions
+        The orbits of the lanes.
+    """
     residual_of, find_root, test_admissible = (
         partial(function, task) for function in (orbit_residual, _solve_newton, _is_admissible)
     )
@@ -175,13 +263,45 @@ def solve_lanes(task, leaf_rows, phases, starts):
 
 
 def sequence_of(task, unknowns, phase):
-    """The `ImpactSequence` with these times and speeds."""
+    """Assemble the impact sequence of a task from its unknowns.
+
+    Parameters
+    ----------
+    task : OrbitTask
+        Static description of the orbit.
+    unknowns : array
+        Times, then speeds of the impacts.
+    phase : array
+        Phase of the section, in rad.
+
+    Returns
+    -------
+    ImpactSequence
+        The sequence of impacts.
+    """
     times, speeds = jnp.split(unknowns, 2)
     return ImpactSequence(times, speeds, jnp.asarray(task.sides), phase, jnp.asarray(float(task.periods)))
 
 
 def orbit_residual(task, unknowns, scene_leaves, constants):
-    """What is to be zero."""
+    """Evaluate the residual of the equations of an orbit.
+
+    Parameters
+    ----------
+    task : OrbitTask
+        Static description of the orbit.
+    unknowns : array
+        Times, then speeds of the impacts; or x and v without impacts.
+    scene_leaves : array
+        Numbers of the scene in the order of ``task.tree``.
+    constants : tuple
+        (phase of the section, guess of the unknowns).
+
+    Returns
+    -------
+    array
+        Residual, of the shape of `unknowns`.
+    """
     scene, (phase, _) = task.tree.unflatten(list(scene_leaves)), constants
     if len(task.sides):
         return impact_equations.residual_and_jacobian(flow_coefficients(scene), sequence_of(task, unknowns, phase))[0]
@@ -189,7 +309,7 @@ def orbit_residual(task, unknowns, scene_leaves, constants):
 
 
 def _free_flight(task, scene, phase, state):
-    """((x, v), the flight's matrix) after the periods, without walls."""
+    """Return ((x, v), flight matrix) after the periods, without walls."""
     return flow_matrix.fly_with_matrix(scene, state[0], state[1], phase, task.periods * 2.0 * jnp.pi / scene.frequency)
 
 
@@ -219,7 +339,7 @@ def _is_admissible(task, scene_leaves, phase, unknowns):
 
 
 def _section_and_invariants(task, unknowns_and_leaves, constants):
-    """x and v at the section, trace and determinant of the monodromy matrix, of unknowns and numbers in one row."""
+    """Return x and v at the section, trace and determinant; the input joins unknowns and scene numbers."""
     phase, start = constants
     unknowns, scene = unknowns_and_leaves[: len(start)], task.tree.unflatten(list(unknowns_and_leaves[len(start) :]))
     if not len(task.sides):
@@ -233,7 +353,7 @@ def _section_and_invariants(task, unknowns_and_leaves, constants):
 
 
 def _multiplier_pair(trace, determinant):
-    """The roots of a monodromy matrix, the larger first: (2,) complex; smooth but where they are one."""
+    """Compute the multipliers, the larger first, of shape (2,) and complex; smooth unless they coincide."""
     half_trace = 0.5 * trace
     discriminant = half_trace * half_trace - determinant
     root_size = jnp.sqrt(jnp.where(discriminant == 0, 1.0, abs(discriminant))) * jnp.where(discriminant == 0, 0.0, 1.0)

@@ -1,4 +1,4 @@
-"""How the rotation around an orbit changes with the distance from it, where areas are kept: `twist`."""
+"""Compute the twist of an elliptic orbit: the change of its rotation angle with the action."""
 
 from dataclasses import replace
 
@@ -12,28 +12,60 @@ from ..maps.strobe import strobe
 from ..scene import check
 from .orbit import Orbit, is_area_preserving
 
-RESONANCE_TOLERANCE = 1e-6  # of a multiplier from a third root of 1
+RESONANCE_TOLERANCE = 1e-6  # of the multiplier's cube from 1, at the resonance 1:3
 
 
 @check.host_only("use strobe and its derivatives")
 def twist(orbit: Orbit) -> float:
-    """The twist of an elliptic orbit: how the angle by which a return turns changes with the action.
+    """Compute the twist of an elliptic orbit.
 
-    orbit: with multipliers exp(+-i angle), 0 < angle < pi, of a scene without damping and with R = 1. A return is n
-    drive periods. Near the orbit motions stay, but for the resonances, on curves in the plane of (x, v) at a phase; on
-    one of them a return turns by angle + twist J, with J its area over 2 pi, the action (lengths squared per t). The
-    curves persist where the twist is not 0 (Moser's twist theorem).
+    The twist is the derivative of the rotation angle per return with respect to the action, at the orbit.
 
-    The first coefficient of Birkhoff's normal form, from the third derivatives of the strobe (Kuznetsov, Elements of
-    Applied Bifurcation Theory, 4.7). Raises ArgumentError for an orbit that is not elliptic, and next to the resonance
-    1:3, where there is none.
+    Parameters
+    ----------
+    orbit : Orbit
+        Orbit with multipliers exp(+-i angle), 0 < angle < pi, in a scene without damping and with R = 1.
+
+    Returns
+    -------
+    float
+        Twist in rad per action, the action in lengths squared per t.
+
+    Raises
+    ------
+    ArgumentError
+        If the orbit is not elliptic, or is close to the resonance 1:3, where the twist does not exist.
+
+    See Also
+    --------
+    find_orbit : Find the orbit near a state.
+    monodromy : Linear part of the return map.
+
+    Notes
+    -----
+    A return is n drive periods. Near the orbit, apart from resonances, motions stay on invariant curves in the plane of
+    (x, v) at a phase. On such a curve a return turns by ``angle + twist * J``, where J, the action, is the enclosed
+    area divided by 2 pi. The curves persist if the twist is not 0 (Moser's twist theorem).
+
+    The twist is the first coefficient of the Birkhoff normal form, computed from the third derivatives of the map [1]_.
+
+    References
+    ----------
+    .. [1] Yu. A. Kuznetsov, Elements of Applied Bifurcation Theory, Springer, section 4.7.
+
+    Examples
+    --------
+    >>> scene = jv.make_scene(amplitude=1.5, frequency=3.2, damping=0.0, restitution=1.0, walls=(None, 0.5))
+    >>> orbit = jv.find_orbit(scene, jv.State(x=-0.8, v=-1.44, phase=np.pi), periods=2, settle=0)
+    >>> round(jv.twist(orbit), 4)
+    -0.402
     """
     multiplier = orbit.multipliers[0]
     preserves_area = is_area_preserving(np.sum(orbit.multipliers), np.prod(orbit.multipliers))
     if orbit.rests or not preserves_area or not multiplier.imag:
         raise check.ArgumentError("orbit", "must be elliptic, its multipliers on the unit circle", orbit.multipliers)
     if abs(multiplier**3 - 1.0) < RESONANCE_TOLERANCE:
-        raise check.ArgumentError("orbit", "must be none of the resonance 1:3", orbit.multipliers)
+        raise check.ArgumentError("orbit", "must not be at the resonance 1:3", orbit.multipliers)
     point = np.array([np.asarray(orbit.state.x), np.asarray(orbit.state.v)])
     return _birkhoff_coefficient(
         *(np.asarray(tensor) for tensor in _return_derivatives(orbit.scene, orbit.state, point, orbit.periods))
@@ -42,7 +74,7 @@ def twist(orbit: Orbit) -> float:
 
 @persistent_jit(static_argnums=3)
 def _return_derivatives(scene, state, point, periods):
-    """The first, second and third derivatives of a return by (x, v)."""
+    """Compute the first, second and third derivatives of the return map with respect to (x, v)."""
 
     def return_map(start):
         end, _ = strobe(scene, replace(state, x=start[0], v=start[1]), periods, 0)
@@ -55,6 +87,7 @@ def _return_derivatives(scene, state, point, periods):
 
 
 def _birkhoff_coefficient(matrix, second_derivs, third_derivs):
+    """Compute the first Birkhoff coefficient from the derivatives of the return map."""
     eigenvalues, eigenvectors = np.linalg.eig(matrix)
     left_eigenvalues, left_eigenvectors = np.linalg.eig(matrix.T)
     multiplier, q, p = (

@@ -1,5 +1,5 @@
-"""What is written: columns of text, and files that are whole or not there.
+"""Write and read results: tables, units, labels, and files that are complete or absent.
 
-In: numbers, texts, datasets. Out: tables in columns; files written beside their place and renamed into it; a
-checksum in every saved file, and its refusal where it is wrong. Start with `atomic_write`.
+In: numbers, texts, datasets. Out: aligned tables; files written beside their place and renamed into it; a checksum in
+every saved file, which is checked on reading. Start with `atomic_write`.
 """

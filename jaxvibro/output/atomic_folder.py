@@ -1,9 +1,9 @@
-"""Folders that are complete or absent: made under a unique name beside their place, then renamed into it.
+"""Create folders that are complete or absent: made under a unique name beside their place, then renamed into it.
 
 A lock file beside the temporary folder shows whether its process is alive: the process holds a lock on it, which the
-system releases when the process ends, however it ends. So a temporary folder of a dead process can be removed, and one
-of a live process never is, whichever host or container it runs in. Where the file system has no locks the lock file is
-left out, and the temporary folder of a killed process stays.
+system releases when the process ends. So the temporary folder of a dead process can be removed, and that of a live
+process never is, whichever host or container it runs in. If the file system has no locks, there is no lock file, and
+the temporary folder of a killed process remains.
 """
 
 import os
@@ -23,8 +23,8 @@ TOKEN_PATTERN = "[0-9a-f]{16}"
 def complete_folder(path):
     """Yield a new temporary folder that takes the place of `path` when the block ends without an error.
 
-    Of several processes that create the same folder the first to finish wins. The others discard their own folder, so
-    that afterwards `path` exists and its content may be another process's.
+    If several processes create the same folder, the first to finish wins. The others discard their own folder, so that
+    afterwards `path` exists and its content may be another process's.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ def complete_folder(path):
     Raises
     ------
     OSError
-        If the folder cannot be made beside its place, or cannot be put into it and nothing else is there.
+        If the folder cannot be made beside its place, or cannot be moved into it and nothing else exists there.
     """
     temporary, lock, descriptor = _reserve_temporary(path)
     try:
@@ -58,14 +58,20 @@ def complete_folder(path):
 
 
 def remove_abandoned(path: Path) -> None:
-    """Remove the temporary folders that dead processes left beside `path`; those of live processes stay."""
+    """Remove the temporary folders that dead processes left beside `path`; those of live processes stay.
+
+    Parameters
+    ----------
+    path : Path
+        Folder beside whose place they are.
+    """
     pattern = re.compile(rf"{re.escape(f'.{path.name}.')}{TOKEN_PATTERN}{re.escape(LOCK_SUFFIX)}")
     try:
         locks = [path.with_name(name) for name in os.listdir(path.parent) if pattern.fullmatch(name)]
     except OSError:
         return
     for lock in locks:
-        with suppress(OSError, LockUnavailable):  # removed meanwhile, or another user's
+        with suppress(OSError, LockUnavailable):  # removed in the meantime, or owned by another user
             descriptor = os.open(lock, os.O_RDWR)
             try:
                 temporary = lock.with_suffix(PARTIAL_SUFFIX)
@@ -78,7 +84,7 @@ def remove_abandoned(path: Path) -> None:
 
 
 def _reserve_temporary(path):
-    """(temporary folder, its lock file, descriptor that holds the lock or None) under names that are not in use."""
+    """Return (temporary folder, its lock file, descriptor that holds the lock or None) under unused names."""
     while True:
         stem = f".{path.name}.{secrets.token_hex(8)}"
         temporary, lock = path.with_name(stem + PARTIAL_SUFFIX), path.with_name(stem + LOCK_SUFFIX)
@@ -93,7 +99,7 @@ def _reserve_temporary(path):
             os.close(descriptor)
             os.unlink(lock)
             return temporary, lock, None
-        os.close(descriptor)  # `remove_abandoned` of another process was faster than the lock
+        os.close(descriptor)  # `remove_abandoned` of another process preceded the lock
 
 
 def _still_has_name(descriptor, path):

@@ -1,7 +1,7 @@
-"""Saved files that tell whether they are what was written: a format number, and a checksum over all their bytes.
+"""Protect saved files with a format number and a checksum over all their bytes.
 
-The checksum stands in the file itself, as an attribute or a key: SHA-256 of the file's bytes with a blank one in its
-place. So every flipped bit is told, those in padding too, and any reader of NetCDF or JSON reads the file.
+The checksum is stored in the file itself, as an attribute or a key: SHA-256 of the file's bytes with a blank checksum
+in its place. So every flipped bit is detected, also in padding, and any reader of NetCDF or JSON reads the file.
 """
 
 import hashlib
@@ -15,24 +15,47 @@ import xarray as xr
 
 from ..scene.check import ArgumentError, format_value, host_only
 
-FORMAT_NUMBER = 2  # of the files; those of format 1 had neither number nor checksum
+FORMAT_NUMBER = 2  # files of format 1 had neither number nor checksum
 BLANK_CHECKSUM = "sha256:" + 64 * "0"
 HEADER_ATTRIBUTES = {
     "format": FORMAT_NUMBER,
     "checksum": BLANK_CHECKSUM,
-}  # what a file begins with, so that nothing before them is like them
+}  # first attributes of a file, so that no similar bytes precede them
 _CHECKSUM_PATTERN = re.compile(rb"sha256:[0-9a-f]{64}")
-_CHECKSUM_TRACES = (b"sha256:", b"checksum")  # no single damage takes both
+_CHECKSUM_TRACES = (b"sha256:", b"checksum")  # no single damage removes both
 
 
 def seal(content):
-    """The bytes of a file that holds `HEADER_ATTRIBUTES`, with the checksum filled in."""
+    """Return the bytes of a file that holds `HEADER_ATTRIBUTES`, with the checksum filled in.
+
+    Parameters
+    ----------
+    content : bytes
+        File with a blank checksum.
+
+    Returns
+    -------
+    bytes
+        File with its checksum.
+    """
     return content.replace(BLANK_CHECKSUM.encode(), b"sha256:" + sha256_hex(content).encode(), 1)
 
 
 def netcdf_bytes(data):
-    """An xarray.Dataset as the bytes of a sealed NetCDF file (classic format), which knows no dimension without places:
-    where orbits have no impacts there is room for one, of zeros."""
+    """Return a Dataset as the bytes of a sealed NetCDF file (classic format).
+
+    The format has no dimensions of size 0, so datasets of orbits without impacts are padded with one impact of zeros.
+
+    Parameters
+    ----------
+    data : xarray.Dataset
+        Dataset.
+
+    Returns
+    -------
+    bytes
+        Content of the file.
+    """
     padding = {"impact": (0, 1)} if data.sizes.get("impact") == 0 else {}
     dataset = data.pad(padding, constant_values=0).assign_attrs()
     dataset.attrs = HEADER_ATTRIBUTES | data.attrs | HEADER_ATTRIBUTES
@@ -40,9 +63,24 @@ def netcdf_bytes(data):
 
 
 def has_valid_checksum(content, path):
-    """Whether a file has a checksum, which is then right; False for a file of format 1.
+    """Return True if a file has a checksum and it is right; False for a file of format 1.
 
-    Raises ArgumentError where the checksum is wrong.
+    Parameters
+    ----------
+    content : bytes
+        Content of the file.
+    path : path_like
+        Name of the file, for the error.
+
+    Returns
+    -------
+    bool
+        True for a valid checksum, False without one.
+
+    Raises
+    ------
+    ArgumentError
+        If the checksum is wrong.
     """
     match = _CHECKSUM_PATTERN.search(content)
     if match is None and not any(trace in content for trace in _CHECKSUM_TRACES):
@@ -51,52 +89,111 @@ def has_valid_checksum(content, path):
         match is None
         or match[0] != b"sha256:" + sha256_hex(content.replace(match[0], BLANK_CHECKSUM.encode(), 1)).encode()
     ):
-        raise ArgumentError("path", "must be as it was written, which its checksum says it is not", str(path))
+        raise ArgumentError("path", "must be unchanged since it was written; its checksum does not match", str(path))
     return True
 
 
 def read_checked(path, parse):
-    """What read(content, path) gives of a file's bytes, once their checksum is right.
+    """Return parse(content, path) of a file after checking its checksum.
 
-    Called by what a user calls, through `host_only`: where the file is of format 1 and can be read, the warning names
-    the user's line."""
+    A file of format 1 that can be parsed causes a warning. It names the user's line if this function is called by a
+    public function that `host_only` decorates.
+
+    Parameters
+    ----------
+    path : path_like
+        File.
+    parse : callable
+        Function of the bytes and the path.
+
+    Returns
+    -------
+    object
+        Result of `parse`.
+    """
     content = Path(path).read_bytes()
     has_checksum, result = has_valid_checksum(content, path), parse(content, path)
     if not has_checksum:
-        warnings.warn(f"{path}: has no checksum, as files of before: damage would go unnoticed", stacklevel=4)
+        warnings.warn(
+            f"{path}: has no checksum, like all files of format 1; damage would not be detected", stacklevel=4
+        )
     return result
 
 
 def require_format(format_number, path):
-    """Refuse a format that is none, or of a later version; None is that of before."""
+    """Raise ArgumentError for an invalid format number or one of a later version; None is that of format 1.
+
+    Parameters
+    ----------
+    format_number : int or None
+        Format number in the file.
+    path : path_like
+        Name of the file, for the error.
+    """
     if format_number is not None and (
         np.ndim(format_number) or isinstance(format_number, bool) or format_number not in range(1, FORMAT_NUMBER + 1)
     ):
         raise ArgumentError(
-            "path", f"must be of format {FORMAT_NUMBER} or before", f"format {format_value(format_number)} in {path}"
+            "path", f"must be of format {FORMAT_NUMBER} or earlier", f"format {format_value(format_number)} in {path}"
         )
 
 
-@host_only("use what was loaded before")
+@host_only("use data that were loaded before")
 def load_data(path: str | PathLike[str]) -> xr.Dataset:
-    """The xarray.Dataset of a NetCDF file that `run` or `paper` wrote, once its checksum is right.
+    """Load a dataset that `run` or `paper` saved, after checking its checksum.
 
-    A file of before, without a checksum, is read with a warning. Raises ArgumentError where the file is damaged or none
-    of NetCDF, OSError where it cannot be read.
+    A file of format 1, which has no checksum, is loaded with a warning.
+
+    Parameters
+    ----------
+    path : path_like
+        NetCDF file.
+
+    Returns
+    -------
+    xarray.Dataset
+        Content of the file.
+
+    Raises
+    ------
+    ArgumentError
+        If the file is damaged or is not a NetCDF file.
+    OSError
+        If the file cannot be read.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     branch.save(f"{folder}/branch.nc")
+    ...     data = jv.load_data(f"{folder}/branch.nc")
+    >>> data["amplitude"].shape == branch.values.shape
+    True
     """
     return read_checked(path, parse_dataset)
 
 
 def parse_dataset(content, path):
-    """The Dataset of a NetCDF file's bytes. Raises ArgumentError."""
+    """Return the Dataset of a NetCDF file's bytes; raise ArgumentError if it cannot be read."""
     try:
         data = xr.load_dataset(content, engine="scipy")
-    except Exception as error:  # the readers fall over damage of many kinds, each with an error of its own
+    except Exception as error:  # readers raise different errors for different kinds of damage
         raise ArgumentError("path", f"must be a NetCDF file ({type(error).__name__})", str(path)) from None
     require_format(data.attrs.get("format"), path)
     return data
 
 
 def sha256_hex(content):
-    """SHA-256 of bytes, 64 letters."""
+    """Return the SHA-256 digest of bytes as 64 hexadecimal digits.
+
+    Parameters
+    ----------
+    content : bytes
+        Bytes.
+
+    Returns
+    -------
+    str
+        Digest.
+    """
     return hashlib.sha256(content).hexdigest()

@@ -1,4 +1,4 @@
-"""Runs of equal entries."""
+"""Find runs of equal entries."""
 
 from itertools import pairwise
 
@@ -6,6 +6,17 @@ import numpy as np
 
 
 def find_equal_runs(entries):
-    """[(first, one past the last)] of each run of equal entries, (entries,)."""
+    """Return the runs of equal entries of an array.
+
+    Parameters
+    ----------
+    entries : ndarray
+        Array of shape (entries,).
+
+    Returns
+    -------
+    list of tuple of int
+        First index and one past the last index of each run.
+    """
     edges = [0, *(np.flatnonzero(entries[1:] != entries[:-1]) + 1).tolist(), len(entries)]
     return [(start, stop) for start, stop in pairwise(edges) if stop > start]

@@ -8,16 +8,26 @@ from typing import Any
 fcntl: Any
 try:
     import fcntl
-except ImportError:  # not on this system
+except ImportError:  # not available on this system
     fcntl = None
 
 
 class LockUnavailable(Exception):
-    """The system or the file system has no such locks."""
+    """Error: the system or the file system has no such locks."""
 
 
 def try_lock(descriptor: int) -> bool:
-    """Lock an open file exclusively; False if another process or thread holds a lock on it.
+    """Lock an open file exclusively; return False if another process or thread holds a lock on it.
+
+    Parameters
+    ----------
+    descriptor : int
+        Descriptor of the open file.
+
+    Returns
+    -------
+    bool
+        True if the lock is held.
 
     Raises
     ------
@@ -37,7 +47,13 @@ def try_lock(descriptor: int) -> bool:
 
 @contextmanager
 def shared_lock(path):
-    """Hold a shared lock on a file within the block, without one where the file cannot be locked."""
+    """Hold a shared lock on a file within the block, or no lock if the file cannot be locked.
+
+    Parameters
+    ----------
+    path : path_like
+        File.
+    """
     try:
         descriptor = os.open(path, os.O_RDONLY)
     except OSError:
@@ -54,7 +70,18 @@ def shared_lock(path):
 
 @contextmanager
 def exclusive_lock(path):
-    """Try to hold an exclusive lock on a file within the block: whether it is held, without waiting."""
+    """Try to hold an exclusive lock on a file within the block, without waiting.
+
+    Parameters
+    ----------
+    path : path_like
+        File.
+
+    Yields
+    ------
+    bool
+        True if the lock is held.
+    """
     try:
         descriptor = os.open(path, os.O_RDWR)
     except OSError:

@@ -1,4 +1,4 @@
-"""Labels as whole numbers, for arrays of very many: P n p q is 1,000,000 n + 1,000 p + q, 999 standing for inf."""
+"""Encode labels as integers, for large arrays: P n p q is 1,000,000 n + 1,000 p + q, with 999 for inf."""
 
 import re
 
@@ -7,7 +7,7 @@ from jaxtyping import ArrayLike, Int
 
 NOT_DONE, UNDECIDED, CHAOTIC = -1, 0, 1
 CODE_WORDS = {NOT_DONE: "not done", UNDECIDED: "undecided", CHAOTIC: "chaotic"}
-INFINITE_COUNT = 999  # impacts without end, of complete chatter
+INFINITE_COUNT = 999  # stands for the infinitely many impacts of complete chatter
 PERIODS_FACTOR, LEFT_FACTOR = 1_000_000, 1_000
 CODE_RULE = "1000000 n + 1000 p + q for P n p q, 999 for inf; 1 chaotic, 0 undecided, -1 not done"
 
@@ -18,9 +18,23 @@ def encode_labels(
     n_right: Int[ArrayLike, "..."],
     chatter_walls: Int[ArrayLike, "..."] = 0,
 ) -> Int[np.ndarray, "..."]:
-    """Those of orbits of so many drive periods, with so many impacts on the walls; more than 998 count as 998.
+    """Encode the labels of orbits.
 
-    chatter_walls: on which walls the mass comes to rest by complete chatter: 1 left, 2 right, 3 both.
+    Parameters
+    ----------
+    periods : array_like
+        Drive periods.
+    n_left : array_like
+        Impacts on the left wall; more than 998 count as 998.
+    n_right : array_like
+        Impacts on the right wall; more than 998 count as 998.
+    chatter_walls : array_like, optional
+        Walls at which the mass sticks after complete chatter: 1 left, 2 right, 3 both.
+
+    Returns
+    -------
+    ndarray
+        Codes.
     """
     chatters_by_wall = [np.asarray(chatter_walls) & bit for bit in (1, 2)]
     n_left, n_right = (
@@ -31,12 +45,34 @@ def encode_labels(
 
 
 def period_of(code: Int[ArrayLike, "..."]) -> Int[np.ndarray, "..."]:
-    """Drive periods of the orbits with these codes; 0 of chaos and of what is undecided."""
+    """Return the drive periods of the orbits with these codes; 0 for chaotic and undecided ones.
+
+    Parameters
+    ----------
+    code : array_like
+        Codes.
+
+    Returns
+    -------
+    ndarray
+        Drive periods.
+    """
     return np.asarray(np.maximum(code, 0) // PERIODS_FACTOR)
 
 
 def label_of(code: int | np.integer) -> str:
-    """The label of a code, as of an attractor: P111, P1-0-inf, "chaotic", "undecided", "not done"."""
+    """Return the label of a code.
+
+    Parameters
+    ----------
+    code : int
+        Code.
+
+    Returns
+    -------
+    str
+        Label such as ``"P111"`` or ``"P1-0-inf"``, or ``"chaotic"``, ``"undecided"`` or ``"not done"``.
+    """
     code = int(code)
     if code in CODE_WORDS:
         return CODE_WORDS[code]
@@ -46,7 +82,18 @@ def label_of(code: int | np.integer) -> str:
 
 
 def code_of(label: str) -> int:
-    """The code of a label; that of what is undecided for one that is none."""
+    """Return the code of a label.
+
+    Parameters
+    ----------
+    label : str
+        Label.
+
+    Returns
+    -------
+    int
+        Code; that of ``"undecided"`` for an invalid label.
+    """
     for code, word in CODE_WORDS.items():
         if label == word:
             return code

@@ -1,8 +1,8 @@
-"""What other programs call special points: AUTO-07p and MatCont."""
+"""Translate kinds of special points into the labels of AUTO-07p and MatCont."""
 
 from ..scene import check
 
-# Where a program has no such point, ours stays: GR, CH and RL are known to none of them.
+# Kinds without a counterpart keep their label: neither program has GR, CH or RL.
 FOREIGN_LABELS = {
     "auto": {"SN": "LP", "SB": "BP", "NS": "TR", "NSA": "NSA"},
     "matcont": {"SN": "LPC", "SB": "BPC", "BP": "BPC", "NSA": "NS", "CP": "CPC"},
@@ -11,9 +11,24 @@ LABEL_SYSTEMS = ("jaxvibro", *FOREIGN_LABELS)
 
 
 def translate_label(kind: str, label_system: str) -> str:
-    """A kind of special point as "jaxvibro", "auto" (AUTO-07p) or "matcont" (MatCont, of cycles) calls it.
+    """Translate a kind of special point into the label of another program.
 
-    Raises ArgumentError for other programs.
+    Parameters
+    ----------
+    kind : str
+        Kind of special point.
+    label_system : {"jaxvibro", "auto", "matcont"}
+        Program: AUTO-07p, or MatCont (labels for cycles).
+
+    Returns
+    -------
+    str
+        Label. Kinds without a counterpart are unchanged.
+
+    Raises
+    ------
+    ArgumentError
+        If the program is unknown.
     """
     if not isinstance(label_system, str) or label_system not in LABEL_SYSTEMS:
         raise check.ArgumentError("labels", f"must be one of {', '.join(LABEL_SYSTEMS)}", label_system)

@@ -1,4 +1,4 @@
-"""What stands in a saved curve's file, held against what was written: fields in JSON, columns of numbers."""
+"""Check the content of saved curve files: fields in JSON and columns of numbers."""
 
 import json
 from collections.abc import Callable
@@ -11,13 +11,32 @@ from ..scene.check import ArgumentError, require_parameter, shorten
 from ..scene.scene_table import SceneTable
 from .checksums import parse_dataset
 
-IMPACT_CODES = {1, 2, 3}  # of an impact, and of releases, times the wall's sign
+IMPACT_CODES = {1, 2, 3}  # codes of impacts and releases, multiplied by the side of the wall
 
 
 def read_record(content: bytes, path, owner: str, parse: Callable[..., Any]) -> Any:
-    """What read(Dataset) makes of a file's bytes; `owner` says whose `save` writes such files.
+    """Return parse(Dataset) of a file's bytes.
 
-    Raises ArgumentError, whatever `parse` falls over.
+    Parameters
+    ----------
+    content : bytes
+        Content of the file.
+    path : path_like
+        Name of the file, for the error.
+    owner : str
+        Class whose `save` writes such files.
+    parse : callable
+        Function of the Dataset.
+
+    Returns
+    -------
+    object
+        Result of `parse`.
+
+    Raises
+    ------
+    ArgumentError
+        If the file cannot be parsed, whatever error `parse` raises.
     """
     data = parse_dataset(content, path)
     try:
@@ -28,18 +47,69 @@ def read_record(content: bytes, path, owner: str, parse: Callable[..., Any]) -> 
 
 
 def decode_field(attrs, key, kind):
-    """A field that is JSON, of a kind that msgspec tells. Raises what `msgspec` raises."""
+    """Return a JSON field converted to a type.
+
+    Parameters
+    ----------
+    attrs : mapping
+        Attributes of the Dataset.
+    key : str
+        Name of the field.
+    kind : type
+        Type that msgspec converts to.
+
+    Returns
+    -------
+    object
+        Value of the field.
+
+    Raises
+    ------
+    msgspec.ValidationError
+        If the field has another type.
+    """
     return msgspec.convert(json.loads(attrs[key]), kind)
 
 
 def require_valid(name, is_valid):
-    """Raises ValueError, naming the field, where it does not hold."""
+    """Raise ValueError, naming the field, if it is invalid.
+
+    Parameters
+    ----------
+    name : str
+        Name of the field.
+    is_valid : bool
+        True if it is valid.
+
+    Raises
+    ------
+    ValueError
+        If it is invalid.
+    """
     if not is_valid:
-        raise ValueError(f"its {name} cannot be")
+        raise ValueError(f"its {name} is invalid")
 
 
 def decode_scene(attrs, *names):
-    """The scene in a file, which has parameters of these names. Raises ArgumentError where it has not."""
+    """Return the scene in a file.
+
+    Parameters
+    ----------
+    attrs : mapping
+        Attributes of the Dataset.
+    *names : str
+        Parameters that the scene must have.
+
+    Returns
+    -------
+    Scene
+        Scene.
+
+    Raises
+    ------
+    ArgumentError
+        If the scene lacks one of the parameters.
+    """
     scene = msgspec.toml.decode(attrs["scene"], type=SceneTable).make()
     for name in names:
         require_parameter(name, scene.names, name)
@@ -47,14 +117,39 @@ def decode_scene(attrs, *names):
 
 
 def require_bounds(bounds):
-    """Raises ValueError where (low, high) are no bounds."""
+    """Raise ValueError if (low, high) are not valid bounds.
+
+    Parameters
+    ----------
+    bounds : sequence of float
+        Lower and upper bound.
+
+    Raises
+    ------
+    ValueError
+        If the bounds are not finite and increasing.
+    """
     require_valid("bounds", len(bounds) == 2 and np.isfinite(bounds).all() and bounds[0] < bounds[1])
 
 
 def require_columns(data, dims, finite_columns):
-    """Raises an error where data are without the columns of a curve of orbits, or hold numbers that no orbit has.
+    """Raise an error if the columns of a curve of orbits are missing or hold invalid numbers.
 
-    dims: {column: its dimensions}; finite_columns: the columns without nan and infinity.
+    Parameters
+    ----------
+    data : xarray.Dataset
+        Dataset.
+    dims : mapping of str to tuple of str
+        Dimensions of each column.
+    finite_columns : sequence of str
+        Columns without nan and infinity.
+
+    Raises
+    ------
+    ValueError
+        If a column is invalid.
+    KeyError
+        If a column is missing.
     """
     for key, expected_dims in dims.items():
         require_valid(key, data[key].dims == expected_dims and data[key].dtype.kind in "fi")

@@ -1,7 +1,7 @@
-"""The units of what is written and returned, as attributes of its variables: each spelled once.
+"""Define the units of results, as attributes of their variables.
 
-Lengths are in the unit in which the walls' positions are given; w0 is the frequency of the free oscillator without
-damping, t = w0 times the time; M and K are the oscillator's mass and stiffness. Where a scene has `Scales`, each is one
+Lengths are in the unit of the walls' positions. w0 is the frequency of the free oscillator without damping, and t is w0
+times the time. M and K are the oscillator's mass and stiffness. If a scene has `Scales`, each unit corresponds to one
 of N, Hz, mm, m/s, s, W, N/m, N s/m: `PHYSICAL_UNITS`.
 """
 
@@ -25,12 +25,20 @@ FORCE = "K length"
 POWER = "K length^2 w0"
 STIFFNESS = "K"
 DAMPING = "2 M w0"
-UNIT_SYSTEMS = ("scene", "physical")  # what may be asked for
-SCALES_ATTRIBUTE = "scales"  # the attribute of a Dataset: M, K, d
+UNIT_SYSTEMS = ("scene", "physical")  # choices of `units`
+SCALES_ATTRIBUTE = "scales"  # attribute of a Dataset with M, K, d
 
 
 class PhysicalUnit(NamedTuple):
-    """A unit that instruments have. text: its name; size: `Scales` -> how much of it one of the scene's units is."""
+    """Unit of measuring instruments.
+
+    Parameters
+    ----------
+    text : str
+        Name.
+    size : callable
+        Function from `Scales` to the size of the scene's unit in this one.
+    """
 
     text: str
     size: Callable[[Scales], float]
@@ -61,7 +69,18 @@ _PARAMETER_UNITS = {
 
 
 def unit_of(name: str) -> str:
-    """The unit of a scene's parameter; "" of a force's own number, which has whatever unit its function gives it."""
+    """Return the unit of a scene's parameter.
+
+    Parameters
+    ----------
+    name : str
+        Parameter.
+
+    Returns
+    -------
+    str
+        Unit; ``""`` for a parameter of a user-defined force, whose unit is that of its function.
+    """
     owner, _, parameter = name.partition(".")
     if owner == "force" or ".law." in name:
         return ""
@@ -69,64 +88,200 @@ def unit_of(name: str) -> str:
 
 
 def display_unit(unit: str, scales: Scales | None) -> tuple[str, float]:
-    """(the unit's name, how much of it one of the scene's units is): with scales the physical one, where there is one,
-    else as it is."""
+    """Return the unit in which a quantity is displayed.
+
+    Parameters
+    ----------
+    unit : str
+        Unit in the scene.
+    scales : Scales or None
+        Scales of the scene. None keeps the scene's unit.
+
+    Returns
+    -------
+    text : str
+        Name of the physical unit if there is one, else of the scene's unit.
+    factor : float
+        Size of the scene's unit in it.
+    """
     if scales is None or unit not in PHYSICAL_UNITS:
         return unit, 1.0
     return PHYSICAL_UNITS[unit].text, PHYSICAL_UNITS[unit].size(scales)
 
 
 def quantity_text(scales, unit, value):
-    """A number of a scene as "4.65", or with `Scales` as "12 N"."""
+    """Format a quantity of a scene as ``"4.65"``, or with scales as ``"12 N"``.
+
+    Parameters
+    ----------
+    scales : Scales or None
+        Scales of the scene.
+    unit : str
+        Unit in the scene.
+    value : float
+        Value in the scene.
+
+    Returns
+    -------
+    str
+        Text.
+    """
     unit_text, factor = display_unit(unit, scales)
     return f"{factor * value:g}" + _unit_suffix(scales, unit_text)
 
 
 def range_text(scales, unit, lower, upper):
-    """Two numbers of a scene as "from -1 to 1", or with `Scales` as "from -0.5 to 0.5 mm"."""
+    """Format a range of a scene as ``"from -1 to 1"``, or with scales as ``"from -0.5 to 0.5 mm"``.
+
+    Parameters
+    ----------
+    scales : Scales or None
+        Scales of the scene.
+    unit : str
+        Unit in the scene.
+    lower : float
+        Lower end in the scene.
+    upper : float
+        Upper end in the scene.
+
+    Returns
+    -------
+    str
+        Text.
+    """
     unit_text, factor = display_unit(unit, scales)
     return f"from {factor * lower:.4g} to {factor * upper:.4g}" + _unit_suffix(scales, unit_text)
 
 
 def _unit_suffix(scales, unit_text):
+    """Return the unit with a leading space, or an empty text."""
     return "" if scales is None or unit_text in ("", DIMENSIONLESS) else f" {unit_text}"
 
 
 def require_unit_system(units):
-    """The units asked for, "scene" or "physical". Raises ArgumentError for others."""
+    """Return the requested unit system, checked.
+
+    Parameters
+    ----------
+    units : {"scene", "physical"}
+        Unit system.
+
+    Returns
+    -------
+    str
+        Unit system.
+
+    Raises
+    ------
+    ArgumentError
+        If it is unknown.
+    """
     if not isinstance(units, str) or units not in UNIT_SYSTEMS:
         raise check.ArgumentError("units", f"must be one of {', '.join(UNIT_SYSTEMS)}", units)
     return units
 
 
 def unit_in_system(scene: Scene, unit: str, units: str) -> tuple[str, float]:
-    """`display_unit` in the units asked for. Raises ArgumentError for others, and where the scene has no scales."""
+    """Return `display_unit` in the requested unit system.
+
+    Parameters
+    ----------
+    scene : Scene
+        Scene.
+    unit : str
+        Unit in the scene.
+    units : {"scene", "physical"}
+        Unit system.
+
+    Returns
+    -------
+    text : str
+        Name of the unit.
+    factor : float
+        Size of the scene's unit in it.
+
+    Raises
+    ------
+    ArgumentError
+        If `units` is unknown, or physical units are requested of a scene without scales.
+    """
     require_unit_system(units)
     return display_unit(unit, None if units == "scene" else require_scales(scene))
 
 
 def scales_attributes(scene):
-    """{attribute: numbers} of a scene's scales, for a Dataset of it: {} without."""
+    """Return the attributes that store a scene's scales in a Dataset; empty without scales.
+
+    Parameters
+    ----------
+    scene : Scene
+        Scene.
+
+    Returns
+    -------
+    dict of str to list of float
+        Attributes.
+    """
     return {} if scene.scales is None else {SCALES_ATTRIBUTE: list(scene.scales.numbers.values())}
 
 
 def read_scales(data):
-    """The `Scales` in a Dataset's attributes. Raises ArgumentError where there are none."""
+    """Return the scales in a Dataset's attributes.
+
+    Parameters
+    ----------
+    data : xarray.Dataset
+        Dataset.
+
+    Returns
+    -------
+    Scales
+        Scales.
+
+    Raises
+    ------
+    ArgumentError
+        If there are none.
+    """
     if not isinstance(data, xr.Dataset) or SCALES_ATTRIBUTE not in data.attrs:
-        rule = "must be a Dataset of a scene with scales, as scene_from_physical makes"
+        rule = "must be a Dataset of a scene with scales; make the scene with scene_from_physical"
         raise check.ArgumentError("data", rule, type(data).__name__)
     return Scales(*np.asarray(data.attrs[SCALES_ATTRIBUTE], float))
 
 
-@check.host_only("multiply by what `scene.scales` says")
+@check.host_only("multiply by the factors of `scene.scales`")
 def to_physical(data: xr.Dataset) -> xr.Dataset:
-    """A Dataset of a scene with scales (`scene_from_physical`) in N, Hz, mm, m/s, s, W, N/m and N s/m: another Dataset.
+    """Convert a dataset of a scene with scales to physical units.
 
-    data: of `sweep`, `simulate`, `sections`, `basins`, `fractions`, `manifold`, `spectrum`, or a branch's or locus'
-    `data`. Each variable whose attribute `units` is one of the scene's is multiplied, and told in its new unit; the
-    rest, and the attributes, stay as they are.
+    The units are N, Hz, mm, m/s, s, W, N/m and N s/m.
 
-    Raises ArgumentError for what is no such Dataset, and where its scene had no scales.
+    Parameters
+    ----------
+    data : xarray.Dataset
+        Dataset of `sweep`, `simulate`, `sections`, `basins`, `fractions`, `manifold` or `spectrum`, or the ``data`` of
+        a branch or locus.
+
+    Returns
+    -------
+    xarray.Dataset
+        New dataset. Each variable whose attribute ``units`` is a unit of the scene is multiplied and has its new unit.
+        All other variables and the attributes are unchanged.
+
+    Raises
+    ------
+    ArgumentError
+        If `data` is not such a dataset, or its scene has no scales.
+
+    See Also
+    --------
+    scene_from_physical : Make a scene with scales from SI quantities.
+
+    Examples
+    --------
+    >>> physical = jv.scene_from_physical(2.0, 4.0, 800.0, 16.0, 40.0, 0.7, walls=(-0.01, 0.01))
+    >>> data = jv.to_physical(jv.sweep(physical, "amplitude", [2.0], state, settle=10, keep=1))
+    >>> data["x"].attrs["units"], data["amplitude"].values.tolist()
+    ('mm', [16.0])
     """
     scales = read_scales(data)
     physical_data = data.copy()

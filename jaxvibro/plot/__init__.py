@@ -1,4 +1,8 @@
-"""Pictures with matplotlib. Each takes Axes, a new figure's where none are given, and returns them; none is shown."""
+"""Draw results with matplotlib.
+
+Each function draws into the Axes that it is given, or into those of a new figure, and returns the Axes. No function
+shows a figure.
+"""
 
 from .basins import basins
 from .branch import branch, mark_points

@@ -1,4 +1,4 @@
-"""Basins of attraction: each start in the colour of what it ends on, and the attractors' own points."""
+"""Draw basins of attraction with the points of the attractors."""
 
 import numpy as np
 import xarray as xr
@@ -19,25 +19,58 @@ from .style import (
     scales_of,
 )
 
-# Pale kin of Okabe and Ito's colours, from light to dark, so that they are told in grey too.
+# Pale variants of the colours of Okabe and Ito, from light to dark, so that they differ in grey too.
 PALE_COLOURS = ("#FCEFB4", "#A9DCF5", "#F2AE72", "#72AD91", "#A9719A", "#4C79AD", "#94502F", "#3F5750")
 CHAOS_COLOURS, UNRESOLVED_COLOUR = ("#FFFFFF", "#C9C9C9", "#E6E6E6"), "#303030"
 CHAOS_DOT_COLOURS = ("#000000", "#B03A00", "#00517F")  # of chaotic attractors
-# Of mirror images the second has the turned shape, of a motion that is its own image the shape has no direction.
+# The second of two mirror images has the reflected marker; a symmetric motion has a marker without direction.
 MIRROR_MARKERS = (("<", ">"), ("^", "v"), ("$\\subset$", "$\\supset$"), ("P", "X"))
 SINGLE_MARKERS = ("o", "s", "D", "p", "h", "8")
 
 
 @checked_picture
 def basins(dataset: xr.Dataset, ax: Axes | None = None, legend: bool = True, units: str = "scene") -> Axes:
-    """Draw a Dataset of `jaxvibro.basins`, velocity against position: the Axes.
+    """Draw basins of attraction in the plane of position and velocity.
 
-    Each attractor has a colour, the lightest the first, and a shape for its points; of two mirror images the shapes
-    mirror each other. Chaos is white or a grey, its points are dots, black or of a dark colour. Starts on no attractor
-    are nearly black, those beyond a wall grey. legend: below the picture, with the shares of the starts. units:
-    "scene", or "physical" of a scene that has scales.
+    Each attractor has its own colour, from light to dark, and its own marker. Basins of chaotic attractors are white or
+    grey, and the points of the attractors are dots. Initial states without an attractor are nearly black, those beyond
+    a wall grey.
 
-    Raises ArgumentError for what is no such Dataset, and for other units.
+    Parameters
+    ----------
+    dataset : xarray.Dataset
+        Dataset of `jaxvibro.basins`.
+    ax : Axes, optional
+        Axes to draw into. None makes a new figure.
+    legend : bool, optional
+        Add a legend below the drawing, with the shares of the initial states.
+    units : {"scene", "physical"}, optional
+        Units of the axes. ``"physical"`` requires a scene with scales.
+
+    Returns
+    -------
+    Axes
+        Axes with the drawing.
+
+    Raises
+    ------
+    ArgumentError
+        If `dataset` is not a Dataset of `jaxvibro.basins`, or if `units` is unknown.
+
+    See Also
+    --------
+    jaxvibro.basins : Compute basins of attraction on a grid.
+    manifold : Draw an invariant manifold in the same plane.
+
+    Notes
+    -----
+    The markers of two mirror images are mirror images of each other.
+
+    Examples
+    --------
+    >>> ax = jv.plot.basins(jv.basins(scene, np.linspace(-1.0, 1.0, 8), np.linspace(-2.0, 2.0, 6)))
+    >>> ax.get_xlabel()[:8]
+    'position'
     """
     require_dataset("basins", "basins", ("label", "fraction", "x", "v"), dataset)
     x_axis, y_axis = phase_plane_axes(scales_of(dataset, units))
@@ -60,7 +93,7 @@ def basins(dataset: xr.Dataset, ax: Axes | None = None, legend: bool = True, uni
 
 
 def _attractor_styles(dataset):
-    """(colours, shapes) of the attractors, a shape "." where chaotic."""
+    """Return (colours, markers) of the attractors, with the marker "." for chaotic ones."""
     colours, markers = [], [None] * dataset.sizes["attractor"]
     marker_pairs, single_markers, pale_colours, chaos_colours = (
         iter(MIRROR_MARKERS * 8),
@@ -87,7 +120,7 @@ def _marker_style(marker, colour):
 
 
 def _legend_handles(dataset, colours, markers):
-    """The legend: an entry for each attractor, and for starts on none."""
+    """Return the legend entries: one per attractor, and those of states without one."""
     handles = []
     for index, marker in enumerate(markers):
         if dataset["kind"].values[index] == "unresolved":

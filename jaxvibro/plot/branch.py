@@ -1,4 +1,4 @@
-"""Branches of periodic orbits against their parameter, and the special points on them."""
+"""Draw branches of periodic orbits against their parameter, with their special points."""
 
 from itertools import pairwise
 from typing import Any
@@ -29,8 +29,8 @@ from .style import (
 )
 
 BRANCH_COLOURS = tuple(COLOURS[k] for k in (2, 7, 5, 3, 0, 6, 1))  # yellow is too pale for a line
-BRANCH_COLOURS += ("#882255", "#999933", "#332288", "#44AA99")  # of Tol's, where there are more
-LINE_WIDTHS = {True: 2.0, False: 0.9}  # of a stable and of an unstable part, points
+BRANCH_COLOURS += ("#882255", "#999933", "#332288", "#44AA99")  # from Tol's palette, for further branches
+LINE_WIDTHS = {True: 2.0, False: 0.9}  # points, of stable and of unstable parts
 LINE_STYLES = {True: "-", False: (0, (4, 2))}
 MARKERS = {
     "SN": "o",
@@ -45,12 +45,12 @@ MARKERS = {
     "R3": "<",
     "R4": "d",
 }
-MARKER_COLOUR = COLOURS[4]  # of special points: attractors are white or black
-MONITOR_MARKERS = "XP*pdh<>"  # of monitors
-MAX_TICK_LINES = 3  # on one tick
-MAX_CHECK_POINTS = 64  # points of a line that are looked for on others
-OVERLAP_TOLERANCE = 1e-3  # of their extent: lines as near are drawn once
-TICK_FONT_SIZE = "x-small"  # their size
+MARKER_COLOUR = COLOURS[4]  # of special points; attractors are white or black
+MONITOR_MARKERS = "XP*pdh<>"  # of points of user-defined monitors
+MAX_TICK_LINES = 3  # lines of text per tick
+MAX_CHECK_POINTS = 64  # points of a new line that are compared with other lines
+OVERLAP_TOLERANCE = 1e-3  # relative to the extent: lines that are closer are drawn once
+TICK_FONT_SIZE = "x-small"  # of the tick texts
 
 
 @checked_picture
@@ -62,19 +62,55 @@ def branch(
     units: str = "scene",
     labels: str = "jaxvibro",
 ) -> Axes:
-    """Draw one variable of a `Branch` against its parameter: the Axes.
+    """Draw one variable of a branch against its parameter.
 
-    variable: "x" or "v" at phase 0 of each drive period; of an orbit "speed", its largest before an impact,
-    "least_speed", "clearance", its least, or "peak", its largest abs x. colour: of its lines; None takes the next of
-    the house's, or that of a branch with the same labels in these Axes. units: "scene", or "physical" of a scene that
-    has scales; labels: what special points are called, as in `Branch.table`.
+    Stable parts are solid and thick, unstable parts dashed and thin. Each kind of special point has its own marker; the
+    ends of the branch have none.
 
-    Stable parts are solid and thick, unstable ones dashed and thin. A line breaks where an impact crosses phase 0: the
-    velocity jumps there, though the branch goes on. Each kind of special point has a marker of its own, the ends none.
-    Between points lines are bent as their neighbours say. A line that coincides with one of another branch, as the
-    speed of a mirror image does, is drawn once: two dashed lines would make a solid one. New Axes get a legend.
+    Parameters
+    ----------
+    one : Branch
+        Branch to draw.
+    variable : {"x", "v", "speed", "least_speed", "clearance", "peak"}, optional
+        Quantity on the y axis: ``"x"`` or ``"v"`` at phase 0 of each drive period, or one value per orbit: the largest
+        or the least speed before an impact, the least clearance, or the largest ``|x|``.
+    ax : Axes, optional
+        Axes to draw into. None makes a new figure, whose Axes get a legend.
+    colour : colour, optional
+        Colour of the lines. None takes the colour of a branch with the same labels in these Axes, else the next colour
+        of the cycle.
+    units : {"scene", "physical"}, optional
+        Units of the axes. ``"physical"`` requires a scene with scales.
+    labels : str, optional
+        Label system of the special points, as in `Branch.table`.
 
-    Raises ArgumentError for what is no `Branch`, and for other variables, units and labels.
+    Returns
+    -------
+    Axes
+        Axes with the drawing.
+
+    Raises
+    ------
+    ArgumentError
+        If `one` is not a `Branch`, if `variable`, `units` or `labels` is unknown, or if `units` is ``"physical"`` and
+        the scene has no scales.
+
+    See Also
+    --------
+    jaxvibro.follow : Continue a periodic orbit in one parameter.
+    mark_points : Write the special points along the top of the Axes.
+
+    Notes
+    -----
+    A line breaks where an impact crosses phase 0: the velocity jumps there, although the branch continues. Lines are
+    splines through the computed points. A line that coincides with a line of another branch, such as the speed of a
+    mirror image, is drawn once, because two dashed lines on each other look solid.
+
+    Examples
+    --------
+    >>> ax = jv.plot.branch(branch, "speed")
+    >>> ax.get_xlabel()[:15]
+    'drive amplitude'
     """
     require_record("branch", Branch, one)
     scales, curves, is_new = scales_of(one, units), one.curves(variable), ax is None
@@ -119,8 +155,10 @@ def branch(
 
 
 def _split_at_turns(piece, turning_marks):
-    """(values, column) of the lines of a `Piece`: each of its columns, cut at the `Marks` where it turns back on itself
-    (the orbits on the two sides of a symmetry breaking are mirror images), None: nowhere."""
+    """Yield (values, column) of each line of a `Piece`, cut at the `Marks` where it turns back on itself.
+
+    On the two sides of a symmetry breaking the orbits are mirror images. None as `turning_marks` cuts nowhere.
+    """
     cut_indices = [] if turning_marks is None else np.flatnonzero(np.isin(piece.values, turning_marks.values))
     breaks = [0, *(int(index) for index in cut_indices if 0 < index < len(piece.values) - 1), len(piece.values) - 1]
     for column in piece.columns.T:
@@ -129,7 +167,7 @@ def _split_at_turns(piece, turning_marks):
 
 
 def find_covering_line(ax: Axes, x: Float[np.ndarray, " points"], y: Float[np.ndarray, " points"], width: float) -> Any:
-    """Find a branch's line of this width in the Axes that covers all points of a new line; None without one."""
+    """Find a line of a branch of this width in the Axes that covers all points of a new line; None without one."""
     points = np.stack([x, y])[:, np.isfinite(y)]
     points = points[:, :: max(1, points.shape[1] // MAX_CHECK_POINTS)]
     for line in ax.lines:
@@ -142,7 +180,7 @@ def find_covering_line(ax: Axes, x: Float[np.ndarray, " points"], y: Float[np.nd
 
 
 def _lies_on_line(points, line_points):
-    """Return True if points lie on a line, (2, points) both, to SAME of its extent."""
+    """Return True if points lie on a line, both of shape (2, points), within `OVERLAP_TOLERANCE` of its extent."""
     extent = np.maximum(np.nanmax(line_points, axis=1) - np.nanmin(line_points, axis=1), np.ptp(points, axis=1))[
         :, None
     ]
@@ -164,12 +202,12 @@ def _line_label(line):
 
 
 def branch_name(branch):
-    """The labels of a branch's stretches, each once, in their order: "P100, P111"."""
+    """Return the distinct labels of the segments of a branch in order: "P100, P111"."""
     return ", ".join(dict.fromkeys(segment.label for segment in branch.segments))
 
 
 def add_stability_legend(ax):
-    """What the lines mean, once in a legend."""
+    """Add the legend entries of stable and unstable lines, once in the Axes."""
     if not any(line.get_gid() == "stability" for line in ax.lines):
         for stable, text in ((True, "stable"), (False, "unstable")):
             line_style = {
@@ -197,12 +235,12 @@ def _draw_special_points(ax, points, x_factor, y_factor, labels):
 
 
 def _kind_marker(kind):
-    """A kind's marker: a monitor's is told by its name alone, so that it is the same in every picture."""
+    """Return the marker of a kind; that of a monitor depends on its name only and is the same in every figure."""
     return MARKERS.get(kind) or MONITOR_MARKERS[sum(map(ord, kind)) % len(MONITOR_MARKERS)]
 
 
 def _draw_walls(ax, branch, factor):
-    """Lines where the walls stand, each once: not those that move or that the parameter moves, nor those far off."""
+    """Draw each fixed wall once as a line, unless the parameter moves it or it is far from the drawing."""
     lower, upper = ax.get_ylim()
     tolerance = (upper - lower) / 4
     known_positions = [
@@ -220,18 +258,48 @@ def _draw_walls(ax, branch, factor):
 def mark_points(
     branches: tuple[Branch, ...] | list[Branch], ax: Axes, units: str = "scene", labels: str = "jaxvibro"
 ) -> Axes:
-    """Tell kind and value of the special points of branches along the top of Axes in which they are drawn: the Axes.
+    """Write kind and value of the special points of branches along the top of the Axes.
 
-    Points of one value are told once, and those that lie too close to be told apart on one tick: the first of them.
-    units, labels: as in `branch`.
+    Points with the same value are written once. Points that lie too close for separate ticks share a tick, which lists
+    the first of them.
 
-    Raises ArgumentError for what is no tuple or list of `Branch`es.
+    Parameters
+    ----------
+    branches : tuple or list of Branch
+        Branches with the special points.
+    ax : Axes
+        Axes into which the branches are drawn.
+    units : {"scene", "physical"}, optional
+        Units of the axes. ``"physical"`` requires scenes with scales.
+    labels : str, optional
+        Label system of the special points, as in `Branch.table`.
+
+    Returns
+    -------
+    Axes
+        The same Axes.
+
+    Raises
+    ------
+    ArgumentError
+        If `branches` is not a tuple or list of `Branch` records, if `ax` is not an Axes, or if `units` or `labels` is
+        unknown.
+
+    See Also
+    --------
+    branch : Draw one variable of a branch.
+
+    Examples
+    --------
+    >>> ax = jv.plot.mark_points([branch], jv.plot.branch(branch))
+    >>> ax.get_ylabel()[:8]
+    'position'
     """
     require_records("mark_points", Branch, branches)
     require_axes(ax)
     lower, upper = ax.get_xlim()
     line_spacing = _tick_line_width(ax) * (upper - lower)
-    digits = max(0, 3 - int(np.floor(np.log10(upper - lower))))  # about a thousandth of the range
+    digits = max(0, 3 - int(np.floor(np.log10(upper - lower))))  # resolves about a thousandth of the range
     factors = [parameter_axis(scales_of(branch, units), branch.name).factor for branch in branches]
     points = [
         (item.kind, factor * item.value)
@@ -256,13 +324,13 @@ def mark_points(
 
 
 def _tick_line_width(ax):
-    """The width of a line of such a text, of the Axes' width."""
+    """Return the width of one line of tick text, as a fraction of the width of the Axes."""
     axes_width = ax.figure.get_figwidth() * ax.get_position().width
     return 1.3 * FontProperties(size=TICK_FONT_SIZE).get_size_in_points() / (72.0 * axes_width)
 
 
 def _tick_text(texts):
-    """What one tick says."""
+    """Return the text of one tick."""
     return "\n".join(
         texts
         if len(texts) <= MAX_TICK_LINES

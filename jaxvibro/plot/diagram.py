@@ -1,4 +1,4 @@
-"""The swept diagram: a coordinate on the section against the parameter, one colour a leg."""
+"""Draw sweep diagrams: a coordinate of the stroboscopic section against the parameter, one colour per leg."""
 
 from typing import Any
 
@@ -26,26 +26,63 @@ from .style import (
     variable_axis,
 )
 
-DOT_SIZES = 2.2, 3.6  # points, of the first leg's dots: between these what there is room for
-DOT_SPACING = 0.7  # of the way from one value to the next
-LEG_SIZE_RATIO = 0.5  # of the size of the leg before: where legs agree a ring of it is seen, in print too
-FAINT_SIZE_RATIO = 0.7  # of that size
+DOT_SIZES = 2.2, 3.6  # points, smallest and largest dot of the first leg; between them the size follows the spacing
+DOT_SPACING = 0.7  # fraction of the distance between two values
+LEG_SIZE_RATIO = 0.5  # relative to the previous leg: where legs agree, a ring of the larger dot stays visible
+FAINT_SIZE_RATIO = 0.7  # relative to the size of other dots
 MARKERS = "osD^vP*X"
-SWEEP_GID = "swept"  # group id of dots
+SWEEP_GID = "swept"  # group id of the dots of sweeps
 
 
 @checked_picture
 def diagram(
     swept: xr.Dataset, variable: str = "x", ax: Axes | None = None, faint: bool = False, units: str = "scene"
 ) -> Axes:
-    """Draw one variable, "x" or "v", of a Dataset of `sweep`: the Axes.
+    """Draw a coordinate of a sweep against its parameter.
 
-    A dimension besides the values' and `period` (lane, or leg with its names) makes a leg of each of its entries, with
-    a colour and a size of dot of its own, those after what the Axes hold of other sweeps. Fixed walls are lines where x
-    is drawn, unless they are far from all dots. faint: smaller and paler dots, below branches; without it they lie
-    above. units: "scene", or "physical" of a scene that has scales. New Axes get a legend.
+    A dimension besides the parameter and ``period``, such as ``lane`` or ``leg``, makes one leg of each of its entries.
+    Each leg has its own colour and dot size.
 
-    Raises ArgumentError for what is no such Dataset, and for other units.
+    Parameters
+    ----------
+    swept : xarray.Dataset
+        Dataset of `jaxvibro.sweep`.
+    variable : {"x", "v"}, optional
+        Position or velocity on the section.
+    ax : Axes, optional
+        Axes to draw into. None makes a new figure, whose Axes get a legend. Legs follow those of earlier sweeps in the
+        colour cycle.
+    faint : bool, optional
+        Draw smaller and paler dots below branches. By default the dots lie above branches.
+    units : {"scene", "physical"}, optional
+        Units of the axes. ``"physical"`` requires a scene with scales.
+
+    Returns
+    -------
+    Axes
+        Axes with the drawing.
+
+    Raises
+    ------
+    ArgumentError
+        If `swept` is not a Dataset of `jaxvibro.sweep`, or if `variable` or `units` is unknown.
+
+    See Also
+    --------
+    jaxvibro.sweep : Sweep a parameter and record the section.
+    mark : Draw attractors into a sweep diagram.
+    mark_orbits : Draw orbits into a sweep diagram.
+
+    Notes
+    -----
+    Fixed walls are drawn as lines in a diagram of ``"x"``, unless they are far from all dots.
+
+    Examples
+    --------
+    >>> swept = jv.sweep(scene, "amplitude", np.linspace(1.9, 2.1, 3), orbit.state, settle=20, keep=4)
+    >>> ax = jv.plot.diagram(swept)
+    >>> ax.get_legend_handles_labels()[1]
+    ['from 1.9 to 2.1']
     """
     require_dataset("diagram", "sweep", ("swept", "x", "v"), swept)
     require_choice("variable", variable, ("x", "v"))
@@ -89,7 +126,7 @@ def _draw_walls(ax, attrs, factor):
 
 
 def _axes_width(ax):
-    """The width of Axes, points."""
+    """Return the width of Axes in points."""
     return 72.0 * ax.figure.get_figwidth() * ax.get_position().width
 
 
@@ -109,13 +146,50 @@ def mark(
     ax: Axes | None = None,
     units: str = "scene",
 ) -> Axes:
-    """Draw attractors into a diagram, at the value of the swept parameter that they belong to: the Axes.
+    """Draw attractors into a sweep diagram.
 
-    value: in the units of the Axes; variable: "x" or "v". units: "scene", or "physical" of a scene that has scales.
-    Mirror images of each other have one shape, the first of them open and the second filled; a chaotic one is a row of
-    ticks, to the left or, its image, to the right. The legend tells their shares of the starts, with bounds at 95 %.
+    The legend lists their shares of the initial states, with 95 % bounds.
 
-    Raises ArgumentError for what is no tuple or list of `Attractor`s, and for other units.
+    Parameters
+    ----------
+    attractors : tuple or list of Attractor
+        Attractors of one scene, as `jaxvibro.find_attractors` returns them. Unresolved entries are not drawn.
+    value : float
+        Value of the swept parameter, in the units of the Axes.
+    variable : {"x", "v"}, optional
+        Position or velocity on the section.
+    ax : Axes, optional
+        Axes of the diagram. None makes a new figure.
+    units : {"scene", "physical"}, optional
+        Units of the axes. ``"physical"`` requires a scene with scales.
+
+    Returns
+    -------
+    Axes
+        Axes with the drawing.
+
+    Raises
+    ------
+    ArgumentError
+        If `attractors` is not a tuple or list of `Attractor` records, if `value` is not finite, or if `variable` or
+        `units` is unknown.
+
+    See Also
+    --------
+    diagram : Draw a sweep.
+    jaxvibro.find_attractors : Find the attractors of a scene.
+
+    Notes
+    -----
+    Mirror images of each other have the same shape: the first is open, the second filled. A chaotic attractor is a row
+    of ticks to the left of the value, and its mirror image a row to the right.
+
+    Examples
+    --------
+    >>> attractors = jv.find_attractors(scene, starts=20, settle=50)
+    >>> ax = jv.plot.mark(tuple(attractors), 2.0)
+    >>> len(ax.lines) > 1
+    True
     """
     require_records("mark", Attractor, attractors)
     require_value(value)

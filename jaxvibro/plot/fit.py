@@ -1,4 +1,4 @@
-"""What a fit leaves of a record of impacts or samples: measured less fitted."""
+"""Draw the residuals of a fit to a record of impacts or samples."""
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -11,12 +11,45 @@ from .style import COLOURS, axes_or_new, checked_picture, require_record
 
 @checked_picture
 def fit(found: Fit, record: ImpactRecord | SampleRecord, ax: Axes | None = None) -> Axes:
-    """Draw what `fit` left of a record, in errors, over time: the Axes.
+    """Draw the residuals of a fit against time.
 
-    Impacts on the left wall point to the left; dashed lines are impacts that the record lacks, crosses such as are
-    none. Of samples dots are x, rings v.
+    Residuals are measured minus fitted values, in multiples of the standard error of a measurement.
 
-    Raises ArgumentError where it is given anything else.
+    Parameters
+    ----------
+    found : Fit
+        Result of `jaxvibro.fit`.
+    record : ImpactRecord or SampleRecord
+        Record to which the scene was fitted.
+    ax : Axes, optional
+        Axes to draw into. None makes a new figure.
+
+    Returns
+    -------
+    Axes
+        Axes with the drawing.
+
+    Raises
+    ------
+    ArgumentError
+        If `found` is not a `Fit`, or if `record` is neither an `ImpactRecord` nor a `SampleRecord`.
+
+    See Also
+    --------
+    jaxvibro.fit : Fit parameters of a scene to a record.
+
+    Notes
+    -----
+    Markers of impacts point to the wall that is hit. Dashed lines are impacts that are missing from the record, crosses
+    are spurious ones. Dots are residuals of positions, circles those of velocities.
+
+    Examples
+    --------
+    >>> motion = jv.simulate(scene, orbit.state, 5)
+    >>> record = jv.ImpactRecord(motion["impact_time"].values, motion["side"].values, 1e-3)
+    >>> ax = jv.plot.fit(jv.fit(scene.replace(restitution=0.69), record, {"restitution": 0.02}), record)
+    >>> ax.get_legend_handles_labels()[1]
+    ['left wall', 'right wall']
     """
     require_record("fit", Fit, found)
     if not isinstance(record, ImpactRecord | SampleRecord):

@@ -1,4 +1,4 @@
-"""Shares of attractors along a parameter, as bands that lie on each other."""
+"""Draw basin fractions of attractors along a parameter as stacked bands."""
 
 from typing import Any
 
@@ -20,12 +20,12 @@ from .style import (
     scales_of,
 )
 
-ATTRACTOR_COLOURS = tuple(one for one in COLOURS if one != "#000000")  # black is the edges'
-CHAOS_HATCH, UNRESOLVED_HATCH = "....", "/////"  # hatches
+ATTRACTOR_COLOURS = tuple(colour for colour in COLOURS if colour != "#000000")  # black is reserved for edges
+CHAOS_HATCH, UNRESOLVED_HATCH = "....", "/////"
 GREY = "0.8"
 EDGE_STYLE: dict[str, Any] = {"color": "black", "linewidth": 0.5}
-ROUNDING = 1e-9  # of sums of shares
-MAX_LISTED, MAX_LABELS = 10, 3  # attractors in the legend, and labels of each, at most
+ROUNDING = 1e-9  # tolerance of sums of shares
+MAX_LISTED, MAX_LABELS = 10, 3  # attractors in the legend, and labels of each
 REQUIRED_NAMES = ("swept", "share", "label", "kind", "unresolved", "starts")
 
 
@@ -33,16 +33,48 @@ REQUIRED_NAMES = ("swept", "share", "label", "kind", "unresolved", "starts")
 def fractions(
     found: xr.Dataset, ax: Axes | None = None, legend: bool = True, bounds: bool = True, units: str = "scene"
 ) -> Axes:
-    """Draw a Dataset of `jaxvibro.fractions`: the Axes.
+    """Draw basin fractions along a parameter as stacked bands.
 
-    At each value of the parameter the shares lie on each other, an attractor's in one colour all along, its mirror
-    image's beside it in the paler one; dotted where it is chaotic, and on top, hatched on grey, the starts on none. A
-    value's bars reach half way to the next. legend: below the picture, with the labels that each attractor has along
-    the parameter, at most ten attractors, those of the largest shares. bounds: thin lines, how far from where it is
-    drawn the edge between two bands may be, at 95 %. units: of the parameter, "scene", or "physical" of a scene that
-    has scales.
+    Each attractor keeps its colour along the parameter; its mirror image lies beside it in a paler shade. Chaotic
+    attractors are dotted. Initial states without an attractor lie on top, hatched on grey.
 
-    Raises ArgumentError for what is no such Dataset, and for other units.
+    Parameters
+    ----------
+    found : xarray.Dataset
+        Dataset of `jaxvibro.fractions`.
+    ax : Axes, optional
+        Axes to draw into. None makes a new figure.
+    legend : bool, optional
+        Add a legend below the drawing. It lists the labels of each attractor along the parameter, for at most ten
+        attractors, those with the largest shares.
+    bounds : bool, optional
+        Draw the 95 % bounds of each edge between two bands as thin vertical lines.
+    units : {"scene", "physical"}, optional
+        Units of the parameter. ``"physical"`` requires a scene with scales.
+
+    Returns
+    -------
+    Axes
+        Axes with the drawing.
+
+    Raises
+    ------
+    ArgumentError
+        If `found` is not a Dataset of `jaxvibro.fractions`, or if `units` is unknown.
+
+    See Also
+    --------
+    jaxvibro.fractions : Compute basin fractions along a parameter.
+
+    Notes
+    -----
+    The bar of a value extends half way to the next value.
+
+    Examples
+    --------
+    >>> ax = jv.plot.fractions(jv.fractions(scene, "amplitude", [1.9, 2.1], starts=20, settle=50))
+    >>> ax.get_ylabel()
+    'share of starts'
     """
     require_dataset("fractions", "fractions", REQUIRED_NAMES, found)
     parameter = found.attrs["swept"]
@@ -70,7 +102,7 @@ def fractions(
         bottom = top
         if bounds:
             has_edge = (shares[:, attractor] > 0.0) & (bottom < 1.0 - ROUNDING)
-            # each edge at a place of its own in a bar
+            # Each edge has its own position inside a bar, so that the bounds do not overlap.
             bar_positions = borders[:-1] + row / (len(order) + 1) * np.diff(borders)
             _draw_bounds(ax, bar_positions[has_edge], bottom[has_edge], found.attrs["starts"])
     top = bottom + found["unresolved"].values
@@ -83,7 +115,7 @@ def fractions(
 
 
 def _attractor_colours(dataset):
-    """(the attractors from the lowest band up, the colour of each): mirror images side by side."""
+    """Return (attractors from the lowest band up, colour of each), with mirror images side by side."""
     order, colours = [], {}
     mirrors = dataset["mirror_of"].values
     for attractor in range(dataset.sizes["attractor"]):
@@ -102,7 +134,7 @@ def _attractor_colours(dataset):
 
 
 def _draw_bounds(ax, x, edge_shares, n_starts):
-    """How far up and down the edge over some bands may be: of the starts below it, counted together."""
+    """Draw the bounds of the edges over some bands, from the number of initial states below each edge."""
     lower, upper = (
         np.array([share_bounds(round(float(share) * n_starts), n_starts) for share in edge_shares]).reshape(-1, 2).T
     )
@@ -110,7 +142,7 @@ def _draw_bounds(ax, x, edge_shares, n_starts):
 
 
 def _legend_handles(dataset, order, colours):
-    """The legend: an entry for each of the attractors with the largest shares, one for starts on none."""
+    """Return the legend entries: the attractors with the largest shares, and states without one."""
     total_shares = dataset["share"].sum(dataset.attrs["swept"]).values
     listed_attractors = set(sorted(order, key=lambda attractor: -total_shares[attractor])[:MAX_LISTED])
     handles = []

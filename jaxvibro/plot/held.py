@@ -1,4 +1,4 @@
-"""Orbits that share a number, in the plane of their two parameters."""
+"""Draw branches with one held quantity in the plane of their two parameters."""
 
 from typing import Any
 
@@ -14,19 +14,51 @@ from .smooth_line import smooth_line
 from .style import COLOURS, add_legend, axes_or_new, checked_picture, require_record, scaled_line_width, scales_of
 
 HELD_GID = "held"
-HELD_COLOURS = tuple(COLOURS[k] for k in (6, 3, 5, 7, 0))  # loci have others first
+HELD_COLOURS = tuple(COLOURS[k] for k in (6, 3, 5, 7, 0))  # ordered so that they differ from those of loci
 
 
 @checked_picture
 def held(one: HeldBranch, ax: Axes | None = None, colour: ColorType | None = None, units: str = "scene") -> Axes:
-    """Draw a `HeldBranch` in the plane of its two parameters, the first across, the second up: the Axes.
+    """Draw a branch with one held quantity in the plane of its two parameters.
 
-    colour: of its line; None takes the next of the house's. Stable parts are solid and thick, unstable ones dashed and
-    thin, as of a branch. units: "scene", or "physical" of a scene that has scales. New Axes get a legend. Loci of the
-    same parameters may be in the same Axes.
+    The first parameter is on the x axis, the second on the y axis. Stable parts are solid and thick, unstable parts
+    dashed and thin, as for a branch.
 
-    Raises ArgumentError for what is no `HeldBranch`, where the Axes hold curves of other parameters, or of these the
-    other way round, and for other units.
+    Parameters
+    ----------
+    one : HeldBranch
+        Branch to draw.
+    ax : Axes, optional
+        Axes to draw into. None makes a new figure, whose Axes get a legend. The Axes may hold loci of the same
+        parameters.
+    colour : colour, optional
+        Colour of the line. None takes the next colour of the cycle.
+    units : {"scene", "physical"}, optional
+        Units of the axes. ``"physical"`` requires a scene with scales.
+
+    Returns
+    -------
+    Axes
+        Axes with the drawing.
+
+    Raises
+    ------
+    ArgumentError
+        If `one` is not a `HeldBranch`, if the Axes hold curves of other parameters or of the same parameters in the
+        other order, or if `units` is unknown.
+
+    See Also
+    --------
+    jaxvibro.follow : Continue a periodic orbit; `hold` fixes a quantity.
+    locus : Draw a locus in the same plane.
+
+    Examples
+    --------
+    >>> bounds = {"amplitude": (1.5, 2.5), "frequency": (2.05, 2.15)}
+    >>> held = jv.follow(orbit, ("amplitude", "frequency"), bounds, hold={"least_speed": 1.9})
+    >>> ax = jv.plot.held(held)
+    >>> ax.get_ylabel()[:15]
+    'drive frequency'
     """
     require_record("held", HeldBranch, one)
     is_new = ax is None

@@ -1,4 +1,4 @@
-"""A trajectory with its impacts in their places, so that a line through it breaks there."""
+"""Insert the impacts of a trajectory between its samples, so that lines break there."""
 
 import numpy as np
 
@@ -6,9 +6,9 @@ SIDE_NAMES = {-1: "left", 1: "right"}
 
 
 def insert_impacts(trajectory, scene):
-    """(time, x, v, places) of a Dataset of `simulate`, an impact being three entries: before, nan, after.
+    """Return (time, x, v, indices) of a Dataset of `simulate`, with three entries per impact: before, nan, after.
 
-    places: the indices of the entries before an impact.
+    `indices` are those of the entries before the impacts.
     """
     time, x, v = (trajectory[name].values for name in ("time", "x", "v"))
     impact_times, impact_positions = (trajectory[name].values for name in ("impact_time", "position"))
@@ -16,7 +16,7 @@ def insert_impacts(trajectory, scene):
     wall_velocities, restitutions = _wall_data(scene, side, impact_times, float(trajectory["phase"].values[0]))
     breaks = np.full(impact_times.shape, np.nan)
     velocities_before, velocities_after = wall_velocities + side * speed, wall_velocities - restitutions * side * speed
-    # A sample at an impact's time is the state after it, but for the given one at the start.
+    # A sample at the time of an impact is the state after it, except for the initial state.
     indices = np.maximum(1, np.searchsorted(time, impact_times, side="left"))
     repeated_indices = np.repeat(indices, 3)
 
@@ -33,7 +33,7 @@ def insert_impacts(trajectory, scene):
 
 
 def _wall_data(scene, side, time, phase):
-    """(velocity, restitution) of the walls hit at these times."""
+    """Return (velocity, restitution) of the walls hit at these times."""
     wall_velocities, restitutions = np.zeros(time.shape), np.zeros(time.shape)
     for sign, name in SIDE_NAMES.items():
         wall, is_on_wall = getattr(scene, name), side == sign
@@ -48,13 +48,13 @@ def _wall_data(scene, side, time, phase):
 
 
 def wall_position(wall, phase):
-    """Where a wall is at phases of the drive."""
+    """Return the position of a wall at phases of the drive."""
     displacement = 0.0 if wall.motion is None else _harmonic_term(wall, np.cos, phase)
     return float(wall.position) + displacement + 0.0 * phase
 
 
 def wall_velocity(wall, frequency, phase):
-    """How fast a moving wall is at phases of the drive."""
+    """Return the velocity of a moving wall at phases of the drive."""
     return -wall.motion.harmonic * frequency * _harmonic_term(wall, np.sin, phase)
 
 

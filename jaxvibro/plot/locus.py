@@ -1,4 +1,4 @@
-"""Loci in the plane of their two parameters, and the regions between them."""
+"""Draw loci in the plane of their two parameters, and the regions between them."""
 
 from itertools import pairwise
 from typing import Any
@@ -23,7 +23,7 @@ from .style import (
     scales_of,
 )
 
-# Of each kind: a colour, and a style that tells it without colour.
+# Colour and dashes of each kind; the dashes distinguish the kinds without colour.
 KIND_STYLES = {
     "SN": (COLOURS[0], "-"),
     "PD": (COLOURS[7], (0, (6, 2))),
@@ -32,10 +32,10 @@ KIND_STYLES = {
     "CH": (COLOURS[3], (0, (3, 1, 1, 1, 1, 1))),
     "RL": (COLOURS[1], (0, (10, 3))),
 }
-LINE_WIDTHS = (2.2, 1.4, 0.8)  # of the first, second and further loci of a kind, points
+LINE_WIDTHS = (2.2, 1.4, 0.8)  # points, of the first, second and further loci of a kind
 MARKERS = {"CP": "*", "GPD": "^", "DSB": "D", "GR": "v", "GG": "s", "RG": "o", "SN": "<", "PD": ">", "SB": "d"}
 MARKERS |= {"CH": "H", "RL": "8", "DG": "P"}
-MARKER_SIZES = {"RG": 9.0}  # points; of others 6: loci that end on a grazing may do so at an RG, whose ring then shows
+MARKER_SIZES = {"RG": 9.0}  # points, others have 6; a larger RG stays visible below the end of a locus of GR
 MARKER_COLOUR = COLOURS[4]
 HATCHES = ("///", "\\\\\\", "...", "xxx", "")
 LOCUS_GID, REGION_GID = "locus", "region"
@@ -49,15 +49,51 @@ def locus(
     units: str = "scene",
     labels: str = "jaxvibro",
 ) -> Axes:
-    """Draw a `Locus` in the plane of its two parameters, the first across, the second up: the Axes.
+    """Draw a locus in the plane of its two parameters.
 
-    colour: of its line; None takes that of its kind. Each kind has a colour and a style of line; of two loci of a kind
-    in the same Axes the second is thinner, and further ones thinner still. Each kind of codimension-two point has a
-    marker, ends have none. units: "scene", or "physical" of a scene that has scales; labels: what points are called, as
-    in `Branch.table`. New Axes get a legend.
+    The first parameter is on the x axis, the second on the y axis. Each kind of locus has its own colour and line
+    style. Each kind of codimension-two point has its own marker; the ends of the locus have none.
 
-    Raises ArgumentError where the Axes hold loci of other parameters, or of these the other way round, and for other
-    units and labels.
+    Parameters
+    ----------
+    one : Locus
+        Locus to draw.
+    ax : Axes, optional
+        Axes to draw into. None makes a new figure, whose Axes get a legend.
+    colour : colour, optional
+        Colour of the line. None takes the colour of its kind.
+    units : {"scene", "physical"}, optional
+        Units of the axes. ``"physical"`` requires a scene with scales.
+    labels : str, optional
+        Label system of the points, as in `Branch.table`.
+
+    Returns
+    -------
+    Axes
+        Axes with the drawing.
+
+    Raises
+    ------
+    ArgumentError
+        If `one` is not a `Locus`, if the Axes hold curves of other parameters or of the same parameters in the other
+        order, or if `units` or `labels` is unknown.
+
+    See Also
+    --------
+    jaxvibro.locus : Continue a special point in two parameters.
+    region : Shade the region between two loci.
+    held : Draw a branch with one held quantity in the same plane.
+
+    Notes
+    -----
+    The second locus of a kind in the same Axes has a thinner line than the first, and further ones are thinner still.
+
+    Examples
+    --------
+    >>> bounds = {"amplitude": (0.3, 5.0), "frequency": (2.0, 2.2)}
+    >>> ax = jv.plot.locus(jv.locus(branch.points("GR")[0], ("amplitude", "frequency"), bounds))
+    >>> ax.get_ylabel()[:15]
+    'drive frequency'
     """
     require_record("locus", Locus, one)
     is_new = ax is None
@@ -93,7 +129,18 @@ def locus(
 
 
 def locus_name(locus):
-    """What a locus is called: "SN of P111"."""
+    """Return the name of a locus.
+
+    Parameters
+    ----------
+    locus : Locus
+        Locus.
+
+    Returns
+    -------
+    str
+        For example ``"SN of P111"``.
+    """
     return f"{locus.kind} of {locus.label}"
 
 
@@ -121,14 +168,50 @@ def region(
     colour: ColorType | None = None,
     units: str = "scene",
 ) -> Axes:
-    """Shade the region between two `Locus` over the same two parameters, and write a text into it: the Axes.
+    """Shade the region between two loci and write a text into it.
 
-    A point is in the region if, on the line through it on which the second parameter is constant, its neighbours are
-    the one locus on one side and the other locus on the other. colour: of the shade; None takes grey, with another
-    hatching for each region in these Axes, told by the text in the legend too. units: as in `locus`.
+    Parameters
+    ----------
+    first : Locus
+        First boundary of the region.
+    second : Locus
+        Second boundary, over the same two parameters in the same order.
+    text : str
+        Text inside the region and in the legend.
+    ax : Axes, optional
+        Axes to draw into. None makes a new figure.
+    colour : colour, optional
+        Colour of the shade. None takes grey, with a different hatching for each region in these Axes.
+    units : {"scene", "physical"}, optional
+        Units of the axes. ``"physical"`` requires a scene with scales.
 
-    Raises ArgumentError where the two are not over the same parameters in the same order, where no such line meets
-    both, and as `locus` does.
+    Returns
+    -------
+    Axes
+        Axes with the drawing.
+
+    Raises
+    ------
+    ArgumentError
+        If `first` or `second` is not a `Locus`, if their parameters differ, if no line of constant second parameter
+        meets both, or as `locus` does.
+
+    See Also
+    --------
+    locus : Draw a locus.
+
+    Notes
+    -----
+    A point belongs to the region if its two neighbours on the line of constant second parameter lie on different loci.
+
+    Examples
+    --------
+    >>> bounds = {"amplitude": (0.3, 5.0), "frequency": (2.0, 2.2)}
+    >>> names = ("amplitude", "frequency")
+    >>> fold, grazing = (jv.locus(branch.points(kind)[0], names, bounds) for kind in ("SN", "GR"))
+    >>> ax = jv.plot.region(fold, grazing, "P111")
+    >>> ax.texts[0].get_text()
+    'P111'
     """
     require_record("region", Locus, first, second)
     if not isinstance(text, str):
@@ -158,10 +241,10 @@ def region(
 
 
 def _outlines(first, second):
-    """The corners of each part of the region between two curves of points (across, up), a list of (corners, 2).
+    """Return the corners of each part of the region between two curves of shape (points, 2), as a list of (corners, 2).
 
-    Between two heights at which neither curve has a point both are straight; there, of all their pieces from left to
-    right, each two neighbours of different curves have a part of the region between them.
+    Between two levels of the second parameter at which neither curve has a point both are straight. There the pieces of
+    both are sorted from left to right, and each two neighbours of different curves bound a part of the region.
     """
     levels = np.unique(np.concatenate([first[:, 1], second[:, 1]]))
     parts, open_parts = [], []
@@ -183,7 +266,7 @@ def _outlines(first, second):
 
 
 def _level_crossings(curve, lower, upper):
-    """(across at the one height, at the other) of each piece of a curve that reaches from the one to the other."""
+    """Yield (x at the lower level, x at the upper level) of each piece of a curve that spans both levels."""
     piece_levels = np.sort(np.stack([curve[:-1, 1], curve[1:, 1]]), axis=0)
     for index in np.flatnonzero((piece_levels[0] <= lower) & (upper <= piece_levels[1])):
         (x_start, y_start), (x_end, y_end) = curve[index : index + 2]
@@ -191,7 +274,7 @@ def _level_crossings(curve, lower, upper):
 
 
 def _widest_point(outlines):
-    """A point in the middle of where the largest region is wide, not close to its ends."""
+    """Return a point in the middle of the widest part of the largest region, away from its ends."""
     best_width, best_point = -np.inf, None
     levels = np.concatenate(outlines)[:, 1]
     max_width = max(np.ptp(outline[:, 0]) for outline in outlines)

@@ -1,4 +1,4 @@
-"""Invariant manifolds in the plane of Sigma: lines from a saddle, broken where the curve is."""
+"""Draw invariant manifolds in the plane of the stroboscopic section."""
 
 from typing import Any
 
@@ -19,7 +19,7 @@ from .style import (
     scales_of,
 )
 
-# Why a curve ends; it goes on beyond a grazing, and an impact at the section's phase.
+# Marker of each reason for a final end. A curve continues beyond a grazing and an impact at the phase of the section.
 END_MARKERS = {"attractor": "o", "length": "s", "points": "D", "resolution": "^", "fast": "v"}
 KIND_STYLES = {"stable": (COLOURS[2], "-"), "unstable": (COLOURS[7], (0, (5, 2)))}
 
@@ -32,14 +32,49 @@ def manifold(
     saddle: bool = True,
     units: str = "scene",
 ) -> Axes:
-    """Draw a Dataset of `jaxvibro.manifold`, velocity against position: the Axes.
+    """Draw an invariant manifold, velocity against position.
 
-    A stable manifold is a black line, an unstable one a broken line in orange-red; colour: another one. saddle: mark
-    the saddle's points with crosses. Where the curve ends for good it is marked, and the legend
-    says why. Walls that stand still are grey lines. units: "scene", or "physical" of a scene that has scales. New Axes
-    get a legend.
+    A stable manifold is a solid black line, an unstable one a dashed orange-red line. The line breaks where the
+    manifold is discontinuous.
 
-    Raises ArgumentError for what is no such Dataset, and for other units.
+    Parameters
+    ----------
+    dataset : xarray.Dataset
+        Dataset of `jaxvibro.manifold`.
+    ax : Axes, optional
+        Axes to draw into. None makes a new figure, whose Axes get a legend.
+    colour : colour, optional
+        Colour of the line. None takes the colour of its kind.
+    saddle : bool, optional
+        Mark the points of the saddle with crosses.
+    units : {"scene", "physical"}, optional
+        Units of the axes. ``"physical"`` requires a scene with scales.
+
+    Returns
+    -------
+    Axes
+        Axes with the drawing.
+
+    Raises
+    ------
+    ArgumentError
+        If `dataset` is not a Dataset of `jaxvibro.manifold`, or if `units` is unknown.
+
+    See Also
+    --------
+    jaxvibro.manifold : Compute a stable or unstable manifold.
+    basins : Draw basins of attraction.
+
+    Notes
+    -----
+    A marker shows each final end of the curve, and the legend states the reason. Fixed walls are grey lines.
+
+    Examples
+    --------
+    >>> saddle = branch.orbit(len(branch) - 1)
+    >>> ax = jv.plot.manifold(jv.manifold(saddle, "unstable", length=1.0))
+    >>> ax.get_legend_handles_labels()[1][0][:20]
+    'unstable manifold of'
     """
     require_dataset("manifold", "manifold", ("kind", "piece", "x", "v"), dataset)
     x_axis, y_axis = phase_plane_axes(scales_of(dataset, units))
@@ -69,7 +104,7 @@ def manifold(
 
 
 def _mark_ends(ax, dataset, states, colour):
-    """Marks where pieces begin and end, a kind for each reason."""
+    """Mark the two ends of each piece, with one marker for each reason."""
     pieces = dataset["piece"].values
     known_labels = {line.get_label() for line in ax.lines if line.get_gid() == "end"}
     starts, stops = np.searchsorted(pieces, np.unique(pieces)), np.searchsorted(pieces, np.unique(pieces), "right") - 1

@@ -1,4 +1,4 @@
-"""Maps over two parameters: each cell in the colour of its label, or of a number."""
+"""Draw maps over two parameters: the label or another quantity of each cell as a colour."""
 
 import numpy as np
 import xarray as xr
@@ -11,13 +11,13 @@ from ..scene.check import ArgumentError
 from .parameter_plane import prepare_plane
 from .style import axes_or_new, cell_edges, checked_picture, escape_formulas, require_dataset, scales_of
 
-# Of orbits of 1, 2, ... periods; Okabe and Ito's, and two that differ from them in lightness. Further ones begin anew.
+# Hues of orbits with 1, 2, ... periods: those of Okabe and Ito and two that differ in lightness, then repeated.
 PERIOD_COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#D55E00", "#56B4E9", "#B5A000", "#7A4B9E")
-WHITE_SHARES = (0.75, 0.0, 0.35, 0.55, 0.18)  # how much of it there is, by the number of an orbit's impacts
-ASYMMETRY_WHITE = 0.1  # more of it where the left wall is hit more often than the right one
+WHITE_SHARES = (0.75, 0.0, 0.35, 0.55, 0.18)  # fraction of white, by the number of impacts of the orbit
+ASYMMETRY_WHITE = 0.1  # additional white if the left wall has more impacts than the right one
 SPECIAL_COLOURS = {label_codes.CHAOTIC: "#303030", label_codes.UNDECIDED: "#C9C9C9", label_codes.NOT_DONE: "#FFFFFF"}
-MAX_LEGEND_LABELS = 12  # labels that the legend tells
-SIGNED_QUANTITIES = ("exponent",)  # quantities whose sign matters
+MAX_LEGEND_LABELS = 12  # labels in the legend
+SIGNED_QUANTITIES = ("exponent",)  # quantities with a diverging colour map
 
 
 @checked_picture
@@ -28,22 +28,56 @@ def map(
     legend: bool = True,
     units: str = "scene",
 ) -> Axes:
-    """Draw a Dataset of `jaxvibro.map_parameters` over its two parameters, the second across, the first up: the Axes.
+    """Draw a quantity of a parameter map over its two parameters.
 
-    quantity: the variable that is drawn, with no other dimension than these: of a map with more, first choose, as
-    data.sel(way=1), data.isel(attractor=0) or data.sel(wall="left"). A label has its own colour, the same in all maps:
-    a hue for the orbit's periods, paler or deeper by how many impacts it has; chaos is nearly black, what is undecided
-    grey, what is not done white. legend: below the picture the labels, the most frequent first, 12 at most; beside it
-    the scale of a number. units: "scene", or "physical" of a scene that has scales. `locus` and `region` draw over it.
+    The second parameter is on the x axis, the first on the y axis. Each label has the same colour in all maps: a hue
+    for the number of drive periods, paler or deeper by the number of impacts. Chaos is nearly black, undecided cells
+    are grey, cells that are not computed white.
 
-    Raises ArgumentError for what is no such Dataset, and for other quantities and units.
+    Parameters
+    ----------
+    data : xarray.Dataset
+        Dataset of `jaxvibro.map_parameters`.
+    ax : Axes, optional
+        Axes to draw into. None makes a new figure.
+    quantity : str, optional
+        Variable to draw. Its only dimensions must be the two parameters; select from others first, for example with
+        ``data.sel(way=1)``, ``data.isel(attractor=0)`` or ``data.sel(wall="left")``.
+    legend : bool, optional
+        Add a legend of the labels below the drawing, at most 12 with the most frequent first, or the colour bar of a
+        numerical quantity.
+    units : {"scene", "physical"}, optional
+        Units of the axes. ``"physical"`` requires a scene with scales.
+
+    Returns
+    -------
+    Axes
+        Axes with the drawing. `locus` and `region` can draw into them.
+
+    Raises
+    ------
+    ArgumentError
+        If `data` is not a Dataset of `jaxvibro.map_parameters`, if `quantity` is not one of its variables or has other
+        dimensions, or if `units` is unknown.
+
+    See Also
+    --------
+    jaxvibro.map_parameters : Compute a map over two or more parameters.
+    locus : Draw a locus in the same plane.
+
+    Examples
+    --------
+    >>> grid = {"amplitude": [1.9, 2.1], "frequency": [2.0, 2.2, 2.4]}
+    >>> ax = jv.plot.map(jv.map_parameters(scene, grid, settle=50))
+    >>> ax.get_xlabel()[:15]
+    'drive frequency'
     """
     require_dataset("map", "map_parameters", ("label", "scene_file"), data)
     if not isinstance(quantity, str) or quantity not in data.data_vars:
         raise ArgumentError("quantity", f"must be one of {_join_names(data.data_vars)}", quantity)
     quantity_data = data[quantity]
     if quantity_data.ndim != 2 or not set(quantity_data.dims) <= set(data.coords):
-        rule = "must have two parameters as dimensions: choose from the others first, as data.sel(way=1)"
+        rule = "must have two parameters as dimensions; select from the others first, for example data.sel(way=1)"
         raise ArgumentError("quantity", rule, f"{quantity} along {_join_names(quantity_data.dims)}")
     y_name, x_name = (str(name) for name in quantity_data.dims)
     ax, factors = prepare_plane(axes_or_new(ax), (x_name, y_name), scales_of(data, units))
@@ -81,7 +115,7 @@ def map(
 
 
 def label_colour(code: int) -> str:
-    """The colour of a label's code, the same in all maps."""
+    """Return the colour of a label's code, the same in all maps."""
     if code in SPECIAL_COLOURS:
         return SPECIAL_COLOURS[code]
     period, impact_counts = int(label_codes.period_of(code)), [code // label_codes.LEFT_FACTOR % 1000, code % 1000]
@@ -93,7 +127,7 @@ def label_colour(code: int) -> str:
 
 
 def _legend_handles(codes):
-    """The legend: an entry for each of the most frequent labels, and how many there are besides."""
+    """Return the legend entries: the most frequent labels, and the number of others."""
     unique_codes, counts = np.unique(codes, return_counts=True)
     order = np.lexsort((unique_codes, -counts))
     handles = [

@@ -1,4 +1,4 @@
-"""The bifurcations near an orbit: in the plane of two free numbers, or how much of each number leads to each."""
+"""Draw the bifurcations near an orbit in the plane of two free parameters, or as changes of each parameter."""
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -9,20 +9,48 @@ from ..design.margin import REACHED, Margin
 from .locus import KIND_STYLES, MARKERS
 from .style import COLOURS, axes_or_new, checked_picture, escape_formulas, parameter_axis, require_record, scales_of
 
-PARAMETER_MARKERS = "osD^vP*X"  # of the free numbers
-LINE_STYLES = {True: "-", False: ":"}  # of a way: whether the point is the first that it meets
+PARAMETER_MARKERS = "osD^vP*X"  # of the free parameters
+LINE_STYLES = {True: "-", False: ":"}  # True if the point is the first bifurcation on the line
 
 
 @checked_picture
 def margin(near: Margin, ax: Axes | None = None, units: str = "scene") -> Axes:
-    """Draw what `margin` found: the Axes.
+    """Draw the nearest bifurcations of an orbit.
 
-    Of two free numbers their plane, the first across: the orbit, the way to each point (dotted where another boundary
-    comes before), and the ellipse within which none was found. Of any other count of numbers the change of each that
-    leads to each point, in its units, the nearest point first. units: of the plane, "scene", or "physical" of a scene
-    that has scales.
+    For two free parameters the drawing is their plane, the first on the x axis, with the orbit, a straight line to each
+    point, and the ellipse inside which no bifurcation was found. A line is dotted if another boundary comes first. For
+    any other number of free parameters the drawing shows the change of each that leads to each point, in its unit, the
+    nearest point first.
 
-    Raises ArgumentError where it is given anything else, and for other units.
+    Parameters
+    ----------
+    near : Margin
+        Result of `jaxvibro.margin`.
+    ax : Axes, optional
+        Axes to draw into. None makes a new figure.
+    units : {"scene", "physical"}, optional
+        Units of the plane. ``"physical"`` requires a scene with scales.
+
+    Returns
+    -------
+    Axes
+        Axes with the drawing.
+
+    Raises
+    ------
+    ArgumentError
+        If `near` is not a `Margin`, or if `units` is unknown.
+
+    See Also
+    --------
+    jaxvibro.margin : Compute the distance from an orbit to the nearest bifurcations.
+
+    Examples
+    --------
+    >>> near = jv.margin(orbit, {"amplitude": 0.1, "frequency": 0.1}, directions=8)
+    >>> ax = jv.plot.margin(near)
+    >>> ax.get_ylabel()[:15]
+    'drive frequency'
     """
     require_record("margin", Margin, near)
     scales, ax = scales_of(near.orbit, units), axes_or_new(ax)
@@ -69,7 +97,7 @@ def _draw_plane(margin, ax, scales):
 
 
 def _plane_position(scene, parameter_axes):
-    """Where a scene is in the plane of two parameters, with an `Axis` each."""
+    """Return the position of a scene in the plane of two parameters, given an `Axis` for each."""
     return [axis.factor * float(scene.parameter(name)) for name, axis in parameter_axes.items()]
 
 

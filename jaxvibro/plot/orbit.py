@@ -1,4 +1,4 @@
-"""Periodic orbits: one in the phase plane, and many in a swept diagram."""
+"""Draw one periodic orbit in the phase plane, or many in a sweep diagram."""
 
 from typing import Any
 
@@ -21,18 +21,50 @@ from .style import (
     variable_axis,
 )
 
-SAMPLES_PER_PERIOD = 400  # of a drive period
-ORBIT_COLOUR, MARKERS = COLOURS[5], "^dv<>pXP"  # in a diagram
+SAMPLES_PER_PERIOD = 400  # samples per drive period
+ORBIT_COLOUR, MARKERS = COLOURS[5], "^dv<>pXP"  # in a sweep diagram
 
 
 @checked_picture
 def orbit(one: Orbit, ax: Axes | None = None, units: str = "scene") -> Axes:
-    """Draw an `Orbit` of `find_orbit` or `find_orbits` in the phase plane, as `portrait` does: the Axes.
+    """Draw a periodic orbit in the phase plane.
 
-    The title says whether it is stable, and the larger multiplier. An orbit that repels is followed from its state for
-    its own number of periods, in which an error of 1e-16 grows by the multiplier. units: as there.
+    The title states its label, its stability and the larger multiplier.
 
-    Raises ArgumentError as `simulate` and `portrait` do.
+    Parameters
+    ----------
+    one : Orbit
+        Orbit to draw.
+    ax : Axes, optional
+        Axes to draw into. None makes a new figure.
+    units : {"scene", "physical"}, optional
+        Units of the axes, as in `portrait`.
+
+    Returns
+    -------
+    Axes
+        Axes with the drawing.
+
+    Raises
+    ------
+    ArgumentError
+        If `one` is not an `Orbit`, or as `jaxvibro.simulate` and `portrait` do.
+
+    See Also
+    --------
+    portrait : Draw a trajectory in the phase plane.
+    jaxvibro.find_orbit : Find a periodic orbit near a state.
+
+    Notes
+    -----
+    An unstable orbit is simulated from its state for its own number of periods. A rounding error of 1e-16 grows by the
+    multiplier in that time.
+
+    Examples
+    --------
+    >>> ax = jv.plot.orbit(orbit)
+    >>> ax.get_title()[:12]
+    'P111, stable'
     """
     require_record("orbit", Orbit, one)
     ax = portrait(simulate(one.scene, one.state, one.periods, SAMPLES_PER_PERIOD), one.scene, ax, one.stable, units)
@@ -41,7 +73,18 @@ def orbit(one: Orbit, ax: Axes | None = None, units: str = "scene") -> Axes:
 
 
 def orbit_title(orbit):
-    """An `Orbit`'s label, its stability and its larger multiplier, or both where they are complex."""
+    """Return the title of the figure of an orbit.
+
+    Parameters
+    ----------
+    orbit : Orbit
+        Orbit.
+
+    Returns
+    -------
+    str
+        Label, stability and larger multiplier, or both multipliers if they are complex.
+    """
     multiplier = orbit.multipliers[0]
     multiplier_text = f"multiplier {multiplier.real:.5g}"
     if multiplier.imag:
@@ -62,13 +105,45 @@ def mark_orbits(
     ax: Axes | None = None,
     units: str = "scene",
 ) -> Axes:
-    """Draw each `Orbit` into a diagram, at the value of the swept parameter that they belong to: the Axes.
+    """Draw periodic orbits into a sweep diagram.
 
-    value: in the units of the Axes; variable: "x" or "v". units: "scene", or "physical" of a scene that has scales.
-    Shown is the state at phase 0 of each drive period. Stable orbits are filled, unstable ones open; mirror images of
-    each other have one shape.
+    Each orbit is shown by its states at phase 0 of each drive period. Stable orbits are filled, unstable ones open.
+    Mirror images of each other have the same shape.
 
-    Raises ArgumentError for what is no tuple or list of `Orbit`s, and for other units.
+    Parameters
+    ----------
+    orbits : tuple or list of Orbit
+        Orbits to draw.
+    value : float
+        Value of the swept parameter, in the units of the Axes.
+    variable : {"x", "v"}, optional
+        Position or velocity on the section.
+    ax : Axes, optional
+        Axes of the diagram. None makes a new figure.
+    units : {"scene", "physical"}, optional
+        Units of the axes. ``"physical"`` requires scenes with scales.
+
+    Returns
+    -------
+    Axes
+        Axes with the drawing.
+
+    Raises
+    ------
+    ArgumentError
+        If `orbits` is not a tuple or list of `Orbit` records, if `value` is not finite, or if `variable` or `units` is
+        unknown.
+
+    See Also
+    --------
+    diagram : Draw a sweep.
+    jaxvibro.find_orbits : Find the periodic orbits of a scene.
+
+    Examples
+    --------
+    >>> ax = jv.plot.mark_orbits([orbit], 2.0)
+    >>> ax.get_legend_handles_labels()[1]
+    ['P111, stable']
     """
     require_records("mark_orbits", Orbit, orbits)
     require_value(value)
@@ -93,7 +168,7 @@ def mark_orbits(
 
 
 def _section_points(orbit):
-    """x and v at phase 0 of each of an orbit's periods, two arrays of shape (periods,): the nearest samples."""
+    """Return x and v at phase 0 of each period, from the nearest samples, as two arrays of shape (periods,)."""
     trajectory = simulate(orbit.scene, orbit.state, orbit.periods, SAMPLES_PER_PERIOD)
     periods = trajectory["phase"].values[:-1] / (2 * np.pi)
     rows = abs(periods - np.round(periods)).reshape(orbit.periods, SAMPLES_PER_PERIOD).argmin(axis=1)

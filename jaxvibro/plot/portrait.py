@@ -1,4 +1,4 @@
-"""The phase portrait: velocity against position along a trajectory, with its impacts."""
+"""Draw phase portraits: velocity against position along a trajectory, with its impacts."""
 
 from typing import Any
 
@@ -24,13 +24,48 @@ from .style import (
 def portrait(
     trajectory: xr.Dataset, scene: Scene, ax: Axes | None = None, stable: bool = True, units: str = "scene"
 ) -> Axes:
-    """Draw a Dataset of `simulate` in the phase plane: the Axes.
+    """Draw a trajectory in the phase plane.
 
-    Walls are grey, a moving one as wide as it goes; an impact is a dashed line; dots are the states on the section,
-    at the end of each drive period. stable: whether the motion is; one that is not has a dashed line of its own colour,
-    its impacts are dotted, its states open. units: "scene", or "physical" of a scene that has scales.
+    Impacts are dashed lines. Dots are the states on the section, at the end of each drive period.
 
-    Raises ArgumentError for what is no such Dataset, or no `Scene`, and for other units.
+    Parameters
+    ----------
+    trajectory : xarray.Dataset
+        Dataset of `jaxvibro.simulate`.
+    scene : Scene
+        Scene of the trajectory.
+    ax : Axes, optional
+        Axes to draw into. None makes a new figure.
+    stable : bool, optional
+        Stability of the motion. An unstable motion has a dashed line of another colour, dotted impacts and open dots.
+    units : {"scene", "physical"}, optional
+        Units of the axes. ``"physical"`` requires a scene with scales.
+
+    Returns
+    -------
+    Axes
+        Axes with the drawing.
+
+    Raises
+    ------
+    ArgumentError
+        If `trajectory` is not a Dataset of `jaxvibro.simulate`, if `scene` is not a `Scene`, or if `units` is unknown.
+
+    See Also
+    --------
+    jaxvibro.simulate : Simulate a trajectory.
+    orbit : Draw a periodic orbit.
+    trace : Draw position against time.
+
+    Notes
+    -----
+    Walls are grey. The width of a moving wall is the range of its motion.
+
+    Examples
+    --------
+    >>> ax = jv.plot.portrait(jv.simulate(scene, state, 3), scene)
+    >>> ax.get_ylabel()[:8]
+    'velocity'
     """
     require_dataset("portrait", "simulate", ("x", "v", "phase", "impact_time"), trajectory)
     require_record("portrait", Scene, scene)

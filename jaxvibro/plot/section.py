@@ -1,4 +1,4 @@
-"""Sections of a motion: its states on Sigma, or its impacts on a wall."""
+"""Draw Poincaré sections of a motion: states at one phase of the drive, or impacts on one wall."""
 
 from typing import Any
 
@@ -11,7 +11,7 @@ from ..scene.check import ArgumentError
 from .style import COLOURS, axes_or_new, checked_picture, phase_plane_axes, require_dataset, scales_of
 
 SIDES = ("left", "right")
-MIN_RELATIVE_RANGE = 0.01  # of the middle of an axis
+MIN_RELATIVE_RANGE = 0.01  # relative to the middle value of an axis
 
 
 @checked_picture
@@ -22,12 +22,46 @@ def section(
     colour: ColorType | None = None,
     units: str = "scene",
 ) -> Axes:
-    """Draw one section in a Dataset of `sections`: the Axes.
+    """Draw one Poincaré section of a motion.
 
-    which: "sigma", velocity against position at the drive's phase; "left" or "right", of the impacts on that wall the
-    velocity after them against the phase of the drive. units: "scene", or "physical" of a scene that has scales.
+    Parameters
+    ----------
+    dataset : xarray.Dataset
+        Dataset of `jaxvibro.sections`.
+    which : {"sigma", "left", "right"}, optional
+        Section: ``"sigma"`` draws velocity against position at one phase of the drive; ``"left"`` and ``"right"`` draw
+        the velocity after each impact on that wall against the phase of the drive.
+    ax : Axes, optional
+        Axes to draw into. None makes a new figure.
+    colour : colour, optional
+        Colour of the dots.
+    units : {"scene", "physical"}, optional
+        Units of the axes. ``"physical"`` requires a scene with scales.
 
-    Raises ArgumentError for what is no such Dataset, and for another section or other units.
+    Returns
+    -------
+    Axes
+        Axes with the drawing.
+
+    Raises
+    ------
+    ArgumentError
+        If `dataset` is not a Dataset of `jaxvibro.sections`, or if `which` or `units` is unknown.
+
+    See Also
+    --------
+    jaxvibro.sections : Compute the Poincaré sections of a motion.
+
+    Notes
+    -----
+    No axis is narrower than one per cent of its middle value, so that a periodic motion appears as one dot despite
+    rounding.
+
+    Examples
+    --------
+    >>> ax = jv.plot.section(jv.sections(scene, orbit.state, periods=10, settle=0), "right")
+    >>> ax.get_ylabel()[:17]
+    'velocity after it'
     """
     require_dataset("section", "sections", ("x", "v"), dataset)
     x_axis, y_axis = phase_plane_axes(scales_of(dataset, units))
@@ -54,7 +88,7 @@ def section(
 
 
 def _widen_limits(ax):
-    """Axes in which what is the same but for rounding, as states of a period, is one dot: no axis is so narrow."""
+    """Widen axes that are narrower than the rounding errors of a periodic motion."""
     for lower, upper, set_limits in ((*ax.get_xlim(), ax.set_xlim), (*ax.get_ylim(), ax.set_ylim)):
         middle = 0.5 * (lower + upper)
         if upper - lower < MIN_RELATIVE_RANGE * abs(middle):

@@ -1,18 +1,20 @@
-"""Lines through points, bent between them."""
+"""Interpolate lines through points smoothly."""
 
 from itertools import pairwise
 
 import numpy as np
 import scipy
 
-MAX_POINTS = 200  # points of a line: with more it is smooth as it is
-SUBDIVISIONS = 8  # points put between two
-CORNER_ANGLE = 0.6  # radians: where a line turns by more from one chord to the next it has a corner
+MAX_POINTS = 200  # a line with more points needs no interpolation
+SUBDIVISIONS = 8  # subdivisions of the interval between two points
+CORNER_ANGLE = 0.6  # radians: a larger angle between two chords is a corner
 
 
 def smooth_line(x, y):
-    """(across, up) of a line through points that breaks where one is nan, with more points between: each coordinate is
-    a cubic spline of the way along the line, from corner to corner. A point that is there twice is taken once."""
+    """Return (x, y) of a line through points, with further points on cubic splines between its corners.
+
+    The splines are functions of the arclength. The line breaks at nan. Repeated points are used once.
+    """
     if len(y) > MAX_POINTS:
         return x, y
     x, y = np.stack([x, y])[:, np.append(True, (np.diff(x) != 0) | (np.diff(y) != 0))]
@@ -28,7 +30,7 @@ def smooth_line(x, y):
     chords = np.diff(points / extent, axis=1)
     with np.errstate(invalid="ignore"):
         turn_angles = abs(np.diff(np.unwrap(np.arctan2(chords[1], chords[0]))))
-        is_corner = np.concatenate([[True], ~(turn_angles < CORNER_ANGLE), [True]])  # nan is one
+        is_corner = np.concatenate([[True], ~(turn_angles < CORNER_ANGLE), [True]])  # nan counts as a corner
     corner_rows = np.flatnonzero(is_corner)
     parts = [
         _spline_points(points[:, start : stop + 1], chords[:, start:stop]) for start, stop in pairwise(corner_rows)
@@ -37,7 +39,7 @@ def smooth_line(x, y):
 
 
 def _spline_points(points, chords):
-    """The points of a line without corners, (2, points), with more between, up to the last."""
+    """Return the points of a line without corners and points between them, up to the last, of shape (2, points)."""
     chord_lengths = np.hypot(*chords)
     if len(chord_lengths) < 2:
         return points[:, :-1]

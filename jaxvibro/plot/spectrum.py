@@ -1,4 +1,4 @@
-"""The Lyapunov spectrum against a parameter, chaotic ranges shaded."""
+"""Draw Lyapunov exponents against a parameter, with chaotic ranges shaded."""
 
 from typing import Any
 
@@ -17,24 +17,53 @@ from .style import (
     scales_of,
 )
 
-CHAOS_SIGMAS = 3.0  # standard errors by which the first exponent must exceed 0, for a value to be shaded as chaotic
-BAND_SIGMAS = 2.0  # standard errors to either side
+CHAOS_SIGMAS = 3.0  # standard errors by which the first exponent exceeds 0 in the shaded ranges
+BAND_SIGMAS = 2.0  # half width of the bands in standard errors
 CHAOS_SHADE, BAND_ALPHA = "0.85", 0.35
 EXPONENT_NAMES = ("first exponent", "second exponent")
-LINE_STYLES = (("-", 1.3, COLOURS[0]), ("--", 1.0, COLOURS[7]))  # told apart in grey by dashes and width
+LINE_STYLES = (("-", 1.3, COLOURS[0]), ("--", 1.0, COLOURS[7]))  # dashes and width distinguish them in grey
 
 
 @checked_picture
 def spectrum(found: xr.Dataset, ax: Axes | None = None, units: str = "scene") -> Axes:
-    """Draw a Dataset of `jaxvibro.spectrum`: the Axes.
+    """Draw the Lyapunov exponents of a scene against a parameter.
 
-    Both exponents per drive period against the parameter, solid and dashed, with bands of two standard errors, which
-    are seen where the errors are; a line at zero; grey behind the values where the first exponent is positive beyond
-    doubt. An exponent of -inf is a tick at the lower edge; where there is none, the line has a gap; a value that stands
-    alone is a dot. Open circles are the growth between rests of a mass that comes to rest. units: of the parameter,
-    "scene", or "physical" of a scene that has scales. New Axes get a legend.
+    Both exponents are per drive period, the first a solid line and the second a dashed one. Bands are two standard
+    errors wide on each side. Ranges in which the first exponent exceeds zero by three standard errors are grey.
 
-    Raises ArgumentError for what is no such Dataset, and for other units.
+    Parameters
+    ----------
+    found : xarray.Dataset
+        Dataset of `jaxvibro.spectrum`.
+    ax : Axes, optional
+        Axes to draw into. None makes a new figure, whose Axes get a legend.
+    units : {"scene", "physical"}, optional
+        Units of the parameter. ``"physical"`` requires a scene with scales.
+
+    Returns
+    -------
+    Axes
+        Axes with the drawing.
+
+    Raises
+    ------
+    ArgumentError
+        If `found` is not a Dataset of `jaxvibro.spectrum`, or if `units` is unknown.
+
+    See Also
+    --------
+    jaxvibro.spectrum : Compute the Lyapunov exponents along a parameter.
+
+    Notes
+    -----
+    An exponent of -inf is a tick at the lower edge. A line has a gap where there is no exponent, and an isolated value
+    is a dot. Open circles are the growth between sticking phases of a mass that sticks to a wall.
+
+    Examples
+    --------
+    >>> ax = jv.plot.spectrum(jv.spectrum(scene, "amplitude", [1.9, 2.1], orbit.state, error=0.05))
+    >>> ax.get_ylabel()
+    'Lyapunov exponents per drive period'
     """
     require_dataset("spectrum", "spectrum", ("swept", "exponent", "error"), found)
     parameter = found.attrs["swept"]
@@ -84,13 +113,13 @@ def spectrum(found: xr.Dataset, ax: Axes | None = None, units: str = "scene") ->
 
 
 def _isolated_values(finite):
-    """Which values have no neighbour to draw a line to."""
+    """Return True for each value without a neighbour to which a line can be drawn."""
     neighbours = np.pad(finite, 1)
     return finite & ~neighbours[:-2] & ~neighbours[2:]
 
 
 def _true_ranges(x, condition):
-    """Where neighbouring values hold: from half way to the one before to half way to the one after."""
+    """Return the ranges of x in which a condition holds, extended half way to the neighbouring values."""
     edges = np.concatenate([x[:1], 0.5 * (x[1:] + x[:-1]), x[-1:]])
     changes = np.flatnonzero(np.diff(np.concatenate([[0], condition.astype(int), [0]])))
     return [(edges[start], edges[stop]) for start, stop in zip(changes[::2], changes[1::2], strict=True)]

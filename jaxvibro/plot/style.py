@@ -1,4 +1,4 @@
-"""Colours, names and units that all pictures share."""
+"""Define the colours, labels, units and argument checks that all figures share."""
 
 from typing import NamedTuple
 
@@ -16,20 +16,20 @@ from ..scene import check
 from ..scene.check import ArgumentError
 from ..scene.scales import require_scales
 
-# Okabe and Ito's colours, safe for the colour-blind, in an order in which neighbours differ in lightness too.
+# Colours of Okabe and Ito for colour-blind readers, ordered so that neighbours also differ in lightness.
 COLOURS = ("#0072B2", "#E69F00", "#000000", "#CC79A7", "#F0E442", "#009E73", "#56B4E9", "#D55E00")
 WALL_COLOUR = "0.55"
 COLOUR_KIND = ArgumentType(
     lambda value: value is None or (isinstance(value, str | tuple | list) and is_color_like(value)), "a colour or None"
 )
 
-# Decorates a picture, which refuses optional arguments that its annotations do not allow; it checks the others itself.
+# Decorate a plot function: check its optional arguments by their annotations. It checks the required ones itself.
 checked_picture = check_arguments(
     ArgumentError, lambda parameter: parameter.default is not parameter.empty, colour=COLOUR_KIND
 )
 
-LEGEND_GID = "legend"  # group id of those made here
-DEFAULT_LINE_WIDTH = 1.5  # points, of matplotlib's lines
+LEGEND_GID = "legend"  # group id of legends that `add_legend` makes
+DEFAULT_LINE_WIDTH = 1.5  # points, the default of matplotlib
 
 SYMBOLS = {"amplitude": "$A$", "frequency": r"$\omega$", "damping": r"$\gamma$", "restitution": "$R$"}
 _PHYSICAL_SYMBOLS = {"amplitude": "$F$", "frequency": r"$\Omega/2\pi$", "damping": "$C$", "restitution": "$R$"}
@@ -79,20 +79,56 @@ TIME_LABEL = r"time in drive periods, $\omega t\,/\,2\pi$"
 
 
 def value_text(scales, name, value):
-    """A scene's parameter as "A = 4.65", or with `Scales` as "F = 12 N"; its name where it has no symbol."""
+    """Format a parameter of a scene for a title.
+
+    Parameters
+    ----------
+    scales : Scales or None
+        Physical scales; None formats the value in scene units.
+    name : str
+        Parameter.
+    value : float
+        Value in scene units.
+
+    Returns
+    -------
+    str
+        For example ``"A = 4.65"``, or ``"F = 12 N"`` with scales. A parameter without a symbol appears by its name.
+    """
     symbol = (SYMBOLS if scales is None else _PHYSICAL_SYMBOLS).get(name, escape_formulas(name))
     return f"{symbol} = {quantity_text(scales, unit_of(name), value)}"
 
 
 class Axis(NamedTuple):
-    """What an axis shows. label: its text; factor: what the scene's numbers are multiplied by."""
+    """Label of an axis and the factor from scene units to the units of the axis.
+
+    Attributes
+    ----------
+    label : str
+        Text of the axis.
+    factor : float
+        Factor that converts numbers of the scene into the units of the axis.
+    """
 
     label: str
     factor: float
 
 
 def parameter_axis(scales, name):
-    """The `Axis` of a scene's parameter, in the scene's units, or with `Scales` in physical ones."""
+    """Return the label and the factor of the axis of a parameter.
+
+    Parameters
+    ----------
+    scales : Scales or None
+        Physical scales; None keeps scene units.
+    name : str
+        Parameter of a scene.
+
+    Returns
+    -------
+    Axis
+        Label and factor from scene units.
+    """
     return Axis(
         parameter_label(name, _PARAMETER_LABELS if scales is None else _PHYSICAL_LABELS),
         display_unit(unit_of(name), scales)[1],
@@ -100,7 +136,10 @@ def parameter_axis(scales, name):
 
 
 def variable_axis(scales, name):
-    """The `Axis` of a variable of a motion or orbit, likewise. Raises ArgumentError."""
+    """Return the `Axis` of a variable of a motion or orbit, in scene units, or with `Scales` in physical units.
+
+    Raises ArgumentError for an unknown variable.
+    """
     check.require_choice("variable", name, VARIABLE_LABELS)
     return Axis(
         (VARIABLE_LABELS if scales is None else _PHYSICAL_VARIABLES)[name],
@@ -109,7 +148,7 @@ def variable_axis(scales, name):
 
 
 def time_axis(scales, frequency):
-    """The `Axis` of a time: in periods of a drive, or with `Scales` in seconds."""
+    """Return the `Axis` of a time, in drive periods, or with `Scales` in seconds."""
     if scales is None:
         return Axis(TIME_LABEL, frequency / (2.0 * np.pi))
     unit, factor = display_unit(TIME, scales)
@@ -117,19 +156,50 @@ def time_axis(scales, frequency):
 
 
 def phase_plane_axes(scales):
-    """The `Axis` of position and that of velocity."""
+    """Return the `Axis` of the position and that of the velocity."""
     return variable_axis(scales, "x"), variable_axis(scales, "v")
 
 
 def scales_of(record, units):
-    """None for the units "scene"; for "physical" the `Scales` of a scene, of a record or its scene, or of a Dataset."""
+    """Return the scales for a system of units.
+
+    Parameters
+    ----------
+    record : Scene, Dataset or record with a scene
+        Source of the scales.
+    units : {"scene", "physical"}
+        Units of a figure.
+
+    Returns
+    -------
+    Scales or None
+        None for scene units, else the scales of the record.
+
+    Raises
+    ------
+    ArgumentError
+        If `units` is unknown, or ``"physical"`` and the scene has no scales.
+    """
     if require_unit_system(units) == "scene":
         return None
     return read_scales(record) if isinstance(record, xr.Dataset) else require_scales(getattr(record, "scene", record))
 
 
 def parameter_label(name, labels=_PARAMETER_LABELS):
-    """The axis label of a scene's parameter, symbol and unit included."""
+    """Return the axis label of a parameter of a scene, with symbol and unit.
+
+    Parameters
+    ----------
+    name : str
+        Parameter, for example ``"amplitude"``, ``"left.position"``, ``"force.k"`` or ``"drive.1.phase"``.
+    labels : dict of str to str, optional
+        Labels of the parameters. The default has scene units.
+
+    Returns
+    -------
+    str
+        Label, with matplotlib formulas.
+    """
     side, _, remainder = name.partition(".")
     if side == "force":
         return f"force: {escape_formulas(remainder)}"
@@ -141,22 +211,33 @@ def parameter_label(name, labels=_PARAMETER_LABELS):
 
 
 def scaled_line_width(width):
-    """A line's width, points, in proportion to what `rcParams` say of lines."""
+    """Return a line width in points, scaled by the line width in `rcParams`."""
     return width * mpl.rcParams["lines.linewidth"] / DEFAULT_LINE_WIDTH
 
 
 def escape_formulas(text):
-    """A text of the user's as matplotlib shows it letter by letter, formula signs included."""
+    """Escape formula signs in user text, so that matplotlib shows it literally.
+
+    Parameters
+    ----------
+    text : str
+        Text of the user.
+
+    Returns
+    -------
+    str
+        Escaped text.
+    """
     return text.replace("$", r"\$")
 
 
 def lighten(colour):
-    """A colour half way to white."""
+    """Return a colour half way to white."""
     return tuple(0.5 + 0.5 * channel for channel in to_rgb(colour))
 
 
 def cell_edges(values):
-    """The edges of cells around values; around a single one, of width 1."""
+    """Return the edges of cells around values; the cell of a single value has width 1."""
     half_widths = 0.5 * (np.diff(values) if len(values) > 1 else np.ones(1))
     return np.concatenate(
         [values[:1] - half_widths[:1], values[:-1] + half_widths[: len(values) - 1], values[-1:] + half_widths[-1:]]
@@ -164,19 +245,19 @@ def cell_edges(values):
 
 
 def axes_or_new(ax: Axes | None) -> Axes:
-    """The Axes given, or those of a new figure."""
+    """Return the given Axes, or those of a new figure."""
     return plt.subplots(layout="constrained")[1] if ax is None else ax
 
 
 def add_legend(ax, is_new):
-    """A legend in Axes that were made for one picture, or have one of these; whoever gives Axes makes his own."""
+    """Add a legend to new Axes, or update one that this function made; leave user legends alone."""
     earlier_legend = ax.get_legend()
     if is_new or (earlier_legend is not None and earlier_legend.get_gid() == LEGEND_GID):
         ax.legend(frameon=False, fontsize="small").set_gid(LEGEND_GID)
 
 
 def require_record(picture_name, record_type, *values):
-    """Refuse what is not of the kind of record that a picture is of."""
+    """Raise ArgumentError unless every value is a record of this type."""
     for value in values:
         if not isinstance(value, record_type):
             article = "an" if record_type.__name__[0] in "AEIOU" else "a"
@@ -186,7 +267,7 @@ def require_record(picture_name, record_type, *values):
 
 
 def require_records(picture_name, record_type, values):
-    """Refuse what is no tuple or list of such records."""
+    """Raise ArgumentError unless `values` is a tuple or list of records of this type."""
     if not isinstance(values, tuple | list):
         rule = f"must be given a tuple of {record_type.__name__}s{_picture_hint(values)}"
         raise ArgumentError(f"plot.{picture_name}", rule, values)
@@ -194,7 +275,7 @@ def require_records(picture_name, record_type, values):
 
 
 def require_dataset(picture_name, source, names, value):
-    """Refuse what is no Dataset of a function's, which has variables, or attributes, of these names."""
+    """Raise ArgumentError unless `value` is a Dataset with variables or attributes of these names."""
     if not isinstance(value, xr.Dataset) or not all(name in value.variables or name in value.attrs for name in names):
         rule = f"must be given a Dataset of {source}{_picture_hint(value)}"
         raise ArgumentError(f"plot.{picture_name}", rule, type(value).__name__)
@@ -205,18 +286,18 @@ PICTURE_OF_TYPE |= {"HeldBranch": "plot.held", "Diagram": "plot.branch, one call
 
 
 def _picture_hint(value):
-    """The end of a rule that a record breaks: the picture that draws it; "" where there is none."""
+    """Return the end of an error text that names the function for this record; "" if there is none."""
     name = type(value).__name__
     article = "an" if name[0] in "AEIOU" else "a"
     return f" ({article} {name} is drawn by {PICTURE_OF_TYPE[name]})" if name in PICTURE_OF_TYPE else ""
 
 
 def require_value(value):
-    """Refuse a place along an axis that is no finite number."""
+    """Raise ArgumentError unless a position along an axis is a finite number."""
     check.finite_float("value", value)
 
 
 def require_axes(ax):
-    """Refuse what is no Axes."""
+    """Raise ArgumentError unless `ax` is an Axes."""
     if not isinstance(ax, Axes):
         raise ArgumentError("ax", "must be an Axes of matplotlib", ax)

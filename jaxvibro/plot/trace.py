@@ -1,4 +1,4 @@
-"""The trace: position against time along a trajectory, between its walls."""
+"""Draw the time series of a trajectory between its walls."""
 
 from typing import Any
 
@@ -22,11 +22,40 @@ from .style import (
 
 @checked_picture
 def trace(trajectory: xr.Dataset, scene: Scene, ax: Axes | None = None, units: str = "scene") -> Axes:
-    """Draw the position in a Dataset of `simulate` against time, with walls and impacts: the Axes.
+    """Draw position against time, with walls and impacts.
 
-    units: "scene", time in drive periods, or "physical" of a scene that has scales, time in seconds.
+    Parameters
+    ----------
+    trajectory : xarray.Dataset
+        Dataset of `jaxvibro.simulate`.
+    scene : Scene
+        Scene of the trajectory.
+    ax : Axes, optional
+        Axes to draw into. None makes a new figure.
+    units : {"scene", "physical"}, optional
+        Units of the axes. ``"scene"`` has time in drive periods, ``"physical"`` in seconds and requires a scene with
+        scales.
 
-    Raises ArgumentError for what is no such Dataset, or no `Scene`, and for other units.
+    Returns
+    -------
+    Axes
+        Axes with the drawing.
+
+    Raises
+    ------
+    ArgumentError
+        If `trajectory` is not a Dataset of `jaxvibro.simulate`, if `scene` is not a `Scene`, or if `units` is unknown.
+
+    See Also
+    --------
+    jaxvibro.simulate : Simulate a trajectory.
+    portrait : Draw a trajectory in the phase plane.
+
+    Examples
+    --------
+    >>> ax = jv.plot.trace(jv.simulate(scene, state, 3), scene)
+    >>> ax.get_xlabel()[:15]
+    'time in drive p'
     """
     require_dataset("trace", "simulate", ("x", "v", "phase", "impact_time"), trajectory)
     require_record("trace", Scene, scene)

@@ -1,6 +1,6 @@
-"""The equations of an orbit along parameters, as `continuation` takes them, and what bounds them.
+"""Equations of a periodic orbit with free parameters, as `continuation` takes them, and their limits of validity.
 
-In: an orbit's impacts and the names of parameters. Out: the residual in the unknowns z = (times, speeds, parameter)
-with its tests, whether a solution is an orbit at all (`diagnostics`), and where a wall is just touched (`touches`,
-`soft_grazing`). Start with `equations`.
+The input is the impacts of an orbit and the names of parameters. `equations` gives the residual in the unknowns z =
+(times, speeds, parameter) with its test functions, `diagnostics` checks whether a solution is an admissible orbit, and
+`grazing_contact` and `soft_grazing` locate grazings. Start with `equations`.
 """

@@ -1,17 +1,28 @@
-"""By which power of its depth a contact with a soft wall changes the motion, near a grazing."""
+"""Determine the power of the depth by which a contact with a soft wall changes the motion near a grazing."""
 
 import numpy as np
 
-SMALL_DEPTH_ROOT = 1e-4  # the root of a depth
-POWER_TOLERANCE = 0.02  # of a power: the nearest whole one is meant
+SMALL_DEPTH_ROOT = 1e-4  # square root of the depth
+POWER_TOLERANCE = 0.02  # largest distance of a fitted power from an integer
 
 
 def contact_exponent(wall):
-    """n + 1/2 of a push in proportion to depth^n, of a soft wall whose force has no jump; nan where no power is seen.
+    """Return the power of the depth by which a contact changes the motion.
 
-    A contact d deep is as long as the root h of d, and as fast: a push in proportion to h^m changes the velocity by
-    h^(m + 1). What changes its sign with the rate, as a damping does, takes back on the way out what it gives on the
-    way in, but for one power more. Spring and damper: 3/2.
+    A contact of depth d lasts a time in proportion to h = sqrt(d), and its speed is in proportion to h. A force in
+    proportion to h^m changes the velocity by h^(m + 1). A force that changes sign with the rate, such as damping, is
+    cancelled on the way out to leading order and acts with one power more. So a force in proportion to depth^n gives
+    n + 1/2; spring and damper give 3/2.
+
+    Parameters
+    ----------
+    wall : Wall
+        Soft wall whose force has no jump.
+
+    Returns
+    -------
+    float
+        Exponent, a multiple of 1/2; nan if no power is recognised.
     """
     if wall.law is None:
         return 1.5
@@ -31,9 +42,10 @@ def contact_exponent(wall):
 
 
 def _contact_force(law, depth_root, sign):
+    """Evaluate the contact force at depth h^2 and rate sign * h."""
     return float(law.function(np.float64(depth_root * depth_root), np.float64(sign * depth_root), law.numbers))
 
 
 def _fit_power(value_at_h, value_at_2h):
-    """m of what is in proportion to h^m, at h and 2 h; inf of 0."""
+    """Return m of a function in proportion to h^m from its values at h and 2 h; inf if they vanish."""
     return np.log2(value_at_2h / value_at_h) if value_at_h * value_at_2h > 0 else np.inf

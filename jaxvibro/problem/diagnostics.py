@@ -1,4 +1,4 @@
-"""What is to be known of each of many points of a branch: clearances, multipliers, the states at the section."""
+"""Compute diagnostics for each point of a branch: clearances, multipliers, test functions and states at the section."""
 
 from typing import NamedTuple
 
@@ -19,15 +19,33 @@ from ..orbits import chatter_and_release, cyclic_system, flight_clearance, impac
 from ..orbits.wall_at_contact import wall_derivatives
 from .equations import scene_at, sequence_at
 
-POINTS_PER_CALL = 144  # points of a compiled call
+POINTS_PER_CALL = 144  # block size of the compiled call
 
 
 class Diagnostics(NamedTuple):
-    """clearance, turning_time: (points, flights, walls), the least distance at a turning point towards the wall, and
-    its time since the flight's start; trace, determinant: (points,), of the monodromy matrix; x, v: (points, periods),
-    at the section's phase; fold_test, flip_test: (points,), determinants, zero where a branch folds and where the
-    period doubles. rest, min_contact_force, hop_margin: (points, rows), as `releases.Tails` has them, inf where nothing
-    rests; hold as `releases.draws` too."""
+    """Diagnostics of many points.
+
+    Attributes
+    ----------
+    clearance : ndarray
+        Least distance from each wall at the turning points of each flight, array of shape (points, flights, walls).
+    turning_time : ndarray
+        Time of that turning point since the start of the flight, array of shape (points, flights, walls).
+    trace, determinant : ndarray
+        Trace and determinant of the monodromy matrix, arrays of shape (points,).
+    x, v : ndarray
+        State at the phase of the section, arrays of shape (points, periods).
+    fold_test, flip_test : ndarray
+        Determinants that vanish where the branch folds and where the period doubles, arrays of shape (points,).
+    sticking_time : ndarray
+        Duration of the sticking phase, as in `chatter_and_release.ChatterOutcome`; inf where nothing sticks. Array of
+        shape (points, rows).
+    min_contact_force : ndarray
+        Least contact force, as in `chatter_and_release.ChatterOutcome` and `chatter_and_release.lift_off_force`, array
+        of shape (points, rows).
+    hop_margin : ndarray
+        As in `chatter_and_release.ChatterOutcome`, array of shape (points, rows).
+    """
 
     clearance: Float[Array, "*points flights walls"]
     turning_time: Float[Array, "*points flights walls"]
@@ -43,7 +61,20 @@ class Diagnostics(NamedTuple):
 
 
 def diagnose(problem, zs):
-    """The `Diagnostics` at points, shape (points, n + 1)."""
+    """Compute the diagnostics at many points.
+
+    Parameters
+    ----------
+    problem : OrbitEquations
+        Equations of the orbits.
+    zs : ndarray
+        Unknowns, array of shape (points, unknowns).
+
+    Returns
+    -------
+    Diagnostics
+        Diagnostics of each point.
+    """
     n_periods = int(problem.sequence.periods)
     n_padded_periods = 1 << (n_periods - 1).bit_length()  # so that fewer sizes are compiled
     diagnostics = Diagnostics(*evaluate_points(_diagnostics_kernel(problem), problem, zs, n_padded_periods))
@@ -51,13 +82,31 @@ def diagnose(problem, zs):
 
 
 def _diagnostics_kernel(problem):
+    """Choose the kernel for orbits without impacts, with impacts, or with sticking."""
     if not len(problem.sequence.sides):
         return _free_diagnostics
     return impact_diagnostics if problem.sequence.releases is None else sticking_diagnostics
 
 
 def evaluate_points(kernel, problem, zs, n_periods):
-    """What a function of a module, (along, z, periods) -> a tuple of arrays, gives at points: a tuple of arrays."""
+    """Evaluate a kernel at many points, in compiled blocks.
+
+    Parameters
+    ----------
+    kernel : callable
+        Function of a module: (problem, z, n_periods) to a tuple of arrays.
+    problem : OrbitEquations
+        Equations of the orbits.
+    zs : ndarray
+        Unknowns, array of shape (points, unknowns).
+    n_periods : int
+        Number of periods passed to the kernel.
+
+    Returns
+    -------
+    tuple of ndarray
+        Results, each with the points along the first axis.
+    """
     blocks = []
     for block_start in range(0, len(zs), POINTS_PER_CALL):
         block = zs[block_start : block_start + POINTS_PER_CALL]
@@ -74,17 +123,22 @@ def _evaluate_uncompiled(kernel, problem, zs, n_points, n_periods):
 
 @persistent_jit(static_argnums=(0, 4), numpy_first=_evaluate_uncompiled)
 def _evaluate_compiled(kernel, problem, zs, n_points, n_periods):
-    """Point by point in one kernel: as fast here as many lanes at once, and compiled in half the time."""
+    """Evaluate point by point in one kernel.
+
+    This is as fast as many lanes at once and compiles in half the time.
+    """
     return call_as_kernel(_loop_over_points, problem, zs, n_points, kernel=kernel, n_periods=n_periods)
 
 
 @persistent_jit(static_argnums=(0, 4), compiler_options=FAST_COMPILE)
 def _evaluate_sticking(kernel, problem, zs, n_points, n_periods):
-    """The same compiled at once: a chatter has too many hops for Python."""
+    """Evaluate after compilation, because a chatter has too many bounces for Python."""
     return call_as_kernel(_loop_over_points, problem, zs, n_points, kernel=kernel, n_periods=n_periods)
 
 
 def _loop_over_points(problem, zs, n_points, kernel, n_periods):
+    """Evaluate the kernel in a loop over the points."""
+
     def store_result(k, results):
         result = kernel(problem, lax.dynamic_index_in_dim(zs, k, keepdims=False), n_periods)
         return jax.tree.map(lambda array, entry: lax.dynamic_update_index_in_dim(array, entry, k, 0), results, result)
@@ -95,7 +149,7 @@ def _loop_over_points(problem, zs, n_points, kernel, n_periods):
 
 
 def impact_diagnostics(problem, z, n_periods):
-    """The `Diagnostics` at one point of orbits with impacts."""
+    """Compute the `Diagnostics` at one point of orbits with impacts."""
     coeffs, sequence = flow_coefficients(scene_at(problem, z)), sequence_at(problem, z)
     flights = impact_equations.compute_flights(coeffs, sequence)
     x, v = impact_equations.states_at(coeffs, sequence, flights, coeffs.period * jnp.arange(n_periods))
@@ -118,8 +172,10 @@ def impact_diagnostics(problem, z, n_periods):
 
 
 def sticking_diagnostics(problem, z, n_periods):
-    """The `Diagnostics` at one point of orbits that rest: their multipliers are zero. Where a mass is let go its wall
-    is none that it comes to."""
+    """Compute the `Diagnostics` at one point of orbits that stick.
+
+    Their multipliers are zero. A flight that leaves a wall at a release does not graze that wall.
+    """
     coeffs, sequence = flow_coefficients(scene_at(problem, z)), sequence_at(problem, z)
     flights = impact_equations.compute_flights(coeffs, sequence)
     section_times = coeffs.period * jnp.arange(n_periods)
@@ -152,7 +208,7 @@ def sticking_diagnostics(problem, z, n_periods):
 
 
 def _state_at_times(coeffs, sequence, flights, chatter_tails, section_times):
-    """(x, v) at times since the section's phase, in flight, within hops, or at rest."""
+    """Return (x, v) at times since the phase of the section: in flight, during chatter, or while sticking."""
     x, v = impact_equations.states_at(coeffs, sequence, flights, section_times)
     orbit_duration = sequence.periods * coeffs.period
     elapsed_times = section_times[:, None] - sequence.times
@@ -174,6 +230,7 @@ def _state_at_times(coeffs, sequence, flights, chatter_tails, section_times):
 
 
 def _free_diagnostics(problem, z, n_periods):
+    """Compute the `Diagnostics` at one point of orbits without impacts."""
     coeffs, flight = free_flight(problem, z)
     orbit_duration = flight.time / flight_clearance.OVERLAP_FACTOR
     _, monodromy = flow_of(coeffs).fly_with_matrix(
@@ -198,6 +255,21 @@ def _free_diagnostics(problem, z, n_periods):
 
 
 def free_flight(problem, z):
-    """(`Frame`, the one flight) of an orbit without impacts: over a little more than its periods."""
+    """Return the flow coefficients and the flight of an orbit without impacts.
+
+    Parameters
+    ----------
+    problem : OrbitEquations
+        Equations of the orbit.
+    z : Array
+        Unknowns (x, v, parameters).
+
+    Returns
+    -------
+    coeffs : FlowCoefficients
+        Coefficients of the flow.
+    flight : Flight
+        One flight, slightly longer than the periods of the orbit.
+    """
     coeffs, sequence = flow_coefficients(scene_at(problem, z)), problem.sequence
     return coeffs, flight_clearance.impact_free_flight(coeffs, sequence.phase, sequence.periods, z[0], z[1])

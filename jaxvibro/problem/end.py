@@ -1,4 +1,4 @@
-"""Why a branch or a locus ends: a member for each reason, with the text that tells it."""
+"""Reasons for the end of a branch or a locus, with their texts."""
 
 import re
 from enum import Enum
@@ -6,8 +6,19 @@ from typing import NamedTuple
 
 
 class End(Enum):
-    """Why a branch ends. A member's value is its text; value in it is the parameter's there, kind that of the special
-    point at which it was stopped, or which it left."""
+    """Reason for the end of a branch.
+
+    The value of a member is its text. ``{value}`` stands for the value of the parameter, and ``{kind}`` for the kind of
+    the special point at which the branch stops, or which it left. The texts are stored in files and parsed.
+
+    Notes
+    -----
+    BOUND, DOMAIN and STOPPED are the user's limits: a bound, the end of a parameter's domain, a kind of `stop`.
+    MAX_POINTS and MAX_SECONDS are limits of the computation, and `extend` resumes there. CLOSED is a closed branch.
+    STEP, POINTS, NUMBER and HALVED are failures: too small a step, too many points, a number that is not finite, an
+    orbit of a shorter period. GRAZE, REST, CHATTER and UNSETTLED are grazings and sticking beyond which no orbit of
+    this kind continues. START and LEFT are the start of a branch: the initial orbit, or the special point that it left.
+    """
 
     BOUND = "the parameter reached its bound {value:.12g}"
     DOMAIN = "the parameter's domain ends at {value:.12g}"
@@ -30,7 +41,7 @@ class End(Enum):
     LEFT = "it left {kind} at {value:.12g}"
 
     def reason(self, value=0.0, kind=""):
-        """The `Reason` with these in its text."""
+        """Make a `Reason` with the text filled in."""
         return Reason(self, self.value.format(value=value, kind=kind))
 
 
@@ -38,24 +49,74 @@ RESUMABLE_ENDS = End.MAX_POINTS, End.MAX_SECONDS  # ends that a later call can c
 
 
 class Reason(NamedTuple):
-    """Why a branch ends: the `End`, which decides, and its text, which only tells."""
+    """Reason for the end of a branch.
+
+    Attributes
+    ----------
+    end : End
+        Reason, on which decisions depend.
+    text : str
+        Text, for display.
+    """
 
     end: End
     text: str
 
 
 def convert_end(segment):
-    """A `continuation.branch_segment.BranchSegment` with its end as an `End` of these."""
+    """Replace the end of a continued segment by the member of `End` of the same name.
+
+    Parameters
+    ----------
+    segment : continuation.branch_segment.BranchSegment
+        Segment.
+
+    Returns
+    -------
+    continuation.branch_segment.BranchSegment
+        Segment whose ``end`` is an `End`.
+    """
     return segment._replace(end=End[segment.end.name])
 
 
 def parse_end(text):
-    """The `End` of a text: saved branches had no more. Raises ValueError where it is none."""
+    """Return the reason that a text describes.
+
+    Older files of branches store only the text.
+
+    Parameters
+    ----------
+    text : str
+        Text of a `Reason`.
+
+    Returns
+    -------
+    End
+        The reason.
+
+    Raises
+    ------
+    ValueError
+        If the text belongs to no reason.
+    """
     return _parse_reason(text)[0]
 
 
 def rescale_reason(text, factor):
-    """The text of a `Reason`, its value told in another unit, in which it is so many times as large."""
+    """Convert the value in a text to another unit.
+
+    Parameters
+    ----------
+    text : str
+        Text of a `Reason`.
+    factor : float
+        Old unit in the new unit.
+
+    Returns
+    -------
+    str
+        Text with the value multiplied by `factor`.
+    """
     _, match = _parse_reason(text)
     if not match.groups():
         return text
@@ -63,10 +124,10 @@ def rescale_reason(text, factor):
 
 
 def _parse_reason(text):
-    """(the `End` of a text, the match, whose first group is the value where the text has one)."""
+    """Return the `End` of a text and the match, whose first group is the value if there is one."""
     for end in End:
         pattern = re.sub(r"\\{value[^}]*\\}", r"(\\S+)", re.escape(end.value)).replace(r"\{kind\}", ".+")
         match = re.fullmatch(pattern, text)
         if match:
             return end, match
-    raise ValueError(f"why a branch ends is not told by {text!r}")
+    raise ValueError(f"unknown reason for the end of a branch: {text!r}")

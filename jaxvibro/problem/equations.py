@@ -1,7 +1,7 @@
-"""The equations of a periodic orbit along parameters of the scene, as `continuation` takes them.
+"""Equations of a periodic orbit with free parameters of the scene, as `continuation` takes them.
 
-An orbit with impacts: z = (times, speeds, parameters), see `impact_equations`. One without: z = (x, v at the section,
-parameters). A branch has one parameter, a locus (see `crossing`) two.
+With impacts the unknowns are z = (times, speeds, parameters), see `impact_equations`. Without impacts they are z = (x,
+v at the section, parameters). A branch has one free parameter, a locus (see `extended_system`) has two.
 """
 
 from functools import singledispatch
@@ -23,13 +23,21 @@ from ..orbits.impact_equations import ImpactSequence
 from ..scene.codes import Contact
 from ..scene.scene import Scene
 
-MIN_SPEED_RATIO = 1e-10  # of the drive's amplitudes, per t: as small a speed is none
+MIN_SPEED_RATIO = 1e-10  # relative to the drive's amplitudes, per t; smaller speeds count as zero
 
 
 class OrbitEquations(NamedTuple):
-    """What a branch is of. scene: its numbers but for the parameters; parameter_marks: the scene's tree with 1 where
-    the first parameter stands, 2 the second, else 0; sequence: sides, phase and periods; its times and speeds are not
-    used."""
+    """Parameters and itinerary that define a branch.
+
+    Attributes
+    ----------
+    scene : Scene
+        Scene; the values of the free parameters are ignored.
+    parameter_marks : Scene
+        Tree of the scene with 1 at the first free parameter, 2 at the second, and 0 elsewhere.
+    sequence : ImpactSequence
+        Sides, phase and periods; its times and speeds are ignored.
+    """
 
     scene: Scene
     parameter_marks: Scene
@@ -37,33 +45,79 @@ class OrbitEquations(NamedTuple):
 
     @property
     def impact_rows(self) -> Int[np.ndarray, " impacts"]:
-        """The rows of impacts, whose speeds are to be positive."""
+        """Rows of impacts, whose speeds must be positive."""
         return np.flatnonzero(are_impacts(self.sequence))
 
     @property
     def slack(self) -> float:
-        """How deep behind a wall a flight may be, as a touch that is meant is found with a rounding."""
+        """Depth behind a wall that a flight may have where a grazing is intended and located up to rounding."""
         return 0.0
 
 
 def are_impacts(sequence):
-    """Which rows of a cycle are impacts, and neither empty nor releases: (rows,)."""
+    """Mark the rows of a sequence that are impacts, neither empty nor releases.
+
+    Parameters
+    ----------
+    sequence : ImpactSequence
+        Sequence.
+
+    Returns
+    -------
+    ndarray
+        Boolean array of shape (rows,).
+    """
     is_impact = np.asarray(sequence.sides != 0)
     return is_impact if sequence.releases is None else is_impact & (np.asarray(sequence.releases) == 0)
 
 
 def side_codes(sequence):
-    """The sides of a cycle's rows, +-2 or +-3 of releases, as `grazing.padded` takes them: (rows,)."""
+    """Return the sides of the rows, multiplied by 2 or 3 for releases, as `grazing.padded_sequence` takes them.
+
+    Parameters
+    ----------
+    sequence : ImpactSequence
+        Sequence.
+
+    Returns
+    -------
+    ndarray
+        Array of shape (rows,).
+    """
     return sequence.sides if sequence.releases is None else sequence.sides * (1.0 + sequence.releases)
 
 
 def are_releases(side_codes):
-    """Which of some rows with these `side_codes` are releases."""
+    """Mark the rows that are releases.
+
+    Parameters
+    ----------
+    side_codes : array_like
+        Codes from `side_codes`.
+
+    Returns
+    -------
+    ndarray
+        Boolean array of the same shape.
+    """
     return abs(np.asarray(side_codes)) >= Contact.STUCK
 
 
 def scene_at(problem, z):
-    """The scene at z."""
+    """Return the scene with the parameters of z.
+
+    Parameters
+    ----------
+    problem : OrbitEquations
+        Equations of the orbit.
+    z : Array
+        Unknowns.
+
+    Returns
+    -------
+    Scene
+        Scene.
+    """
     values = z[2 * len(problem.sequence.sides) or 2 :]
 
     def substitute_value(leaf, parameter_number):
@@ -75,30 +129,90 @@ def scene_at(problem, z):
 
 
 def parameter_at(problem, z, name):
-    """A number of the scene at z, of the scene itself, as the host asks for it: a float."""
+    """Return a parameter of the scene at z as a float.
+
+    Parameters
+    ----------
+    problem : OrbitEquations
+        Equations of the orbit.
+    z : ndarray
+        Unknowns.
+    name : str
+        Name of a field of the scene.
+
+    Returns
+    -------
+    float
+        Value, evaluated on the host.
+    """
     return _marked_value(problem, z, getattr(problem.parameter_marks, name), getattr(problem.scene, name))
 
 
 def _marked_value(problem, z, parameter_number, fixed_value):
-    """A number at z: its own, or the parameter that it is marked as."""
+    """Return the free parameter of z if the mark names one, else the fixed value."""
     index = int(parameter_number)
     return float(z[(2 * len(problem.sequence.sides) or 2) + index - 1] if index else fixed_value)
 
 
 def sequence_at(problem, z):
-    """The `ImpactSequence` with these unknowns."""
+    """Return the impact sequence with the times and speeds of z.
+
+    Parameters
+    ----------
+    problem : OrbitEquations
+        Equations of the orbit.
+    z : Array
+        Unknowns.
+
+    Returns
+    -------
+    ImpactSequence
+        Sequence.
+    """
     n_rows = len(problem.sequence.sides)
     return problem.sequence._replace(times=z[:n_rows], speeds=z[n_rows : 2 * n_rows])
 
 
 @jax.jit
 def evaluate_impact_system(z, problem):
-    """(F, its `cyclic_system.Ring`)."""
+    """Evaluate the equations of an orbit with impacts.
+
+    Parameters
+    ----------
+    z : Array
+        Unknowns.
+    problem : OrbitEquations
+        Equations of the orbit.
+
+    Returns
+    -------
+    residual : Array
+        Residual F.
+    matrix : cyclic_system.CyclicBlockMatrix
+        Its derivative with respect to z.
+    """
     return evaluate_with_variations(z, problem)[:2]
 
 
 def evaluate_with_variations(z, problem):
-    """(F, its `cyclic_system.Ring`, how the ring's own and following change with each parameter)."""
+    """Evaluate the equations and the derivatives of their matrix with respect to the parameters.
+
+    Parameters
+    ----------
+    z : Array
+        Unknowns.
+    problem : OrbitEquations
+        Equations of the orbit.
+
+    Returns
+    -------
+    residual : Array
+        Residual F.
+    matrix : cyclic_system.CyclicBlockMatrix
+        Derivative of F with respect to z.
+    variations : list of cyclic_system.CyclicBlockMatrix
+        Derivatives of the diagonal and coupling blocks of `matrix` with respect to each parameter.
+    """
     sequence, n_orbit_unknowns = sequence_at(problem, z), 2 * len(problem.sequence.sides)
 
     def evaluate_at(parameter_values):
@@ -124,13 +238,14 @@ def evaluate_with_variations(z, problem):
 
 
 def _dense_impact_system(z, problem):
-    """(F, dF/dz); an empty row's unknowns are to be zero."""
+    """Return F and dF/dz as dense arrays; the unknowns of empty rows must be zero."""
     residual, cyclic_matrix = evaluate_impact_system(z, problem)
     is_empty = jnp.tile(problem.sequence.sides == 0, 2)
     return jnp.where(is_empty, z[: len(residual)], residual), cyclic_system.dense_matrix(cyclic_matrix)
 
 
 def _flip_matrix(z, problem):
+    """Return the matrix that is singular where the period doubles."""
     coeffs, sequence = flow_coefficients(scene_at(problem, z)), sequence_at(problem, z)
     return cyclic_system.dense_matrix(
         cyclic_system.assemble_matrix(impact_equations.residual_and_jacobian(coeffs, sequence)[1]), -1.0
@@ -138,7 +253,7 @@ def _flip_matrix(z, problem):
 
 
 def _has_positive_speeds(z, problem):
-    """Whether each impact has a speed: where one has none, the equations are singular, and every test is zero."""
+    """Test whether every impact has a speed; else the equations are singular and every test function vanishes."""
     speeds, drive_strength = (
         z[len(problem.sequence.sides) :][problem.impact_rows],
         abs(parameter_at(problem, z, "amplitude")),
@@ -150,7 +265,7 @@ def _has_positive_speeds(z, problem):
 
 @jax.jit
 def _free_system(z, problem):
-    """(F, dF/dz): what a flight over the periods leaves to be periodic."""
+    """Return F and dF/dz for the periodicity of a flight over the periods."""
 
     def evaluate_residual(z):
         scene, sequence = scene_at(problem, z), problem.sequence
@@ -164,7 +279,7 @@ def _free_system(z, problem):
 
 
 def _free_flip_matrix(z, problem):
-    """M + I, singular where the period doubles."""
+    """Return M + I, which is singular where the period doubles."""
     return _free_system(z, problem)[1][:, :2] + 2.0 * jnp.eye(2, dtype=z.dtype)
 
 
@@ -178,7 +293,7 @@ IMPACT_PROBLEM = Problem(
 )
 STICKING_PROBLEM = Problem(
     _dense_impact_system, solve_bordered, _dense_impact_system, (), call_as_kernel, _has_positive_speeds
-)  # what forgets does not double
+)  # an orbit that sticks has zero multipliers, so its period does not double
 FREE_PROBLEM = Problem(
     _free_system, solve_bordered, _free_system, (TestFunction("PD", _free_flip_matrix),), call_as_kernel
 )
@@ -186,7 +301,18 @@ FREE_PROBLEM = Problem(
 
 @singledispatch
 def continuation_problem(problem):
-    """The `Problem` of what is followed: of the orbits of an `OrbitEquations`."""
+    """Return the continuation problem of some equations.
+
+    Parameters
+    ----------
+    problem : OrbitEquations
+        Equations of the orbits; other classes are registered.
+
+    Returns
+    -------
+    continuation.problem.Problem
+        Problem of orbits without impacts, with impacts, or with sticking.
+    """
     if not len(problem.sequence.sides):
         return FREE_PROBLEM
     return IMPACT_PROBLEM if problem.sequence.releases is None else STICKING_PROBLEM

@@ -1,4 +1,4 @@
-"""What orbits along a branch or a locus must keep to besides their equations, and where they first touch a wall."""
+"""Check orbits along a branch or a locus against the walls and locate their first grazing."""
 
 import numpy as np
 
@@ -13,12 +13,19 @@ from .diagnostics import diagnose
 from .grazing_contact import GRAZING_TOLERANCE, admissible, locate_grazing, sticking_margins, zero_slow_speeds
 from .missed_grazings import insert_missed_grazings
 
-MAX_BISECTIONS = 60  # of an interval in which a touch is looked for
+MAX_BISECTIONS = 60  # of an interval that contains a grazing
 
 
 class OrbitEventDetector(EventDetector):
-    """Orbits keep between their walls, and their impacts have a speed. equations: `OrbitEquations`, or those of a
-    locus; length_scale: the scene's."""
+    """Event detector for orbits that stay between their walls and have impacts with positive speed.
+
+    Parameters
+    ----------
+    equations : OrbitEquations
+        Equations of the orbits, or those of a locus.
+    length_scale : float
+        Length of the scene.
+    """
 
     def __init__(self, equations, length_scale):
         self.equations, self.length_scale = equations, length_scale
@@ -34,9 +41,28 @@ class OrbitEventDetector(EventDetector):
 
 
 def truncate_at_grazing(task, points, diagnostics, first_bad, length_scale):
-    """(the points up to the touch before the first bad one, the largest error left there); those before, and None,
-    where none is found, or the time is over. task: the `driver.Task`, its args the equations; length_scale: the
-    scene's."""
+    """Truncate points at the grazing before the first inadmissible point.
+
+    Parameters
+    ----------
+    task : continuation.driver.ContinuationTask
+        Task, whose ``args`` are the equations.
+    points : continuation.arclength.Point
+        Points along the curve.
+    diagnostics : Diagnostics
+        Their diagnostics.
+    first_bad : int
+        Index of the first inadmissible point.
+    length_scale : float
+        Length of the scene.
+
+    Returns
+    -------
+    points : continuation.arclength.Point
+        Admissible points, and the grazing if it is located.
+    residual : float or None
+        Largest residual at the grazing; None if it is not located, or the time is over.
+    """
     good_point, step_length = row_at(points, first_bad - 1), float(points.step[first_bad])
     bad_point, bad_diagnostics, lower, upper = (
         row_at(points, first_bad),
@@ -64,8 +90,10 @@ def truncate_at_grazing(task, points, diagnostics, first_bad, length_scale):
 
 
 def _locate_first_grazing(task, good_point, bad_point, bad_diagnostics, lower, upper, length_scale):
-    """(z, residual) of the first touch between two lengths from a good point, None where it is not found, or another is
-    before it. bad_point, bad_diagnostics: the point at the second length."""
+    """Return (z, residual) of the first grazing between two arclengths from a good point.
+
+    None if it is not located, or if another grazing precedes it.
+    """
     problem = task.args
     n_rows, impact_rows = len(problem.sequence.sides), problem.impact_rows
     middle_z = 0.5 * (good_point.z + bad_point.z)
@@ -99,7 +127,7 @@ def _locate_first_grazing(task, good_point, bad_point, bad_diagnostics, lower, u
 
 
 def _locate_sticking_ends(problem, z, bad_diagnostics):
-    """The points near z where rests that are none any more just are: `PointSolution`s."""
+    """Locate the points near z where sticking phases that no longer exist begin to exist."""
     measure_pairs = zip(
         (sticking_limits.excess_speeds, sticking_limits.min_contact_forces),
         sticking_margins(problem, bad_diagnostics),
@@ -113,7 +141,7 @@ def _locate_sticking_ends(problem, z, bad_diagnostics):
 
 
 def _locate_zero_speed(task, z, row, length_scale):
-    """The point near z where an impact loses its speed: `PointSolution`."""
+    """Locate the point near z where an impact loses its speed."""
     problem = task.args
     n_rows = len(problem.sequence.sides)
     if len(z) > 2 * n_rows + 1 and soft_grazing.is_smooth_wall(

@@ -1,7 +1,8 @@
-"""What goes on from a grazing: the orbits of each itinerary that its touches give, and which of them are real.
+"""Find the branches that emanate from a grazing and keep the admissible ones.
 
-At a grazing the orbit is one of each itinerary that has the touches as impacts without speed, or leaves them out. On
-each of these branches it is a regular point; those along which speeds and clearances become positive meet there.
+At a grazing the orbit belongs to every itinerary that contains its grazing contacts as impacts with zero speed, or
+omits them. On each of these branches it is a regular point. The branches along which speeds and clearances become
+positive meet there.
 """
 
 from functools import singledispatch
@@ -28,21 +29,33 @@ from .grazing_contact import (
 )
 from .same_orbit import match_repeated_contacts
 
-EXIT_STEPS = 1e-5, 1e-7  # steps, in scaled lengths, after which a branch that leaves a grazing is looked at
+EXIT_STEPS = 1e-5, 1e-7  # arclengths at which a branch that emanates from a grazing is checked
 TIGHT_TOLERANCE, LOOSE_TOLERANCE = (
     1e-12,
     1e-10,
-)  # Newton's tolerance there, with impacts added and with none: slow ones leave rounding
-ZERO_RATE = 1e-6  # of a speed's or a distance's rate along a branch: as small is none
-NEWTON_STEPS = 12  # of Newton's steps to an orbit without impacts
-SINGULAR_RATIO = 1e-7  # of the largest singular value: one as small is a direction that is not solved for
-MAX_FREE_CHOICES = 4  # touches at once, of which every choice is tried
+)  # Newton's tolerance with and without added impacts; slow impacts amplify rounding
+ZERO_RATE = 1e-6  # derivatives of speeds and distances along a branch below this count as zero
+NEWTON_STEPS = 12  # Newton steps to an orbit without impacts
+SINGULAR_RATIO = 1e-7  # relative to the largest singular value; directions below this are not solved for
+MAX_FREE_CHOICES = 4  # number of grazing contacts up to which every choice is tried
 
 
 class GrazingExit(NamedTuple):
-    """A branch that leaves a grazing admissibly. problem: its orbits; point: the grazing itself, its tangent leading
-    away; nearby_z, diagnostics: z a little on, and its `Diagnostics`; included: which of the touches are its
-    impacts."""
+    """Admissible branch that emanates from a grazing.
+
+    Attributes
+    ----------
+    problem : OrbitEquations
+        Equations of its orbits.
+    point : Point
+        The grazing, with the tangent that leads away.
+    nearby_z : ndarray
+        Unknowns of an orbit close to the grazing.
+    diagnostics : Diagnostics
+        Diagnostics at `nearby_z`.
+    included : tuple of bool
+        True for each grazing contact that counts as an impact.
+    """
 
     problem: OrbitEquations
     point: Point
@@ -52,7 +65,7 @@ class GrazingExit(NamedTuple):
 
 
 def try_all_choices(problem, z, grazing_contacts, length_scale):
-    """What `find_exit` finds in both directions along the orbits of each itinerary that the touches give."""
+    """Yield the result of `find_exit` in both directions for each choice of grazing contacts as impacts."""
     for included in _distinct_choices(problem, z, grazing_contacts):
         choice_problem, start_z, omitted = with_grazing_contacts(problem, z, grazing_contacts, included)
         tangent = event_search.unit_tangent(
@@ -67,9 +80,12 @@ def try_all_choices(problem, z, grazing_contacts, length_scale):
 
 
 def find_exits(problem, z, length_scale, generate_exits=try_all_choices):
-    """(the `Touch`es at a grazing; the `GrazingExit`s that leave it, of the branch that came there itself too; whether
-    each way that opens is one of them: Newton's method may not converge there). generate_exits: as
-    `try_all_choices`."""
+    """Find the exits of a grazing.
+
+    Returns the `GrazingContact` list, the `GrazingExit` list, which includes the branch that came to the grazing, and
+    whether all exits are known; Newton's method may fail at some. `generate_exits` is a function like
+    `try_all_choices`.
+    """
     grazing_contacts = find_grazing_contacts(problem, z, length_scale)
     outcomes = list(generate_exits(problem, z, grazing_contacts, length_scale))
     return (
@@ -80,8 +96,7 @@ def find_exits(problem, z, length_scale, generate_exits=try_all_choices):
 
 
 def with_grazing_contacts(problem, z, grazing_contacts, included):
-    """The orbit with some of the touches as impacts: (its `OrbitEquations`, its z, the others as `omitted_contacts`
-    gives them)."""
+    """Return (equations, z, `omitted_contacts`) of the orbit with some grazing contacts as impacts."""
     all_impacts = list_impacts(problem, z, grazing_contacts, included)
     kept_impacts = [impact for impact in all_impacts if impact.is_kept]
     new_problem, start_z = with_impacts(problem, z, kept_impacts)
@@ -89,8 +104,10 @@ def with_grazing_contacts(problem, z, grazing_contacts, included):
 
 
 def with_impacts(problem, z, impacts, source_rows=()):
-    """(the `OrbitEquations` of orbits with these impacts, z of the one that is there); source_rows: that these were
-    in."""
+    """Return the equations of orbits with given impacts, and z of the current one.
+
+    `source_rows` are the rows in which these impacts were.
+    """
     new_problem = replace_sequence(
         problem, padded_sequence(problem, [(impact.time, impact.speed, impact.side) for impact in impacts]), source_rows
     )
@@ -103,15 +120,33 @@ def with_impacts(problem, z, impacts, source_rows=()):
 
 @singledispatch
 def replace_sequence(problem, sequence, source_rows):
-    """What is followed, with a cycle of some rows' impacts alone."""
+    """Replace the impact sequence of the equations.
+
+    Parameters
+    ----------
+    problem : OrbitEquations
+        Equations; other classes are registered.
+    sequence : ImpactSequence
+        New sequence.
+    source_rows : sequence of int
+        Rows of `problem` in which the impacts of `sequence` were.
+
+    Returns
+    -------
+    OrbitEquations
+        Equations with the new sequence.
+    """
     return problem._replace(sequence=sequence)
 
 
 def _distinct_choices(problem, z, grazing_contacts):
-    """The choices of touches to be impacts: of those that are one orbit, counted from another period, the branch's own
-    or the first."""
+    """List the choices of grazing contacts as impacts that lead to different orbits.
+
+    Choices that are equal when counted from another period lead to the same orbit. The branch's own choice represents
+    them if it is among them, else the first one.
+    """
     branch_choice, choices = tuple(entry.is_impact for entry in grazing_contacts), []
-    if not grazing_contacts:  # as of passes that differ by less than samples tell: none is known to be the touch
+    if not grazing_contacts:  # the samples did not resolve which turning point touches the wall
         return [branch_choice]
     contact_times = np.array(
         [entry.delay + (z[entry.row] if len(problem.sequence.sides) else 0.0) for entry in grazing_contacts]
@@ -129,7 +164,11 @@ def _distinct_choices(problem, z, grazing_contacts):
 
 
 def _candidate_choices(grazing_contacts):
-    """Which touches are to be impacts: every choice of a few; of many all, none, those that are and the others."""
+    """List choices of grazing contacts as impacts.
+
+    All choices are listed for few grazing contacts. For many the list contains the branch's own choice, its complement,
+    none and all.
+    """
     if len(grazing_contacts) <= MAX_FREE_CHOICES:
         return list(product((False, True), repeat=len(grazing_contacts)))
     branch_choice = tuple(entry.is_impact for entry in grazing_contacts)
@@ -146,6 +185,8 @@ def _candidate_choices(grazing_contacts):
 
 
 class ImpactEntry(NamedTuple):
+    """Impact or grazing contact of an orbit; `is_kept` is true if it is kept as an impact."""
+
     time: float
     speed: float
     side: int
@@ -153,7 +194,7 @@ class ImpactEntry(NamedTuple):
 
 
 def list_impacts(problem, z, grazing_contacts, included):
-    """All impacts and touches in order of travel, those kept that are no touches or are to be impacts."""
+    """List all impacts and grazing contacts as `ImpactEntry` records, in order along the orbit."""
     n_rows, is_included = len(problem.sequence.sides), dict(zip(grazing_contacts, included, strict=True))
     contact_of_row = {contact.row: contact for contact in grazing_contacts if contact.is_impact}
     entries = []
@@ -177,13 +218,13 @@ def list_impacts(problem, z, grazing_contacts, included):
 
 
 def omitted_contacts(problem, z, all_impacts, kept_impacts):
-    """(row, wall, time since the flight after that row's impact began) of each touch that is none of those kept.
+    """Return (row, wall, time since the start of the flight after that row) of each grazing contact that is not kept.
 
-    problem, z: of the orbit that has the impacts kept, in rows in this order.
+    `problem` and `z` belong to the orbit with the impacts kept, in rows in this order.
     """
     side_of_wall, omitted, contact_durations = wall_sides(problem.scene), [], contact_durations_at(problem, z)
     orbit_duration = orbit_duration_at(problem, z)
-    index = len(kept_impacts) - 1  # what is before the first is after the last
+    index = len(kept_impacts) - 1  # grazings before the first impact follow the last one
     for impact in all_impacts:
         if impact.is_kept:
             index = kept_impacts.index(impact)
@@ -200,8 +241,21 @@ def omitted_contacts(problem, z, all_impacts, kept_impacts):
 
 
 def padded_sequence(problem, impacts):
-    """A cycle with these impacts, (time, speed, side) each, in rows of a power of two; none without impacts. A side is
-    +-2 where it is no impact but a release, +-3 where the mass lifts before that rest (`Cycle.releases`)."""
+    """Make an impact sequence whose number of rows is a power of two.
+
+    Parameters
+    ----------
+    problem : OrbitEquations
+        Equations whose phase and periods are kept.
+    impacts : sequence of tuple
+        (time, speed, side) of each impact. The side is +-2 for a release, and +-3 if the mass lifts before that
+        sticking phase (``ImpactSequence.releases``).
+
+    Returns
+    -------
+    ImpactSequence
+        Sequence; without rows if there are no impacts.
+    """
     n_rows = 0 if not impacts else max(2, 1 << (len(impacts) - 1).bit_length())
     columns = np.zeros((3, n_rows))
     for k, impact in enumerate(impacts):
@@ -213,7 +267,7 @@ def padded_sequence(problem, impacts):
 
 
 def _section_state(problem, z):
-    """(x, v) at the section of an orbit that a force of the user's own drives; of another it does not matter."""
+    """Return (x, v) at the section; only orbits under a user-defined force need it."""
     if problem.scene.force is None or not len(problem.sequence.sides):
         return z[:2]
     diagnostics = diagnose(problem, z[None])
@@ -221,7 +275,10 @@ def _section_state(problem, z):
 
 
 def solve_free_orbit(problem, parameter_value, guess_state):
-    """z of the orbit without impacts: the only one under spring and damper, else that near some (x, v)."""
+    """Return z of the orbit without impacts.
+
+    Under spring and damper it is unique, else it is the one near a guess of (x, v).
+    """
     has_force = problem.scene.force is not None
     z = np.array([*(guess_state if has_force and np.isfinite(guess_state).all() else (0.0, 0.0)), parameter_value])
     for _ in range(NEWTON_STEPS if has_force else 1):
@@ -230,7 +287,7 @@ def solve_free_orbit(problem, parameter_value, guess_state):
         )
         state_jacobian = jacobian[
             :, :2
-        ]  # at a fold or a branch point, which a force may have, no step leads along its null vector
+        ]  # under a force it may be singular, at a fold or branch point; no step is taken along the null vector
         step = (
             np.linalg.lstsq(state_jacobian, residual, SINGULAR_RATIO)[0]
             if has_force
@@ -243,7 +300,28 @@ def solve_free_orbit(problem, parameter_value, guess_state):
 
 
 def opening_rate(problem, z, direction, row, wall, time_in_flight):
-    """How fast the distance of a flight at a time grows in a direction of z."""
+    """Return the derivative of the distance from a wall in a direction of z.
+
+    Parameters
+    ----------
+    problem : OrbitEquations
+        Equations of the orbit.
+    z : ndarray
+        Unknowns.
+    direction : ndarray
+        Direction in the space of unknowns.
+    row : int
+        Row of the impact before the flight.
+    wall : int
+        Index of the wall.
+    time_in_flight : float
+        Time since the start of the flight.
+
+    Returns
+    -------
+    float
+        Directional derivative, by a central difference.
+    """
     offset_distances = (
         distance_and_speed(
             problem, row, wall, np.append(z + sign * augmented_systems.DIFFERENCE_STEP * direction, time_in_flight)
@@ -254,15 +332,17 @@ def opening_rate(problem, z, direction, row, wall, time_in_flight):
 
 
 def growth_rates(problem, z, tangent, omitted):
-    """How fast the speeds that are zero, and the distances of the touches left out, grow along a tangent."""
+    """Return the derivatives of zero speeds and of the distances of omitted grazing contacts along a tangent."""
     n_rows = len(problem.sequence.sides)
     speed_rates = [tangent[n_rows + k] for k in problem.impact_rows if z[n_rows + k] == 0.0]
     return np.array(speed_rates + [opening_rate(problem, z, tangent, *location) for location in omitted])
 
 
 def find_exit(problem, z, tangent, rates, length_scale, included):
-    """(the `GrazingExit` along a tangent of a branch, None where it is none; whether that is sure). rates: as
-    `growth_rates` gives them."""
+    """Return the `GrazingExit` along a tangent, or None, and whether this is certain.
+
+    `rates` are those of `growth_rates`.
+    """
     if (rates < -ZERO_RATE).any():
         return None, True
     grazing_exit, converged = step_along_exit(
@@ -272,8 +352,10 @@ def find_exit(problem, z, tangent, rates, length_scale, included):
 
 
 def step_along_exit(problem, z, tangent, length_scale, included, tolerance, offsets):
-    """(the `GrazingExit` along a tangent, None where none of these steps aside comes to an admissible orbit; whether
-    one of them comes to an orbit)."""
+    """Return the `GrazingExit` along a tangent, or None, and whether Newton's method converged.
+
+    Each offset is tried until the orbit is admissible.
+    """
     point = start_point(z, tangent)
     control_values = (np.float64(value) for value in (0.0, 1.0, tolerance, -np.inf, np.inf))
     control, converged = StepControl(arclength_weights(problem, length_scale), *control_values), False

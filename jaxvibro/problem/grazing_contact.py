@@ -1,4 +1,4 @@
-"""Touches: where an impact of an orbit has no speed, or a flight comes to a wall without one."""
+"""Locate grazing contacts: impacts with zero speed and flights that reach a wall at zero relative velocity."""
 
 from functools import partial, singledispatch
 from typing import NamedTuple
@@ -17,13 +17,24 @@ from ..orbits.flight_clearance import GRAZING_TOLERANCE
 from .diagnostics import diagnose, free_flight
 from .equations import continuation_problem, parameter_at, scene_at, sequence_at
 
-END_TOLERANCE = 1e-5  # of a flight: a touch as near to its ends is that of the impact there
-NEWTON_STEPS = 6  # of Newton's steps to a turning point
+END_TOLERANCE = 1e-5  # relative to a flight; a contact closer to its ends belongs to the impact there
+NEWTON_STEPS = 6  # Newton steps to a turning point
 
 
 class GrazingContact(NamedTuple):
-    """A touch of a wall. row: of the impact at it, or of that before it; side; delay: its time since that impact's;
-    is_impact: whether the branch has it as an impact."""
+    """Grazing contact with a wall.
+
+    Attributes
+    ----------
+    row : int
+        Row of the impact at the grazing, or of the impact before it.
+    side : int
+        Side of the wall.
+    delay : float
+        Time since the impact of `row`.
+    is_impact : bool
+        True if the branch has the grazing contact as an impact.
+    """
 
     row: int
     side: int
@@ -32,8 +43,23 @@ class GrazingContact(NamedTuple):
 
 
 def arclength_weights(problem, length_scale):
-    """The weights of z: times as they are and speeds over the scene's length, their mean square over the impacts;
-    parameters over the length where they are one."""
+    """Return the weights of the unknowns in the arclength.
+
+    Times count as they are, speeds and parameters that are lengths are divided by the length of the scene. Times and
+    speeds enter as a root mean square over the impacts.
+
+    Parameters
+    ----------
+    problem : OrbitEquations
+        Equations of the orbits.
+    length_scale : float
+        Length of the scene.
+
+    Returns
+    -------
+    ndarray
+        One weight for each unknown.
+    """
     n_rows = len(problem.sequence.sides)
     impact_weight = 1.0 / max(1.0, np.sqrt(np.sum(problem.sequence.sides != 0)))
     impact_weights = np.asarray(problem.sequence.sides != 0, float) * impact_weight
@@ -48,7 +74,7 @@ def arclength_weights(problem, length_scale):
 
 
 def _parameter_scale(parameter_marks, parameter_number, length_scale):
-    """The scene's length where a parameter is a length, else 1."""
+    """Return the length of the scene if the parameter is a length, else 1."""
     walls = parameter_marks.walls.values()
     length_marks = [
         parameter_marks.amplitude,
@@ -60,7 +86,7 @@ def _parameter_scale(parameter_marks, parameter_number, length_scale):
 
 
 def _relative_motion_kernel(unknowns, problem, row, wall):
-    """(distance, speed, acceleration) towards a wall of the flight after a row; y = (z, the time since its start)."""
+    """Return distance, speed and acceleration towards a wall in the flight after a row, at (z, time in flight)."""
     z, time_in_flight = unknowns[:-1], unknowns[-1]
     if len(problem.sequence.sides):
         coeffs = flow_coefficients(scene_at(problem, z))
@@ -77,12 +103,12 @@ def _relative_motion(unknowns, problem, row, wall):
 
 
 def distance_and_speed(problem, row, wall, unknowns):
-    """Distance and speed towards a wall."""
+    """Return distance and speed towards a wall at (z, time since the start of the flight)."""
     return np.asarray(_relative_motion(unknowns, problem, np.int32(row), np.int32(wall)))[:2]
 
 
 def locate_grazing(problem, z, row, wall, time_in_flight):
-    """The point near where the flight after a row touches a wall: `locate.Located` of z."""
+    """Locate the point near z where the flight after a row touches a wall."""
     evaluate_contact = partial(distance_and_speed, problem, row, wall)
 
     def system(unknowns):
@@ -100,8 +126,24 @@ def locate_grazing(problem, z, row, wall, time_in_flight):
 
 
 def locate_zero(problem, z, function, indices=None):
-    """The point near z where a function of z is zero too: `locate.Located`. indices: those in z of the unknowns that
-    the function depends on, None: all."""
+    """Locate the point near z where a function of z vanishes too.
+
+    Parameters
+    ----------
+    problem : OrbitEquations
+        Equations of the orbit.
+    z : ndarray
+        Guess.
+    function : callable
+        Function of z.
+    indices : sequence of int, optional
+        Indices of the unknowns on which the function depends. None is all.
+
+    Returns
+    -------
+    continuation.augmented_systems.PointSolution
+        Solution.
+    """
 
     def system(z):
         residual, jacobian = (
@@ -115,7 +157,7 @@ def locate_zero(problem, z, function, indices=None):
 
 
 def refine_turning_point(problem, z, row, wall, time_in_flight):
-    """(time, distance, acceleration towards the wall) at the turning point of the flight after a row that is near."""
+    """Return (time, distance, acceleration towards the wall) at the turning point nearest to a time of a flight."""
     for _ in range(NEWTON_STEPS):
         distance, speed, acceleration = np.asarray(
             _relative_motion(np.append(z, time_in_flight), problem, np.int32(row), np.int32(wall))
@@ -125,7 +167,22 @@ def refine_turning_point(problem, z, row, wall, time_in_flight):
 
 
 def find_grazing_contacts(problem, z, length_scale):
-    """The `GrazingContact`es at a point."""
+    """Find the grazing contacts at a point.
+
+    Parameters
+    ----------
+    problem : OrbitEquations
+        Equations of the orbit.
+    z : ndarray
+        Unknowns.
+    length_scale : float
+        Length of the scene.
+
+    Returns
+    -------
+    list of GrazingContact
+        Impacts with zero speed, then flights that graze a wall.
+    """
     sides, diagnostics = problem.sequence.sides, diagnose(problem, z[None])
     n_rows = len(sides)
     nonempty_rows = np.flatnonzero(sides != 0)
@@ -154,7 +211,7 @@ def find_grazing_contacts(problem, z, length_scale):
 
 
 def zero_slow_speeds(problem, z, length_scale):
-    """z with the speeds that are zero but for rounding put to zero."""
+    """Set the speeds of z that vanish up to rounding to zero."""
     n_rows = len(problem.sequence.sides)
     cleaned_z = np.array(z)
     speeds = cleaned_z[n_rows : 2 * n_rows]
@@ -163,30 +220,73 @@ def zero_slow_speeds(problem, z, length_scale):
 
 
 def approach_acceleration(problem, z, row):
-    """That towards the wall of an impact, relative to it, as it is left."""
+    """Return the acceleration towards the wall of an impact, relative to the wall, when the mass leaves it.
+
+    Parameters
+    ----------
+    problem : OrbitEquations
+        Equations of the orbit.
+    z : ndarray
+        Unknowns.
+    row : int
+        Row of the impact.
+
+    Returns
+    -------
+    float
+        Acceleration, positive towards the wall.
+    """
     wall = wall_sides(problem.scene).index(int(problem.sequence.sides[row]))
     return float(_relative_motion(np.append(z, 0.0), problem, np.int32(row), np.int32(wall))[2])
 
 
 def is_pressed_on_wall(problem, z, grazing_contacts):
-    """Whether at one of the touches that are impacts the wall is in the way of the mass, which then rests on it."""
+    """Test whether the mass is pressed against the wall at a grazing contact, so that it sticks.
+
+    Parameters
+    ----------
+    problem : OrbitEquations
+        Equations of the orbit.
+    z : ndarray
+        Unknowns.
+    grazing_contacts : sequence of GrazingContact
+        Grazing contacts; only those that are impacts count.
+
+    Returns
+    -------
+    bool
+        True if at one of them the acceleration points into the wall.
+    """
     return any(approach_acceleration(problem, z, contact.row) > 0 for contact in grazing_contacts if contact.is_impact)
 
 
 def orbit_duration_at(problem, z):
-    """How long the orbit is."""
+    """Return the duration of the orbit."""
     return float(problem.sequence.periods) * 2.0 * np.pi / parameter_at(problem, z, "frequency")
 
 
 def flight_durations_at(problem, z):
-    """How long each flight is, (rows,); of an orbit without impacts its periods, (1,)."""
+    """Return the duration of each flight, (rows,); without impacts that of the periods, (1,)."""
     if not len(problem.sequence.sides):
         return np.array([orbit_duration_at(problem, z)])
     return np.asarray(_durations(problem, z)[0])
 
 
 def contact_durations_at(problem, z):
-    """How long the mass is within the wall at each impact, before the flight after it begins, (rows,); (1,) of none."""
+    """Return the contact durations of the impacts.
+
+    Parameters
+    ----------
+    problem : OrbitEquations
+        Equations of the orbit.
+    z : ndarray
+        Unknowns.
+
+    Returns
+    -------
+    ndarray
+        Duration inside the wall before the flight begins, array of shape (rows,), or (1,) without impacts.
+    """
     n_rows = len(problem.sequence.sides)
     return np.asarray(_durations(problem, z)[1]) if n_rows and problem.scene.soft_sides else np.zeros(max(1, n_rows))
 
@@ -201,12 +301,39 @@ def _durations(problem, z):
 
 
 def wall_sides(scene):
-    """The sides of the walls that there are."""
+    """Return the sides of the walls that exist.
+
+    Parameters
+    ----------
+    scene : Scene
+        Scene.
+
+    Returns
+    -------
+    list of int
+        -1, 1 or both.
+    """
     return [side for side, wall in ((-1, scene.left), (1, scene.right)) if wall is not None]
 
 
 def admissible(problem, zs, diagnostics):
-    """Which points keep to their walls and hit them with positive speed, and rest where they are to: (points,)."""
+    """Test which points are admissible orbits.
+
+    Parameters
+    ----------
+    problem : OrbitEquations
+        Equations of the orbits.
+    zs : ndarray
+        Unknowns, array of shape (points, unknowns) or (unknowns,).
+    diagnostics : Diagnostics
+        Their diagnostics.
+
+    Returns
+    -------
+    ndarray
+        Boolean array of shape (points,): True if the orbit stays between the walls, hits them with positive speed, and
+        sticks where it should.
+    """
     zs = np.atleast_2d(zs)
     has_positive_speeds = (zs[:, len(problem.sequence.sides) + problem.impact_rows] > 0).all(axis=1)
     margins = np.concatenate([*sticking_margins(problem, diagnostics), diagnostics.hop_margin], axis=1)
@@ -216,5 +343,18 @@ def admissible(problem, zs, diagnostics):
 
 @singledispatch
 def sticking_margins(problem, diagnostics):
-    """(how long rests are, how hard walls hold in them), what is not to come to zero along what is followed."""
+    """Return the margins of the sticking phases that must stay positive along a curve.
+
+    Parameters
+    ----------
+    problem : OrbitEquations
+        Equations of the orbits; other classes are registered.
+    diagnostics : Diagnostics
+        Diagnostics of the points.
+
+    Returns
+    -------
+    sticking_time, min_contact_force : ndarray
+        Durations and least contact forces of the sticking phases.
+    """
     return diagnostics.sticking_time, diagnostics.min_contact_force

@@ -1,10 +1,10 @@
-"""How deep a contact is beyond a grazing: on the orbit that leaves it out, behind the wall that is touched.
+"""Compute the depth of the contact beyond a grazing, along the orbit that leaves the contact out.
 
-A contact that would be d deep meets a rigid wall with the speed sqrt(2 a d), a the acceleration away from the wall at
-the grazing, and its impact changes the velocity by (1 + R) sqrt(2 a d): by a root, where all else changes smoothly
-(Nordmark, J. Sound Vib. 145, 279, 1991). A soft wall changes the velocity by d^(3/2): it has no root, unless it moves
-and has a damping of its own. Then the force has a jump at the wall, the acceleration is a + j within, and the contact
-of 2 sqrt(2 a d) / (a + j) changes the velocity by j times that.
+A contact of depth d meets a rigid wall with the speed sqrt(2 a d), a being the acceleration away from the wall at the
+grazing. Its impact changes the velocity by (1 + R) sqrt(2 a d), a square root, while everything else changes smoothly
+(Nordmark, J. Sound Vib. 145, 279, 1991). A soft wall changes the velocity by d^(3/2), without a root, unless the wall
+moves and has damping of its own. Then the force has a jump at the wall and the acceleration within is a + j. The
+contact lasts 2 sqrt(2 a d) / (a + j) and changes the velocity by j times that.
 """
 
 from typing import NamedTuple
@@ -26,9 +26,20 @@ from .soft_grazing import is_smooth_wall
 
 
 class Depth(NamedTuple):
-    """Of one touch of a wall. side; root: by how much the velocity jumps, over the root of the depth, 0 where that goes
-    with a higher power, inf where a soft wall does not let go at once; slope: how the depth grows with the parameter
-    along the orbit that leaves all touches out; acceleration: away from the wall, relative to it."""
+    """Depth of a contact at one grazing of a wall.
+
+    Attributes
+    ----------
+    side : int
+        Side of the wall, -1 or 1.
+    root : float
+        Jump of the velocity divided by the square root of the depth. 0 if the change is of higher power, inf if a soft
+        wall does not let go at once.
+    slope : float
+        Derivative of the depth with respect to the parameter along the orbit that omits all grazing contacts.
+    acceleration : float
+        Acceleration away from the wall, relative to it.
+    """
 
     side: int
     root: float
@@ -37,7 +48,24 @@ class Depth(NamedTuple):
 
 
 def grazing_depths(scene, problem, z, length_scale):
-    """The `Depth`s at a grazing, in the order of its touches along the orbit; scene: at the point."""
+    """Compute the depths at a grazing.
+
+    Parameters
+    ----------
+    scene : Scene
+        Scene at the point.
+    problem : OrbitEquations
+        Equations of the orbit.
+    z : ndarray
+        Unknowns at the grazing.
+    length_scale : float
+        Length of the scene.
+
+    Returns
+    -------
+    tuple of Depth
+        One entry for each grazing contact, in order along the orbit.
+    """
     grazing_contacts = find_grazing_contacts(problem, z, length_scale)
     reduced_problem, reduced_z, omitted = with_grazing_contacts(
         problem, z, grazing_contacts, (False,) * len(grazing_contacts)
@@ -49,8 +77,19 @@ def grazing_depths(scene, problem, z, length_scale):
 
 
 class OmittedGrazing(NamedTuple):
-    """Where an orbit that leaves all touches out touches a wall. row: of the impact before; time_in_flight: the time
-    since the flight after that began; time: since the drive was at phase 0; depth: its `Depth`."""
+    """Grazing contact with a wall, along an orbit that omits all grazing contacts.
+
+    Attributes
+    ----------
+    row : int
+        Row of the impact before.
+    time_in_flight : float
+        Time since the start of the flight after that impact.
+    time : float
+        Time since phase 0 of the drive.
+    depth : Depth
+        Depth of the contact.
+    """
 
     row: int
     time_in_flight: float
@@ -59,7 +98,7 @@ class OmittedGrazing(NamedTuple):
 
 
 def find_omitted_grazings(scene, reduced_problem, reduced_z, omitted, length_scale):
-    """The `OmittedGrazing`es of an orbit that leaves touches out, as `grazing.with_touches` gives it and them."""
+    """Locate the `OmittedGrazing` of each contact that `grazing.with_grazing_contacts` left out."""
     tangent = event_search.unit_tangent(
         continuation_problem(reduced_problem),
         reduced_z,
@@ -88,6 +127,7 @@ def find_omitted_grazings(scene, reduced_problem, reduced_z, omitted, length_sca
 
 
 def _jump_coefficient(scene, side, acceleration, time):
+    """Return the jump of the velocity divided by the square root of the depth."""
     wall = scene.left if side < 0 else scene.right
     if not wall.soft:
         restitution = scene.restitution if wall.restitution is None else wall.restitution

@@ -1,11 +1,12 @@
-"""Grazing from within: a mass within a soft wall comes back to it, and just does not leave, or just does.
+"""Locate grazings from within: a mass inside a soft wall returns to its surface and just leaves, or just does not.
 
-Where it leaves for a moment and enters again, one contact is two. With h how far it comes out, a its acceleration into
-the wall, the speeds of leaving and entering are sqrt(2 a h), to first order, and the force has no jump where
-`soft_grazing.is_smooth`: the motion outside differs from that within by h^(3/2), so that the orbits of one contact and
-those of two are one branch, its tangent continuous. Of the equations with two it is a singular point, as the time of
-leaving changes like the root of h; and those with one lose their stay's end, which jumps to the touch. It is a regular
-point of the equations with one contact whose stay goes on past the touch (`Cycle.passed`): there it is found, and left.
+Where it leaves for a moment and enters again, one contact becomes two. Let h be the height of the excursion and a the
+acceleration into the wall. The speeds of leaving and entering are sqrt(2 a h) to first order, and the force has no jump
+where `soft_grazing.is_smooth_wall`. The motion outside differs from that inside by h^(3/2), so the orbits with one
+contact and those with two form one branch with a continuous tangent. The grazing is a singular point of the equations
+with two contacts, as the time of leaving changes like sqrt(h). The equations with one contact lose the end of the
+contact phase, which jumps to the grazing contact. It is a regular point of the equations with one contact that is
+extended past the grazing (``ImpactSequence.min_contact_time``). There it is located and left.
 """
 
 from functools import partial
@@ -36,26 +37,52 @@ from .grazing_contact import (
 from .soft_grazing import OFFSET_SPEEDS, is_smooth_wall
 
 PROXIMITY = (
-    1e-2  # of the scene's length: a contact that comes as near to its wall, or enters as slowly, may be about to
+    1e-2  # relative to the scene's length; a contact closer to its wall, or entered more slowly, may split or merge
 )
-END_DEPTH = 1e-12  # of the scene's length: below the wall there the orbits with one contact end
+END_DEPTH = 1e-12  # relative to the scene's length; depth at which the orbits with one contact end
 END_SPEEDS = (
     1e-6,
     3e-6,
-)  # of the scene's length per t: at that speed of entering those with two end, the first that is met
-SAMPLE_INTERVAL, MAX_SAMPLES = 0.2, 512  # of a stay's own time between samples; samples of a stay
-MIN_HALF_SWINGS = 1.25  # half-swings: in a shorter stay the mass does not come back twice
-NEWTON_STEPS = 6  # of Newton's steps to a turning point
+)  # scene's lengths per t; entry speed at which the orbits with two contacts end, the first that converges
+SAMPLE_INTERVAL, MAX_SAMPLES = 0.2, 512  # sample spacing in units of the oscillation inside; samples of a contact phase
+MIN_HALF_SWINGS = 1.25  # half-oscillations; in a shorter contact phase the mass does not return twice
+NEWTON_STEPS = 6  # Newton steps to a turning point
 
 
 def is_pressed_into_wall(problem, z, row):
-    """Whether a mass that comes to its wall at a row without speed is pressed into it: it came from within."""
+    """Test whether a mass at its wall with zero speed is pressed into it, so that it came from within.
+
+    Parameters
+    ----------
+    problem : OrbitEquations
+        Equations of the orbit.
+    z : ndarray
+        Unknowns.
+    row : int
+        Row of the contact.
+
+    Returns
+    -------
+    bool
+        False under a user-defined force.
+    """
     return problem.scene.force is None and bool(_contact_motion_at(problem, z, row, 0.0)[2] > 0)
 
 
 class InnerTurningPoint(NamedTuple):
-    """Where a mass comes back to its wall within a stay. row: of the contact; time_in_contact: the time since it began;
-    depth, how far it is past the wall there; inward_acceleration: its acceleration into the wall."""
+    """Return of the mass to its wall within a contact phase.
+
+    Attributes
+    ----------
+    row : int
+        Row of the contact.
+    time_in_contact : float
+        Time since the contact began.
+    depth : float
+        Depth behind the wall.
+    inward_acceleration : float
+        Acceleration into the wall.
+    """
 
     row: int
     time_in_contact: float
@@ -64,10 +91,27 @@ class InnerTurningPoint(NamedTuple):
 
 
 class InnerGrazing(NamedTuple):
-    """A grazing from within. extended_problem: the equations with one contact, its stay going on past the touch; z: its
-    orbit; row: of the contact; time_in_contact: when the touch is since that began; tangent: of the branch, towards
-    orbits that stay within; depth_rate: how fast the depth at the touch grows along it; inward_acceleration: the
-    acceleration into the wall; residual."""
+    """Grazing from within.
+
+    Attributes
+    ----------
+    extended_problem : OrbitEquations
+        Equations with one contact, extended past the grazing.
+    z : ndarray
+        Unknowns.
+    row : int
+        Row of the contact.
+    time_in_contact : float
+        Time of the grazing since the contact began.
+    tangent : ndarray
+        Tangent of the branch, towards orbits that stay inside.
+    depth_rate : float
+        Derivative of the depth at the grazing along the tangent.
+    inward_acceleration : float
+        Acceleration into the wall.
+    residual : float
+        Largest residual.
+    """
 
     extended_problem: OrbitEquations
     z: Float[np.ndarray, " unknowns"]
@@ -80,7 +124,7 @@ class InnerGrazing(NamedTuple):
 
 
 def _motion_in_contact(z, times, problem, row):
-    """(depth, its rate, the acceleration into the wall) at times since the contact in a row began."""
+    """Return depth, its rate and the acceleration into the wall at times since the contact of a row began."""
     coeffs, sequence = flow_coefficients(scene_at(problem, z)), sequence_at(problem, z)
     zeros = 0.0 * times
     side, contact = sequence.sides[row] + zeros, sequence.sides[row] * float(Contact.ENTERED) + zeros
@@ -108,13 +152,12 @@ def _contact_motion(z, times, problem, row):
 
 
 def _contact_motion_at(problem, z, row, time_in_contact):
-    """The same at one time: three numbers."""
+    """Return depth, its rate and the acceleration into the wall at one time."""
     return np.asarray(_contact_motion(z, np.array([time_in_contact]), problem, np.int32(row)))[:, 0]
 
 
 def inner_turning_points(problem, z):
-    """The `InnerTurningPoint`s of the contacts with walls of a spring and a damper at which the force has no jump, one
-    of each: the nearest to its wall."""
+    """Return the `InnerTurningPoint` nearest to the wall of each contact with a linear wall whose force has no jump."""
     scene, turning_points = problem.scene, []
     if not scene.soft_sides or scene.force is not None or not len(problem.sequence.sides):
         return turning_points
@@ -133,7 +176,7 @@ def inner_turning_points(problem, z):
 
 
 def _contact_oscillation(problem, z, side):
-    """(how fast the mass swings within a wall, its half-swing, inf where it creeps)."""
+    """Return the oscillation rate inside a wall and the duration of half an oscillation, 0 if overdamped."""
     wall_name = "left" if side < 0 else "right"
     wall_params = {term: _wall_parameter(problem, z, wall_name, term) for term in ("stiffness", "damping")}
     oscillation_rate = np.sqrt(1.0 + wall_params["stiffness"])
@@ -142,13 +185,12 @@ def _contact_oscillation(problem, z, side):
 
 
 def _wall_parameter(problem, z, wall_name, term):
-    """A number of a wall at z, its hardness counted."""
+    """Return a parameter of a wall at z, including its hardness."""
     return float(np.asarray(scene_at(problem, z).replace().parameter(f"{wall_name}.{term}")))
 
 
 def _nearest_turning_point(problem, z, row, contact_duration, oscillation_rate):
-    """The `InnerTurningPoint` of a stay of so long, None where the mass does not come back to its wall before the
-    end."""
+    """Return the `InnerTurningPoint` of a contact phase, None if the mass does not return before the end."""
     n_samples = min(
         MAX_SAMPLES, 1 << int(np.ceil(np.log2(contact_duration * oscillation_rate / SAMPLE_INTERVAL + 8.0)))
     )
@@ -163,7 +205,7 @@ def _nearest_turning_point(problem, z, row, contact_duration, oscillation_rate):
 
 
 def _refine_turning_point(problem, z, row, time_in_contact):
-    """The `InnerTurningPoint` near a time."""
+    """Return the `InnerTurningPoint` near a time."""
     for _ in range(NEWTON_STEPS):
         _, depth_rate, inward_acceleration = _contact_motion_at(problem, z, row, time_in_contact)
         time_in_contact -= depth_rate / inward_acceleration
@@ -176,14 +218,14 @@ def _refine_turning_point(problem, z, row, time_in_contact):
 
 
 def extend_contact(problem, row, time_in_contact, extension):
-    """The `OrbitEquations` whose stay at a row goes on past a touch at a time: a little later it is within."""
+    """Extend the contact phase of a row past a grazing."""
     min_contact_times = np.zeros(len(problem.sequence.sides))
     min_contact_times[row] = time_in_contact + extension
     return problem._replace(sequence=problem.sequence._replace(min_contact_time=min_contact_times))
 
 
 def locate_inner_grazing(problem, z, row, time_in_contact, length_scale):
-    """The `InnerGrazing` near z where a stay touches its wall at about a time, None where none is found."""
+    """Locate the `InnerGrazing` near z at which a contact phase grazes its wall near a time, None if not found."""
     rate, _ = _contact_oscillation(problem, z, int(problem.sequence.sides[row]))
     extended_problem = extend_contact(problem, row, time_in_contact, 1.0 / rate)
     depth_and_rate = partial(_depth_and_rate, problem, row)
@@ -229,7 +271,7 @@ def _depth_and_rate(problem, row, unknowns):
 
 
 def _depth_growth_rate(problem, z, direction, row, time_in_contact):
-    """How fast the depth at a time of a stay grows in a direction of z."""
+    """Return the derivative of the depth at a time of a contact phase in a direction of z."""
     offset_depths = (
         _contact_motion_at(problem, z + sign * augmented_systems.DIFFERENCE_STEP * direction, row, time_in_contact)[0]
         for sign in (1, -1)
@@ -238,8 +280,23 @@ def _depth_growth_rate(problem, z, direction, row, time_in_contact):
 
 
 class UpcomingGrazing(NamedTuple):
-    """A grazing from within that a branch is about to meet. z: its orbit where the branch ends; step: how far ahead;
-    residual; grazing_contacts, exits, complete: as `grazing.exits` gives them."""
+    """Grazing from within that a branch is about to reach.
+
+    Attributes
+    ----------
+    z : ndarray
+        Unknowns at the end of the branch.
+    step : float
+        Arclength from the last point.
+    residual : float
+        Largest residual.
+    grazing_contacts : list of GrazingContact
+        Grazing contacts, as in `grazing.find_exits`.
+    exits : list of GrazingExit
+        Exits.
+    complete : bool
+        Whether all exits are known.
+    """
 
     z: Float[np.ndarray, " unknowns"]
     step: float
@@ -250,8 +307,24 @@ class UpcomingGrazing(NamedTuple):
 
 
 def find_upcoming_grazing(problem, points, control, length_scale):
-    """(the place of the last of a branch's points before a grazing from within, its `UpcomingGrazing`), None where
-    there is none near. points: as `arclength.Point`s, the last one that from which no step was tried yet, or failed."""
+    """Find a grazing from within ahead of a branch.
+
+    Parameters
+    ----------
+    problem : OrbitEquations
+        Equations of the orbits.
+    points : continuation.arclength.Point
+        Points of the branch. From the last one no step has been tried, or a step failed.
+    control : continuation.arclength.StepControl
+        Weights of the arclength.
+    length_scale : float
+        Length of the scene.
+
+    Returns
+    -------
+    tuple or None
+        Index of the last point before the grazing, and its `UpcomingGrazing`; None if none is near.
+    """
     if problem.scene.force is not None or not problem.scene.soft_sides or not len(problem.sequence.sides):
         return None
     for k in range(1, len(points.z)):
@@ -264,7 +337,7 @@ def find_upcoming_grazing(problem, points, control, length_scale):
 
 
 def _find_split(problem, z, tangent, control, length_scale):
-    """One contact that is about to be two."""
+    """Find the grazing at which one contact becomes two."""
     for turning_point in inner_turning_points(problem, z):
         if not 0 < turning_point.depth < PROXIMITY * length_scale:
             continue
@@ -300,7 +373,7 @@ def _find_split(problem, z, tangent, control, length_scale):
 
 
 def _two_contact_exit(problem, inner_grazing, length_scale):
-    """The `GrazingExit` along orbits of two contacts, None where Newton's method comes to none."""
+    """Return the `GrazingExit` along orbits with two contacts, None if Newton's method fails."""
     z, row, n_rows = inner_grazing.z, inner_grazing.row, len(problem.sequence.sides)
     side, grazing_time = (
         int(problem.sequence.sides[row]),
@@ -342,7 +415,7 @@ def _two_contact_exit(problem, inner_grazing, length_scale):
 
 
 def _find_merger(problem, z, tangent, control, length_scale):
-    """Two contacts that are about to be one: the first of them ends as the second begins."""
+    """Find the grazing at which two contacts become one: the first ends as the second begins."""
     n_rows, sides = len(problem.sequence.sides), problem.sequence.sides
     impact_rows = [int(k) for k in problem.impact_rows]
     for index, row in enumerate(impact_rows):
@@ -406,7 +479,7 @@ def _find_merger(problem, z, tangent, control, length_scale):
 
 
 def _merged_grazing(problem, z, row, previous_row, contact_durations, flight_durations, length_scale):
-    """(equations without the contact at a row, the `InnerGrazing` there, [(row of those kept, the place there)])."""
+    """Return equations without the contact of a row, the `InnerGrazing`, and pairs of old and new rows."""
     n_rows, sides = len(problem.sequence.sides), problem.sequence.sides
     kept_rows = [int(k) for k in problem.impact_rows if k != row]
     merged_problem, start_z = with_impacts(

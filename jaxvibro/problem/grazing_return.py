@@ -1,4 +1,4 @@
-"""What a change of the state at a touch has become at the next touch, along the orbit that leaves the touches out."""
+"""Compute the derivative from a grazing contact to the next, along the orbit that omits these contacts."""
 
 from typing import NamedTuple
 
@@ -24,15 +24,29 @@ from .grazing_contact import contact_durations_at, find_grazing_contacts, orbit_
 from .grazing_depths import OmittedGrazing, find_omitted_grazings
 from .orbit_point import OrbitPoint, is_own_mirror_image
 
-HALF_TOLERANCE = 1e-6  # of the orbit's length: touches as near to half of it apart are mirror images, as near are one
-REPEAT_TOLERANCE = 1e-6  # of the scene's length: an orbit that misses itself by less is one of fewer periods
+HALF_TOLERANCE = 1e-6  # relative to the orbit's duration; applies to contacts half of it apart or identical
+REPEAT_TOLERANCE = 1e-6  # relative to the scene's length; residual of an orbit with fewer periods
 
 
 class GrazingReturn(NamedTuple):
-    """The orbit at a grazing without its touches, and from a touch to the next. reduced_problem, z: it;
-    omitted_grazings: `OmittedGrazing`es; matrix: what it makes of a change of (x, v) from the first touch to the next,
-    as seen by that: of a symmetric orbit that touches both walls half of it, the other half its mirror image; is_half:
-    whether it is; return_time: how long that takes."""
+    """Orbit at a grazing without its grazing contacts, and the map from one contact to the next.
+
+    Attributes
+    ----------
+    reduced_problem : OrbitEquations
+        Equations of the orbit.
+    z : ndarray
+        Its unknowns.
+    omitted_grazings : tuple of OmittedGrazing
+        The grazing contacts.
+    matrix : ndarray
+        Derivative of (x, v) at the next contact with respect to (x, v) at the first, array of shape (2, 2). For a
+        symmetric orbit that touches both walls it covers half of the orbit, followed by the mirror image.
+    is_half : bool
+        Whether it covers half of the orbit.
+    return_time : float
+        Duration from one contact to the next.
+    """
 
     reduced_problem: OrbitEquations
     z: Float[np.ndarray, " unknowns"]
@@ -43,8 +57,26 @@ class GrazingReturn(NamedTuple):
 
 
 def compute_grazing_return(scene, name, problem, z, length_scale):
-    """The `GrazingReturn` at a grazing, None where no wall is touched from outside. scene: at the point; name: of the
-    branch's parameter; length_scale: the scene's."""
+    """Compute the return map at a grazing.
+
+    Parameters
+    ----------
+    scene : Scene
+        Scene at the point.
+    name : str
+        Parameter of the branch.
+    problem : OrbitEquations
+        Equations of the orbit.
+    z : ndarray
+        Unknowns at the grazing.
+    length_scale : float
+        Length of the scene.
+
+    Returns
+    -------
+    GrazingReturn or None
+        Return map; None if no wall is touched from outside.
+    """
     grazing_contacts = find_grazing_contacts(problem, z, length_scale)
     if not grazing_contacts:
         return None
@@ -69,7 +101,7 @@ def compute_grazing_return(scene, name, problem, z, length_scale):
 
 
 def _single_traversal(reduced_problem, z, omitted_grazings, length_scale):
-    """The orbit gone through once, and its touches: it may be that of a branch of more periods."""
+    """Reduce the orbit to its least number of periods, together with its grazing contacts."""
     n_periods, impact_rows = (
         int(reduced_problem.sequence.periods),
         reduced_problem.impact_rows if len(reduced_problem.sequence.sides) else (),
@@ -96,7 +128,7 @@ def _single_traversal(reduced_problem, z, omitted_grazings, length_scale):
 
 
 def _relocate_contacts(short_problem, z, omitted_grazings):
-    """Touches of an orbit gone through several times as those of once: `OmittedGrazing`es."""
+    """Express the grazing contacts of a repeated orbit as those of a single traversal, without duplicates."""
     orbit_duration, contact_durations, distinct_contacts = (
         orbit_duration_at(short_problem, z),
         contact_durations_at(short_problem, z),
@@ -123,7 +155,7 @@ def _relocate_contacts(short_problem, z, omitted_grazings):
 
 
 def _are_mirror_images(scene, name, reduced_problem, z, omitted_grazings):
-    """Whether two touches are mirror images of each other, and stay so along the branch."""
+    """Test whether two grazing contacts are mirror images of each other along the whole branch."""
     if (
         len(omitted_grazings) != 2
         or omitted_grazings[0].depth.side == omitted_grazings[1].depth.side
@@ -145,7 +177,7 @@ def _are_mirror_images(scene, name, reduced_problem, z, omitted_grazings):
 
 
 def _matrix_between(reduced_problem, z, start_contact, end_contact):
-    """The matrix from one `OmittedGrazing` to another, or once round to the same: (2, 2)."""
+    """Return the derivative from one contact to another, or once around the orbit if they coincide, of shape (2, 2)."""
     n_flights = max(1, len(reduced_problem.impact_rows))
     begin_times, end_times = (
         np.zeros(max(1, len(reduced_problem.sequence.sides))),
@@ -176,6 +208,7 @@ def _matrix_between(reduced_problem, z, start_contact, end_contact):
 
 
 def _propagate(problem, z, begin_times, end_times):
+    """Return the matrices of the flights between two times, and of the impacts, entry by entry."""
     if len(problem.sequence.sides):
         coeffs, sequence = flow_coefficients(scene_at(problem, z)), sequence_at(problem, z)
         flights = impact_equations.compute_flights(coeffs, sequence)
@@ -197,6 +230,6 @@ def _propagate_compiled(problem, z, begin_times, end_times):
 
 
 def _matrices_of_rows(problem, z, begin_times, end_times):
-    """(the matrix of the flight after each row's impact between two times of it, that of each impact): (rows, 2, 2)."""
+    """Return the matrices of each row's flight between two times and of each impact, arrays of shape (rows, 2, 2)."""
     entries = _propagate_compiled(problem, z, begin_times, end_times)
     return tuple(np.moveaxis(np.asarray(matrix_entries), 0, -1).reshape(-1, 2, 2) for matrix_entries in entries)

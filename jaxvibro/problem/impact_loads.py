@@ -1,8 +1,8 @@
-"""What impacts do to walls: how fast the mass comes, and the energy that it leaves there.
+"""Compute the loads of impacts on walls: speeds and energy.
 
-An impact at a rigid wall takes (1 - R^2) u^2 / 2 of the energy in the wall's frame, u the speed before it relative to
-the wall. Where the mass then comes to rest the impacts that are not told take all that is left, (R u)^2 / 2. Energies
-are in the unit K length^2, work rates in K length^2 w0.
+An impact at a rigid wall takes the energy (1 - R^2) u^2 / 2 in the frame of the wall, u being the speed before it
+relative to the wall. Before the mass sticks, the impacts that are not recorded take the remaining energy (R u)^2 / 2.
+Energies are in the unit K length^2, powers in K length^2 w0.
 """
 
 import numpy as np
@@ -14,15 +14,42 @@ SIDE_SIGNS = {"left": -1, "right": 1}
 
 
 def largest_speed(sides, speeds):
-    """The largest speed before an impact, relative to its wall, (points,): 0 where there is no impact. sides, speeds:
-    (points, impacts), as a branch's data have them."""
+    """Return the largest speed before an impact at each point.
+
+    Parameters
+    ----------
+    sides : ndarray
+        Sides as in the data of a branch, array of shape (points, impacts).
+    speeds : ndarray
+        Speeds relative to the wall, array of shape (points, impacts).
+
+    Returns
+    -------
+    ndarray
+        Array of shape (points,), 0 without impacts.
+    """
     return np.max(speeds, axis=1, initial=0.0, where=_are_impacts(sides))
 
 
 def work_rate(sides, speeds, restitutions, duration):
-    """The energy that impacts leave at the walls, over time, (points,): nan where one of them is soft, as what that
-    takes depends on the drive. restitutions: {side: (points,)}, nan of a soft wall; duration: of the orbit,
-    (points,)."""
+    """Return the rate at which impacts take energy at each point.
+
+    Parameters
+    ----------
+    sides : ndarray
+        Sides as in the data of a branch, array of shape (points, impacts).
+    speeds : ndarray
+        Speeds relative to the wall, array of shape (points, impacts).
+    restitutions : dict of str to ndarray
+        Restitution of each wall, arrays of shape (points,), nan for soft walls.
+    duration : ndarray
+        Duration of each orbit, array of shape (points,).
+
+    Returns
+    -------
+    ndarray
+        Array of shape (points,), nan if a soft wall is hit, whose energy loss depends on the drive.
+    """
     restitution = np.zeros(sides.shape)
     for side, sign in SIDE_SIGNS.items():
         if side in restitutions:
@@ -40,7 +67,7 @@ def _are_impacts(sides):
 
 
 def _find_last_impacts(sides):
-    """Which impacts are the last that are told before the mass rests."""
+    """Mark the last recorded impacts before the mass sticks."""
     is_last = np.zeros(sides.shape, bool)
     for pattern in np.unique(sides, axis=0):
         impact_columns = np.flatnonzero(pattern)

@@ -1,4 +1,4 @@
-"""Where a clearance or a speed may have dipped below zero between two points of a branch that are both good."""
+"""Detect grazings that continuation steps over: clearances or speeds that are negative only between two points."""
 
 import numpy as np
 
@@ -8,16 +8,16 @@ from continuation.point_rows import insert_row
 from .diagnostics import diagnose
 from .grazing_contact import admissible
 
-DIP_RATIO = 0.5  # of a value at the least of three points: a parabola's least below that is looked at
-N_PARTS = 8  # parts of an interval that is looked at for a least value
-MAX_REFINEMENTS = 6  # times that the parts are made smaller around it
+DIP_RATIO = 0.5  # relative to the least of three values; intervals where a parabola falls below this are searched
+N_PARTS = 8  # parts of an interval that is searched for a minimum
+MAX_REFINEMENTS = 6  # refinements of the parts around the minimum
 
 
 def insert_missed_grazings(task, points, diagnostics):
-    """(the points, with one more where a clearance or speed may have dipped below zero between them; their
-    `Diagnostics`).
+    """Insert an inadmissible point where a clearance or a speed becomes negative between two points.
 
-    task: the `driver.Task` of the branch or locus, its args the equations.
+    Returns the points and their `Diagnostics`. `task` is the `ContinuationTask` of a branch or a locus, whose ``args``
+    are the equations.
     """
     problem = task.args
     margins = _margins(problem, points.z, diagnostics)
@@ -43,7 +43,7 @@ def insert_missed_grazings(task, points, diagnostics):
 
 
 def _find_violation(task, points, row_before, columns):
-    """A `Point` between two that keeps to its walls no more, None where there is none."""
+    """Return an inadmissible `Point` between two points, None if there is none."""
     problem, lower, upper = task.args, 0.0, float(points.step[row_before + 1])
     for _ in range(MAX_REFINEMENTS):
         lengths = np.linspace(lower, upper, N_PARTS + 1)[1:-1]
@@ -63,6 +63,6 @@ def _find_violation(task, points, row_before, columns):
 
 
 def _margins(problem, zs, diagnostics):
-    """Clearances, then speeds: (points, values)."""
+    """Return clearances, then speeds, array of shape (points, values)."""
     speeds = zs[:, len(problem.sequence.sides) + problem.impact_rows]
     return np.concatenate([diagnostics.clearance.reshape(len(zs), -1), speeds], axis=1)

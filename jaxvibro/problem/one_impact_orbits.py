@@ -1,4 +1,4 @@
-"""Orbits that graze but for one impact in n returns, in their equations: from the grazing to where they graze again."""
+"""Follow orbits with one additional impact in n returns, from a grazing to their next one."""
 
 from typing import NamedTuple
 
@@ -25,16 +25,30 @@ from .grazing_contact import (
 )
 from .orbit_point import OrbitPoint
 
-N_STEPS = 8  # to where the square-root map has the next touch
-MAX_SPEED_RATIO = 3.0  # times as far as that it is looked for
-PASS_TOLERANCE = 0.25  # of a return: so near to where it was at the grazing a pass is looked for
-MAX_BISECTIONS = 6  # of a step in which a touch is looked for
+N_STEPS = 8  # steps to the speed that the square-root map predicts
+MAX_SPEED_RATIO = 3.0  # largest speed relative to the prediction
+PASS_TOLERANCE = 0.25  # relative to a return; largest shift of a pass from its time at the grazing
+MAX_BISECTIONS = 6  # of a step that contains a grazing
 
 
 class OneImpactOrbits(NamedTuple):
-    """Orbits along the speed of one impact. along; grazing_z: z where that is zero; speed_index: of the speed in z;
-    passes: (row, wall, share of the flight after it) of each return in which there is no impact; control; length_scale:
-    the scene's."""
+    """Orbits parametrised by the speed of one impact.
+
+    Attributes
+    ----------
+    problem : OrbitEquations
+        Equations of the orbits.
+    grazing_z : ndarray
+        Unknowns at the grazing, where the speed is zero.
+    speed_index : int
+        Index of the speed in z.
+    pass_locations : tuple
+        (row, wall, fraction of the flight after it) of each return without an impact.
+    control : StepControl
+        Weights of the arclength.
+    length_scale : float
+        Length of the scene.
+    """
 
     problem: OrbitEquations
     grazing_z: Float[np.ndarray, " unknowns"]
@@ -44,16 +58,16 @@ class OneImpactOrbits(NamedTuple):
     length_scale: float
 
     def point_at_speed(self, z: Float[np.ndarray, " unknowns"], speed: float) -> Point:
-        """The `Point` near z where the impact has a speed."""
+        """Solve for the `Point` near z at which the impact has a speed."""
         return event_search.solve_with_fixed_entry(
             continuation_problem(self.problem), z, self.speed_index, speed, self.control, self.problem
         )
 
     def closest_approach(self, z: Float[np.ndarray, " unknowns"]) -> tuple[bool, tuple[int, int, float]]:
-        """(whether the orbit keeps to its walls; (row, wall, time) where a flight is nearest to one, or deepest).
+        """Return whether the orbit is admissible, and (row, wall, time) where a flight is nearest to a wall or deepest.
 
-        Where it passes the touch it is asked for itself: as many passes are alike, the least of all turning points
-        is not told from the next to a part of their distance.
+        The passes at the grazing contact are refined separately. Many passes are alike, and the sampled turning points
+        do not separate them to a fraction of their distance.
         """
         diagnostics = diagnose(self.problem, z[None])
         nearest_row, nearest_wall = np.unravel_index(
@@ -74,13 +88,13 @@ class OneImpactOrbits(NamedTuple):
             time_in_flight, distance, _ = refine_turning_point(self.problem, z, row, wall, guess_time)
             if (
                 abs(time_in_flight - guess_time) < PASS_TOLERANCE * return_time
-            ):  # else it is no pass any more, or another one
+            ):  # else the pass has vanished, or another one was found
                 approaches.append((float(distance), (row, wall, float(time_in_flight))))
         min_distance, location = min(approaches)
         return bool(admissible(self.problem, z, diagnostics)[0] and min_distance >= 0), location
 
     def orbit_row_at(self, z: Float[np.ndarray, " unknowns"], residual: float) -> OrbitPoint:
-        """The `OrbitPoint` of z."""
+        """Return the `OrbitPoint` of z."""
         n_rows, impact_rows = len(self.problem.sequence.sides), self.problem.impact_rows
         diagnostics = diagnose(self.problem, z[None])
         times = np.mod(z[impact_rows], orbit_duration_at(self.problem, z))
@@ -95,19 +109,60 @@ class OneImpactOrbits(NamedTuple):
 
 
 def traversal_count(grazing_return, n):
-    """How often the orbit of a `TouchReturn` is gone through by those with one impact in n returns: if a return is half
-    of it these close after an even number of returns, and else as their own mirror image."""
+    """Return the number of traversals of the grazing orbit in an orbit with one impact in n returns.
+
+    If a return is half of the orbit, these orbits close after an even number of returns, or as their own mirror image.
+
+    Parameters
+    ----------
+    grazing_return : GrazingReturn
+        Return map at the grazing.
+    n : int
+        Number of returns.
+
+    Returns
+    -------
+    int
+        Number of traversals.
+    """
     return n // 2 if grazing_return.is_half and n % 2 == 0 else n
 
 
 def impact_indices(grazing_return, n):
-    """(return, place among the touches) of each such impact, once round."""
+    """Return the return and the index of the grazing contact of each additional impact.
+
+    Parameters
+    ----------
+    grazing_return : GrazingReturn
+        Return map at the grazing.
+    n : int
+        Number of returns.
+
+    Returns
+    -------
+    list of tuple of int
+        (return, index of the grazing contact) of each impact in one traversal.
+    """
     return [(0, 0), (n, 1)] if grazing_return.is_half and n % 2 else [(0, 0)]
 
 
 def one_impact_orbits(grazing_return, n, length_scale):
-    """The `OneImpactOrbits` with one impact in n returns beside those of the orbit of a `TouchReturn`; length_scale:
-    the scene's."""
+    """Set up the orbits with one additional impact in n returns.
+
+    Parameters
+    ----------
+    grazing_return : GrazingReturn
+        Return map at the grazing.
+    n : int
+        Number of returns.
+    length_scale : float
+        Length of the scene.
+
+    Returns
+    -------
+    OneImpactOrbits
+        The orbits.
+    """
     reduced_problem, z, first_contact = (
         grazing_return.reduced_problem,
         grazing_return.z,
@@ -166,8 +221,20 @@ def one_impact_orbits(grazing_return, n, length_scale):
 
 
 def locate_next_grazing(orbits, predicted_speed):
-    """(z, the wall's side) where the orbits, followed along the speed of the impact, first touch a wall, None
-    where they do not soon; predicted_speed: about that there."""
+    """Locate the first grazing of the orbits along the speed of the impact.
+
+    Parameters
+    ----------
+    orbits : OneImpactOrbits
+        The orbits.
+    predicted_speed : float
+        Speed predicted by the square-root map.
+
+    Returns
+    -------
+    tuple or None
+        Unknowns z and side of the wall; None if no grazing is found within three times the predicted speed.
+    """
     previous_z, current_z, speed_step = None, orbits.grazing_z, predicted_speed / N_STEPS
     for k in range(1, round(MAX_SPEED_RATIO * N_STEPS) + 1):
         point = orbits.point_at_speed(current_z if previous_z is None else 2.0 * current_z - previous_z, k * speed_step)
@@ -181,8 +248,10 @@ def locate_next_grazing(orbits, predicted_speed):
 
 
 def _locate_grazing_between(orbits, good_z, bad_z, location):
-    """(z, the wall's side) of the first touch between two orbits, None where none is found; location: where the bad one
-    is deepest behind a wall."""
+    """Return (z, side of the wall) of the first grazing between two orbits, None if not found.
+
+    `location` is where the inadmissible orbit is deepest behind a wall.
+    """
     n_rows = len(orbits.problem.sequence.sides)
     for _ in range(MAX_BISECTIONS):
         solution = locate_grazing(orbits.problem, bad_z, *location)

@@ -1,4 +1,4 @@
-"""An `Orbit` as a point of a branch: its impacts and releases in rows, brought to a value of the parameter."""
+"""Convert an `Orbit` to a point of a branch, and correct it to a parameter value."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -16,7 +16,25 @@ from .orbit_point import OrbitPoint
 
 
 def orbit_row_of(orbit, value):
-    """The `OrbitPoint` of an orbit, about, as one at a value of a parameter. Raises OrbitError where it never moves."""
+    """Convert an orbit to plain numbers at a value of a parameter.
+
+    Parameters
+    ----------
+    orbit : Orbit
+        Orbit.
+    value : float
+        Value of the parameter.
+
+    Returns
+    -------
+    OrbitPoint
+        The orbit, not corrected.
+
+    Raises
+    ------
+    OrbitError
+        If the mass never leaves its wall.
+    """
     frequency = float(orbit.scene.frequency)
     times, speeds, sides = _impact_columns(orbit)
     section_times = np.mod(times + orbit.state.phase / frequency, orbit.periods * 2.0 * np.pi / frequency)
@@ -27,22 +45,24 @@ def orbit_row_of(orbit, value):
 
 
 def _impact_columns(orbit):
-    """(times, speeds, sides) of an orbit's impacts since its section, and of its releases."""
+    """Return times, speeds and sides of an orbit's impacts and releases since its section."""
     impacts = orbit.impacts
     if not orbit.rests:
         return impacts.time, impacts.speed, impacts.side
     state = orbit.state
     sticking_intervals = find_sticking_phases(orbit.scene, state, orbit.periods).intervals
     if not sticking_intervals or not all(np.isfinite(end) for *_, end in sticking_intervals):
-        raise OrbitError("the wall never lets the mass go", orbit.residual, "give an orbit that moves")
+        raise OrbitError("the mass never leaves the wall", orbit.residual, "use an orbit that moves")
     return sticking_orbit_rows(
         orbit.scene, state.phase, impacts.time, impacts.speed, impacts.side, sticking_intervals, orbit.periods
     )
 
 
 def _at_phase_0(orbit):
-    """(x, v) of an orbit without impacts when the drive is at phase 0; of any under spring and damper, as it is the
-    only one."""
+    """Return (x, v) at phase 0 of an orbit without impacts.
+
+    Under spring and damper the state at any phase serves, because that orbit is unique.
+    """
     state, frequency = orbit.state, float(orbit.scene.frequency)
     if orbit.scene.force is None or state.phase == 0:
         return float(state.x), float(state.v)
@@ -53,7 +73,22 @@ def _at_phase_0(orbit):
 
 
 def correct_to_value(problem, z, value):
-    """The `Point` near z at a value of the parameter, to rounding: `met` says whether there is one."""
+    """Correct an orbit to a value of the parameter by Newton's method, to rounding.
+
+    Parameters
+    ----------
+    problem : OrbitEquations
+        Equations of the orbit.
+    z : ndarray
+        Guess.
+    value : float
+        Value of the parameter.
+
+    Returns
+    -------
+    Point
+        Solution; ``converged`` states whether there is one.
+    """
     control_values = (np.float64(number) for number in (0.0, 1.0, 1.0, -np.inf, np.inf))
     return solve_with_fixed_entry(
         continuation_problem(problem),

@@ -1,4 +1,4 @@
-"""An orbit that is known to be one, described without Newton's method: a point of a branch, be it singular."""
+"""Describe orbits that are known to exist, without Newton's method, so that singular points are included."""
 
 from typing import NamedTuple
 
@@ -23,18 +23,31 @@ from .diagnostics import diagnose
 from .equations import OrbitEquations, are_releases, continuation_problem
 from .grazing import padded_sequence, solve_free_orbit
 
-IMPACT_TOLERANCE = 1e-6  # of the largest speed: two impacts as near are one
+IMPACT_TOLERANCE = 1e-6  # relative to the largest speed; closer impacts are identical
 
 
 class OrbitPoint(NamedTuple):
-    """An orbit in plain numbers. value: of the branch's parameter; times, since phase 0, speeds, sides: of the impacts,
-    and of releases at the end of a rest, whose side is +-2, or +-3 where the mass lifts before that; periods; x, v: at
-    phase 0; residual: the largest error left in its equations."""
+    """Orbit as plain numbers.
+
+    Attributes
+    ----------
+    value : float
+        Value of the branch's parameter.
+    times, speeds, sides : ndarray
+        Times since phase 0, speeds and sides of the impacts, arrays of shape (impacts,). Releases at the end of a
+        sticking phase have side +-2, or +-3 if the mass lifts before that phase.
+    periods : int
+        Number of drive periods.
+    x, v : float
+        State at phase 0.
+    residual : float
+        Largest residual of its equations.
+    """
 
     value: float
-    times: Float[np.ndarray, " impact_points"]
-    speeds: Float[np.ndarray, " impact_points"]
-    sides: Float[np.ndarray, " impact_points"]
+    times: Float[np.ndarray, " impacts"]
+    speeds: Float[np.ndarray, " impacts"]
+    sides: Float[np.ndarray, " impacts"]
     periods: int
     x: float
     v: float
@@ -42,13 +55,26 @@ class OrbitPoint(NamedTuple):
 
 
 def itinerary(orbit_row, frequency):
-    """The walls that a `OrbitPoint`'s orbit hits, a word a period, but for the endless hops before a rest."""
+    """Return the itinerary of an orbit, without the infinitely many bounces before sticking.
+
+    Parameters
+    ----------
+    orbit_row : OrbitPoint
+        Orbit.
+    frequency : float
+        Drive frequency.
+
+    Returns
+    -------
+    tuple of str
+        Walls hit, one word for each drive period.
+    """
     times, sides = impact_times_and_sides(orbit_row)
     return words.itinerary_of_orbit(times, sides, orbit_row.periods, 2.0 * np.pi / frequency)
 
 
 def impact_times_and_sides(orbit_row):
-    """(times, sides) of a `OrbitPoint`'s impacts; where the mass lifts before a rest it comes back at once."""
+    """Return times and sides of an orbit's impacts; a mass that lifts before sticking returns at once."""
     is_impact = ~are_releases(orbit_row.sides)
     returns_at_once = np.roll(abs(orbit_row.sides) > Contact.STUCK, -1)
     order = np.argsort(np.concatenate([orbit_row.times[is_impact], orbit_row.times[returns_at_once]]), kind="stable")
@@ -59,7 +85,7 @@ def impact_times_and_sides(orbit_row):
 
 
 def sticking_phases_of(scene, orbit_row):
-    """The `Rests` of a `OrbitPoint`'s orbit, without what is between them."""
+    """Return the `StickingPhases` of an orbit, without growth rate and intervals."""
     release_codes = orbit_row.sides[are_releases(orbit_row.sides)]
     chatter_walls = {
         words.LETTERS[int(np.sign(side))] for side in release_codes if float(scene.bounce(SIDES[int(side > 0)])) > 0
@@ -70,13 +96,42 @@ def sticking_phases_of(scene, orbit_row):
 
 
 def label_of(scene, orbit_row, itinerary_words):
-    """P n p q of a `OrbitPoint`'s orbit with this itinerary, inf on a wall where it rests after endless hops."""
+    """Return the label of an orbit.
+
+    Parameters
+    ----------
+    scene : Scene
+        Scene of the orbit.
+    orbit_row : OrbitPoint
+        Orbit.
+    itinerary_words : tuple of str
+        Its itinerary.
+
+    Returns
+    -------
+    str
+        Label P n p q, with inf for a wall on which the mass sticks after complete chatter.
+    """
     return words.label(itinerary_words, sticking_phases_of(scene, orbit_row).chatter_walls)
 
 
 def impact_points(orbit_row, frequency, speed_scale=None):
-    """The impacts of a `OrbitPoint`'s orbit in order as points (`orbit_comparison`), speeds over a length per t or the
-    largest."""
+    """Return the impacts of an orbit in order as points for `orbit_comparison`.
+
+    Parameters
+    ----------
+    orbit_row : OrbitPoint
+        Orbit.
+    frequency : float
+        Drive frequency.
+    speed_scale : float, optional
+        Unit of the speeds. None is the largest speed.
+
+    Returns
+    -------
+    ndarray
+        Points.
+    """
     return impacts_as_points(
         frequency,
         orbit_row.times,
@@ -87,7 +142,20 @@ def impact_points(orbit_row, frequency, speed_scale=None):
 
 
 def is_own_mirror_image(scene, orbit_row):
-    """Whether an orbit of a symmetric scene, at the point, is its own mirror image."""
+    """Test whether an orbit of a symmetric scene is its own mirror image.
+
+    Parameters
+    ----------
+    scene : Scene
+        Symmetric scene at the orbit.
+    orbit_row : OrbitPoint
+        Orbit.
+
+    Returns
+    -------
+    bool
+        True if the orbit equals its mirror image.
+    """
     if not len(orbit_row.times) and scene.force is not None:
         return _is_antiperiodic(scene, orbit_row)
     points = impact_points(orbit_row, float(scene.frequency))
@@ -95,8 +163,10 @@ def is_own_mirror_image(scene, orbit_row):
 
 
 def _is_antiperiodic(scene, orbit_row):
-    """Whether an orbit without impacts is at -x, -v after half of its periods; of an even number of them none is its
-    own image."""
+    """Test whether an orbit without impacts is at (-x, -v) after half of its periods.
+
+    With an even number of periods no orbit is its own image.
+    """
     if orbit_row.periods % 2 == 0:
         return False
     no_impacts, amplitude = np.zeros(0), float(scene.amplitude)
@@ -114,7 +184,20 @@ def _is_antiperiodic(scene, orbit_row):
 
 
 def orbit_from_row(scene, orbit_row):
-    """The `Orbit` of a `OrbitPoint` of a scene."""
+    """Make the `Orbit` of plain numbers.
+
+    Parameters
+    ----------
+    scene : Scene
+        Scene of the orbit.
+    orbit_row : OrbitPoint
+        Orbit as plain numbers.
+
+    Returns
+    -------
+    Orbit
+        The orbit.
+    """
     if are_releases(orbit_row.sides).any():
         return _sticking_orbit(scene, orbit_row)
     if len(orbit_row.times):
@@ -144,7 +227,7 @@ def orbit_from_row(scene, orbit_row):
 
 
 def _sticking_orbit(scene, orbit_row):
-    """The `Orbit` of a `OrbitPoint` that rests, without its last hops."""
+    """Make the `Orbit` of plain numbers that sticks, without its last bounces."""
     problem, z = set_up_problem(scene, "amplitude", orbit_row._replace(value=float(scene.amplitude)))
     diagnostics, drive_period = diagnose(problem, z[None]), 2.0 * np.pi / float(scene.frequency)
     is_impact, orbit_duration, section_points = (
@@ -181,7 +264,24 @@ def _scalar_arrays(*values):
 
 
 def set_up_problem(scene, name, orbit_row):
-    """(`OrbitEquations`, z) of a `orbit_on_branch.OrbitPoint` of a scene."""
+    """Set up the equations and the unknowns of an orbit.
+
+    Parameters
+    ----------
+    scene : Scene
+        Scene.
+    name : str
+        Free parameter.
+    orbit_row : OrbitPoint
+        Orbit as plain numbers.
+
+    Returns
+    -------
+    problem : OrbitEquations
+        Equations of the orbit.
+    z : ndarray
+        Unknowns.
+    """
     no_impacts = np.zeros(0)
     sequence = ImpactSequence(no_impacts, no_impacts, no_impacts, np.asarray(0.0), np.asarray(float(orbit_row.periods)))
     problem = OrbitEquations(*mark_parameters(scene, name), sequence)

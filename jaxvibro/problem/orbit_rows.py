@@ -1,4 +1,4 @@
-"""What a branch and a locus have in common: orbits in the rows of a Dataset, special points among them, two ends."""
+"""Common parts of branches and loci: orbits in the rows of a Dataset, special points, and two ends."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
@@ -16,11 +16,23 @@ from ..scene.check import ArgumentError
 from ..scene.scene import Scene
 from .orbit_point import OrbitPoint, label_of, orbit_from_row
 
-SpecialType = TypeVar("SpecialType", bound="SpecialOrbit")  # the class of a curve's special points
+SpecialType = TypeVar("SpecialType", bound="SpecialOrbit")  # class of the special points of a curve
 
 
 class SpecialOrbit:
-    """A class of special points has scene, at the point; spot, the `OrbitPoint`; itinerary."""
+    """Base class of special points, which have a scene, an orbit and an itinerary.
+
+    Attributes
+    ----------
+    kind : str
+        Kind of the point.
+    scene : Scene
+        Scene at the point.
+    spot : OrbitPoint
+        The orbit as plain numbers.
+    itinerary : tuple of str
+        Walls hit, one word for each drive period.
+    """
 
     kind: str
     scene: Scene
@@ -29,18 +41,30 @@ class SpecialOrbit:
 
     @property
     def label(self) -> str:
-        """P n p q of the orbit."""
+        """Label P n p q of the orbit."""
         return label_of(self.scene, self.spot, self.itinerary)
 
     @cached_property
     def orbit(self) -> Orbit:
-        """The `Orbit` at the point. At a grazing an impact may have no speed."""
+        """`Orbit` at the point. At a grazing an impact may have zero speed."""
         return orbit_from_row(self.scene, self.spot)
 
 
 class OrbitRows(ABC, Generic[SpecialType]):
-    """A class of these has data, special and reasons; `NOUN`, what it is called; `located(place)`: (the scene at a
-    point, its `OrbitPoint`); content: the bytes of its file."""
+    """Base class of curves of orbits.
+
+    Subclasses define ``NOUN``, the word for the curve, ``located(place)``, which returns the scene and the `OrbitPoint`
+    of a point, and `content`.
+
+    Attributes
+    ----------
+    data : xarray.Dataset
+        One row per point.
+    special : tuple
+        Special points.
+    reasons : tuple of str
+        Reasons for the ends at the first and at the last point.
+    """
 
     data: xr.Dataset
     special: tuple[SpecialType, ...]
@@ -51,39 +75,77 @@ class OrbitRows(ABC, Generic[SpecialType]):
     @property
     @abstractmethod
     def content(self) -> bytes:
-        """The bytes of the file that `save` writes."""
+        """Bytes of the file that `save` writes."""
 
     def __len__(self) -> int:
         return self.data.sizes["point"]
 
     @property
     def reason(self) -> dict[str, str]:
-        """Why each end is one: {"first": ..., "last": ...}."""
+        """Reasons for the ends, ``{"first": ..., "last": ...}``."""
         return dict(zip(("first", "last"), self.reasons, strict=True))
 
     def points(self, kind: str) -> tuple[SpecialType, ...]:
-        """The special points of a kind, a tuple."""
+        """Return the special points of a kind.
+
+        Parameters
+        ----------
+        kind : str
+            Kind, such as ``"PD"``.
+
+        Returns
+        -------
+        tuple
+            Special points, in order.
+        """
         return tuple(special for special in self.special if special.kind == kind)
 
     @property
     def multipliers(self) -> Complex[np.ndarray, "points 2"]:
-        """Floquet's, (points, 2), complex, the larger first."""
+        """Floquet multipliers, complex array of shape (points, 2), the larger first."""
         return self.data["multiplier_real"].values + 1j * self.data["multiplier_imag"].values
 
     def save(self, path: str | PathLike[str], force: bool = False) -> None:
-        """Write the curve to a NetCDF file, from which `load_branch`, `load_held_branch` or `load_locus` reads the same
-        numbers.
+        """Write the curve to a NetCDF file.
 
-        Raises FileExistsError where the file is there already, unless force is given; OSError where it cannot be
-        written; ArgumentError where the scene has a force without a name.
+        `load_branch`, `load_held_branch` or `load_locus` reads the same numbers.
+
+        Parameters
+        ----------
+        path : str or path-like
+            File name.
+        force : bool, optional
+            Whether to replace an existing file.
+
+        Raises
+        ------
+        FileExistsError
+            If the file exists and `force` is False.
+        OSError
+            If the file cannot be written.
+        ArgumentError
+            If the scene has a force without a name.
         """
         with atomic_file(path, force) as file:
             file.write(self.content)
 
     def orbit(self, place: int) -> Orbit:
-        """The `Orbit` at one of the points, by its place.
+        """Return the orbit at a point.
 
-        Raises ArgumentError for a place where there is none.
+        Parameters
+        ----------
+        place : int
+            Index of the point. Negative indices count from the end.
+
+        Returns
+        -------
+        Orbit
+            The orbit.
+
+        Raises
+        ------
+        ArgumentError
+            If there is no such point.
         """
         n_points = len(self)
         if not -n_points <= place < n_points:
@@ -92,12 +154,38 @@ class OrbitRows(ABC, Generic[SpecialType]):
 
 
 def dataset_row(data, index):
-    """The numbers of one point of a branch's, or locus', data, {name: array}."""
+    """Return one point of the data of a branch or a locus.
+
+    Parameters
+    ----------
+    data : xarray.Dataset
+        Data of the curve.
+    index : int
+        Index of the point.
+
+    Returns
+    -------
+    dict of str to ndarray
+        Entry of each column.
+    """
     return {name: variable.values[index] for name, variable in data.variables.items()}
 
 
 def parse_orbit_row(row, name):
-    """The `OrbitPoint` of a `dataset_row` a branch's data."""
+    """Return the orbit of one point of a branch or a locus.
+
+    Parameters
+    ----------
+    row : dict of str to ndarray
+        Point from `dataset_row`.
+    name : str
+        Name of the parameter.
+
+    Returns
+    -------
+    OrbitPoint
+        The orbit as plain numbers.
+    """
     is_impact = row["side"] != 0
     impact_columns = (row[key][is_impact].astype(float) for key in ("time", "speed", "side"))
     state = (float(row[key][0]) for key in ("x", "v"))

@@ -1,4 +1,4 @@
-"""Why a curve in the plane of two parameters ends, told with the name of the one that ended it."""
+"""Describe the end of a curve in the plane of two parameters."""
 
 import re
 
@@ -17,12 +17,40 @@ REASON_TEXTS = {
 
 
 def describe_end(end: End, name: str, value: float) -> str:
-    """The text of an `End` that the parameter of this name has at this value."""
+    """Describe the end of a curve in the plane of two parameters.
+
+    Parameters
+    ----------
+    end : End
+        Reason for the end.
+    name : str
+        Parameter that ended the curve.
+    value : float
+        Its value.
+
+    Returns
+    -------
+    str
+        Text.
+    """
     return REASON_TEXTS.get(end, REASON_TEXTS[End.STEP]).format(name=name, value=value)
 
 
 def rescale_end_text(text: str, factors: dict[str, float]) -> str:
-    """Such a text, the parameter's value told in a unit in which it is as many times as large as {name: times} says."""
+    """Convert the parameter value in a text to another unit.
+
+    Parameters
+    ----------
+    text : str
+        Text from `describe_end`.
+    factors : dict of str to float
+        For each parameter the old unit in the new unit.
+
+    Returns
+    -------
+    str
+        Text with the value multiplied by the factor.
+    """
     match = re.fullmatch(r"(?:the domain of )?(\S+) (?:reached its bound|ends at) (\S+)", text)
     factor = factors.get(match[1], 1.0) if match else 1.0
     return f"{text[: match.start(2)]}{float(match[2]) * factor:.12g}" if match and factor != 1.0 else text

@@ -1,15 +1,32 @@
-"""The same orbit in other unknowns: its impacts counted from another one, or from another period."""
+"""Compare orbits whose impacts are counted from another impact or from another period."""
 
 import numpy as np
 
 from ..orbits.orbit_comparison import impacts_as_points, repetition_count
 from .equations import parameter_at
 
-REPEAT_TOLERANCE = 1e-6  # times and speeds as near are one
+REPEAT_TOLERANCE = 1e-6  # largest difference of identical times and speeds
 
 
 def equivalent_points(problem, sequence, value, near_z):
-    """The points z near one of them that are the same orbit as a cycle at a value: its impacts counted from another."""
+    """Yield unknowns near a point that describe a given orbit, its impacts counted from another one.
+
+    Parameters
+    ----------
+    problem : OrbitEquations
+        Equations of the orbits.
+    sequence : ImpactSequence
+        The given orbit.
+    value : float
+        Its parameter value.
+    near_z : ndarray
+        Unknowns of the point.
+
+    Yields
+    ------
+    ndarray
+        Unknowns.
+    """
     n_impacts, orbit_duration = int(np.sum(sequence.sides != 0)), float(sequence.periods) * 2.0 * np.pi
     n_rows = len(problem.sequence.sides)
     if len(sequence.sides) != n_rows or sequence.periods != problem.sequence.periods or not n_rows:
@@ -36,13 +53,29 @@ def equivalent_points(problem, sequence, value, near_z):
 
 
 def is_repeated(problem, z):
-    """Whether an orbit, but for impacts without speed, is a shorter one, gone through more than once."""
+    """Test whether an orbit is a shorter one that is traversed more than once.
+
+    Parameters
+    ----------
+    problem : OrbitEquations
+        Equations of the orbit.
+    z : ndarray
+        Unknowns.
+
+    Returns
+    -------
+    bool
+        True if the orbit is repeated. Impacts with zero speed are ignored.
+    """
     return repetition_count(impact_points(problem, z), int(problem.sequence.periods), REPEAT_TOLERANCE) > 1
 
 
 def match_repeated_contacts(problem, z, contact_times, sides):
-    """Which of some touches each is when an orbit, repeated but for impacts without speed, has gone through the shorter
-    one so many contact_times: (times round, touches), the first row being each itself."""
+    """Match the grazing contacts of a repeated orbit after each traversal of the shorter orbit.
+
+    Returns the index of the image of each contact, an array of shape (traversals, contacts). Its first row is the
+    identity. Impacts with zero speed are ignored in the comparison.
+    """
     periods = int(problem.sequence.periods)
     n_repeats = repetition_count(impact_points(problem, z), periods, REPEAT_TOLERANCE)
     orbit_duration = periods * 2.0 * np.pi / parameter_at(problem, z, "frequency")
@@ -56,7 +89,22 @@ def match_repeated_contacts(problem, z, contact_times, sides):
 
 
 def impact_points(problem, z, speed_scale=None):
-    """The impacts of an orbit in order as points (`orbit_comparison`), speeds over a length per t or the largest."""
+    """Return the impacts of an orbit in order as points for `orbit_comparison`.
+
+    Parameters
+    ----------
+    problem : OrbitEquations
+        Equations of the orbit.
+    z : ndarray
+        Unknowns.
+    speed_scale : float, optional
+        Unit of the speeds. None is the largest speed.
+
+    Returns
+    -------
+    ndarray
+        Points.
+    """
     n_rows = len(problem.sequence.sides)
     times, speeds = z[:n_rows], z[n_rows : 2 * n_rows]
     speed_scale = speed_scale or speeds.max(initial=0.0) or 1.0

@@ -1,12 +1,12 @@
-"""Grazing of soft walls, where the orbits with a contact and those without it are one branch, its tangent continuous.
+"""Locate and leave grazings of soft walls, where the orbits with a contact and those without it form one smooth branch.
 
-So it is where the force is continuous at the touch: at a wall that stands still whatever its damping, as the damping's
-jump goes with the velocity; at one that moves only if its damping is the scene's. Else a grazing is as that of a rigid
-wall, and left to `grazing_contact`.
+The tangent is continuous if the force is continuous at the grazing contact. This holds at a wall at rest with any
+damping, because the jump of the damping force is proportional to the velocity. It holds at a moving wall only if its
+damping is that of the scene. Otherwise a grazing is like that of a rigid wall and is left to `grazing_contact`.
 
-A contact of speed u is u^2 / 2 a deep, a being the acceleration away from the wall: with u and with -u the equations of
-the impacts have the same orbit to first order, so that a grazing is a singular point of theirs. It is found, and left,
-by way of the orbit that leaves the contact out, of which it is a regular point.
+A contact with speed u has the depth u^2 / 2 a, a being the acceleration away from the wall. With u and with -u the
+equations of the impacts have the same orbit to first order, so a grazing is a singular point of them. It is located and
+left by way of the orbit that omits the contact, of which it is a regular point.
 """
 
 from typing import NamedTuple
@@ -21,24 +21,65 @@ from .equations import continuation_problem, side_codes
 from .grazing import LOOSE_TOLERANCE, ZERO_RATE, with_grazing_contacts, with_impacts
 from .grazing_contact import arclength_weights, locate_grazing, wall_sides
 
-SLOW_SPEED = 1e-4  # of the scene's length per t: as slow a contact is about to be none
-OFFSET_SPEEDS = 1e-3, 1e-4  # as in `grazing_contact`; nearer to the singular point Newton's steps are rounding
-COINCIDENCE_TOLERANCE = 1e-9  # of the scene's length: as near is a touch of another wall at the same point
+SLOW_SPEED = 1e-4  # scene's lengths per t; a slower contact is about to vanish
+OFFSET_SPEEDS = 1e-3, 1e-4  # scene's lengths per t; closer to the singular point Newton's steps are rounding
+COINCIDENCE_TOLERANCE = 1e-9  # relative to the scene's length; grazing contacts of two walls at one point
 
 
 def is_smooth_wall(scene, side):
-    """Whether the wall on a side is soft, and a mass that moves along with it feels no jump of force on entering."""
+    """Test whether a wall is soft and its force is continuous for a mass that moves along with it.
+
+    Parameters
+    ----------
+    scene : Scene
+        Scene.
+    side : int
+        Side of the wall.
+
+    Returns
+    -------
+    bool
+        True if the wall exists and is smooth.
+    """
     wall = scene.left if side < 0 else scene.right
     return wall is not None and wall.soft and (wall.motion is None or wall.damping is None)
 
 
 def is_singular_grazing(problem, contacts):
-    """Whether at some `Touch`es a contact with a soft wall has no speed: the equations are singular there."""
+    """Test whether the equations are singular because a contact with a smooth soft wall has zero speed.
+
+    Parameters
+    ----------
+    problem : OrbitEquations
+        Equations of the orbit.
+    contacts : sequence of GrazingContact
+        Grazing contacts.
+
+    Returns
+    -------
+    bool
+        True if one of them is such a contact.
+    """
     return any(contact.is_impact and is_smooth_wall(problem.scene, contact.side) for contact in contacts)
 
 
 def slow_contact_rows(problem, z, length_scale):
-    """Rows of contacts with soft walls that are about to lose their speed."""
+    """Return the rows of contacts with smooth soft walls that are about to lose their speed.
+
+    Parameters
+    ----------
+    problem : OrbitEquations
+        Equations of the orbit.
+    z : ndarray
+        Unknowns.
+    length_scale : float
+        Length of the scene.
+
+    Returns
+    -------
+    list of int
+        Rows.
+    """
     n_rows, sides = len(problem.sequence.sides), problem.sequence.sides
     return [
         int(k)
@@ -48,8 +89,20 @@ def slow_contact_rows(problem, z, length_scale):
 
 
 def is_past_zero_speed(problem, zs):
-    """Which points, (points,), have a contact with a soft wall of a speed below zero that is above at the point
-    before."""
+    """Mark the points at which the speed of a contact with a smooth soft wall has become negative.
+
+    Parameters
+    ----------
+    problem : OrbitEquations
+        Equations of the orbits.
+    zs : ndarray
+        Unknowns along a branch, array of shape (points, unknowns).
+
+    Returns
+    -------
+    ndarray
+        Boolean array of shape (points,): True if a speed is negative and was positive at the previous point.
+    """
     n_rows, sides, is_past = len(problem.sequence.sides), problem.sequence.sides, np.zeros(len(zs), bool)
     for k in problem.impact_rows:
         if is_smooth_wall(problem.scene, sides[k]):
@@ -58,7 +111,24 @@ def is_past_zero_speed(problem, zs):
 
 
 def locate_soft_grazing(problem, z, slow_rows, length_scale):
-    """The grazing near z at which contacts with soft walls, in these rows, lose their speed: a `locate.Located`."""
+    """Locate the grazing near z at which contacts with soft walls lose their speed.
+
+    Parameters
+    ----------
+    problem : OrbitEquations
+        Equations of the orbit.
+    z : ndarray
+        Guess.
+    slow_rows : sequence of int
+        Rows of these contacts.
+    length_scale : float
+        Length of the scene.
+
+    Returns
+    -------
+    continuation.augmented_systems.PointSolution
+        Solution.
+    """
     n_rows, sides = len(problem.sequence.sides), problem.sequence.sides
     kept_rows = [k for k in np.flatnonzero(sides != 0) if k not in slow_rows]
     impacts = [grazing.ImpactEntry(z[k], z[n_rows + k], side_codes(problem.sequence)[k], True) for k in kept_rows]
@@ -90,8 +160,7 @@ def locate_soft_grazing(problem, z, slow_rows, length_scale):
 
 
 def _location_of_row(problem, z, row, kept_rows):
-    """(row before, counted among those kept, wall, time since the flight after that began) of a row that is left out;
-    kept_rows: the rows that are kept."""
+    """Return (previous row among the kept ones, wall, time since the start of its flight) of an omitted row."""
     wall = wall_sides(problem.scene).index(int(problem.sequence.sides[row]))
     orbit_duration = grazing_contact.orbit_duration_at(problem, z)
     if not kept_rows:
@@ -106,12 +175,31 @@ def _location_of_row(problem, z, row, kept_rows):
 
 
 def find_all_exits(problem, z, length_scale):
-    """As `grazing.exits`, also where the walls touched are soft."""
+    """Find the exits of a grazing, also at smooth soft walls.
+
+    Parameters
+    ----------
+    problem : OrbitEquations
+        Equations of the orbit.
+    z : ndarray
+        Unknowns at the grazing.
+    length_scale : float
+        Length of the scene.
+
+    Returns
+    -------
+    grazing_contacts : list of GrazingContact
+        Grazing contacts.
+    exits : list of GrazingExit
+        Branches that emanate from the grazing.
+    complete : bool
+        Whether all exits are known.
+    """
     return grazing.find_exits(problem, z, length_scale, _generate_exits)
 
 
 def _generate_exits(problem, z, grazing_contacts, length_scale):
-    """As `grazing.each_choice`; where all is smooth, both directions of the orbit that leaves the touches out."""
+    """Yield exits as `grazing.try_all_choices`; if all walls are smooth, along the orbit that omits the contacts."""
     if not grazing_contacts or not all(is_smooth_wall(problem.scene, entry.side) for entry in grazing_contacts):
         yield from grazing.try_all_choices(problem, z, grazing_contacts, length_scale)
         return
@@ -145,18 +233,19 @@ def _generate_exits(problem, z, grazing_contacts, length_scale):
 
 
 class WallApproach(NamedTuple):
-    """How a flight comes to touch a wall along a branch: how fast it comes nearer, its acceleration away from it."""
+    """Approach of a flight to a wall along a branch: its rate, and the acceleration away from the wall."""
 
     rate: float
     acceleration: float
 
 
 def _entering_exit(problem, z, grazing_contacts, approaches, reduced_tangent, length_scale):
-    """(the `GrazingExit` along which walls that come nearer are entered, None where it is none; whether that is sure).
+    """Return the `GrazingExit` along which approaching walls are entered, or None, and whether this is certain.
 
-    approaches: the `WallApproach` of each touch that is entered, by its place, in order of travel; reduced_tangent: the
-    tangent of the orbits that leave the touches out. The exit's point lies a little on, as the grazing's tangent says
-    nothing of its bend."""
+    `approaches` maps the index of each grazing contact that is entered to its `WallApproach`, in order of travel;
+    `reduced_tangent` is the tangent of the orbits that omit the contacts. The point of the exit lies close to the
+    grazing, because the tangent at the grazing contains no curvature.
+    """
     if any(approach.acceleration <= 0 for approach in approaches.values()):
         return None, True
     included = tuple(k in approaches for k in range(len(grazing_contacts)))
@@ -183,10 +272,12 @@ def _entering_exit(problem, z, grazing_contacts, approaches, reduced_tangent, le
 
 
 def _guess_beyond_grazing(new_problem, start_z, approaches, reduced_tangent, max_speed):
-    """(z where the fastest of the contacts that begin has a speed, the unit direction there from the grazing).
+    """Return z where the fastest new contact has a given speed, and the unit direction from the grazing to it.
 
-    A length s along `reduced_tangent`, a contact has the speed sqrt(2 pull rate s), and the rest is as without it to
-    that order. Newton's method comes to the orbit from there, but not from the grazing."""
+    At an arclength s along `reduced_tangent` a contact has the speed sqrt(2 a r s), with the acceleration a and the
+    rate r of its `WallApproach`. The other unknowns are as without the contact to that order. Newton's method converges
+    from there, but not from the grazing.
+    """
     n_rows, n_reduced_rows = len(new_problem.sequence.sides), (len(reduced_tangent) - 1) // 2
     arclength = max_speed**2 / max(2.0 * approach.acceleration * approach.rate for approach in approaches)
     z_slope, tangent, approaches, index = np.zeros(len(start_z)), np.zeros(len(start_z)), iter(approaches), 0

@@ -1,15 +1,26 @@
-"""What multipliers say of an orbit, in words."""
+"""Describe multipliers in words."""
 
 import numpy as np
 
-CIRCLE_TOLERANCE = 1e-6  # of a multiplier's size from 1: at a special point it is on the unit circle but for a rounding
+CIRCLE_TOLERANCE = 1e-6  # rounding of a multiplier that is on the unit circle at a special point
 STABILITY_WORDS = ("stable", "neutral", "saddle", "flip saddle", "repelling")
 
 
 def stability_words(multipliers):
-    """ "stable", "saddle" (a multiplier above 1), "flip saddle" (one below -1), "repelling" (both are beyond), or
-    "neutral" (on the unit circle) of pairs of multipliers, (points, 2): (points,) of texts. Infinite ones, at an impact
-    without speed, are beyond."""
+    """Describe the stability of orbits in words.
+
+    Parameters
+    ----------
+    multipliers : array_like
+        Pairs of multipliers, array of shape (points, 2). Infinite ones, at an impact with zero speed, count as outside
+        the unit circle.
+
+    Returns
+    -------
+    ndarray
+        Array of shape (points,): ``"stable"``, ``"saddle"`` (a multiplier above 1), ``"flip saddle"`` (one below -1),
+        ``"repelling"`` (both outside the unit circle) or ``"neutral"`` (on the unit circle).
+    """
     multiplier_pairs = np.asarray(multipliers)
     with np.errstate(invalid="ignore"):
         moduli = abs(multiplier_pairs)
@@ -25,10 +36,22 @@ def stability_words(multipliers):
 
 
 def stability_around(multipliers, index):
-    """Describe the stability before and after a point of a branch, as "saddle to stable".
+    """Describe the stability before and after a point of a branch, such as ``"saddle to stable"``.
 
-    An end has the word of its own orbit, as in a table of all points. Where a neighbour is itself a special point, on
-    the unit circle, the word is that of the stretch between the two: of the mean trace and determinant.
+    At the first and at the last point of the branch, the description is the stability of the orbit itself. If a
+    multiplier of a neighbour is on the unit circle, the mean trace and determinant of the two points decide.
+
+    Parameters
+    ----------
+    multipliers : array_like
+        Pairs of multipliers along the branch, array of shape (points, 2).
+    index : int
+        Index of the point.
+
+    Returns
+    -------
+    str
+        Description.
     """
     multiplier_pairs = np.asarray(multipliers)
     if index in (0, len(multiplier_pairs) - 1):
@@ -37,7 +60,7 @@ def stability_around(multipliers, index):
 
 
 def _stability_between(multiplier_pairs, index, neighbour):
-    """The word between a point and its neighbour."""
+    """Describe the stability between a point and its neighbour."""
     word = str(stability_words(multiplier_pairs[neighbour : neighbour + 1])[0])
     if word != "neutral" or not np.isfinite(multiplier_pairs[index]).all():
         return word

@@ -1,8 +1,8 @@
-"""Where orbits that rest end: a chatter that just does not complete (CH), a wall that lets go in the midst of a rest.
+"""Locate the limits of orbits that stick: incipient complete chatter (CH), and releases while sticking (RL).
 
-At a CH the speed of the last hop's row is the critical one (`orbits.chatter`): an equation beside those of the orbit,
-smooth through the point, whose orbits on the other side leave the wall after some last hops. The press on the wall that
-is least within a rest is another: where it comes to zero the mass is let go there.
+At a CH the speed at the row of the last recorded bounce is critical (`orbits.chatter`). This is an additional equation,
+smooth through the point; on the other side the mass leaves the wall after finitely many bounces. At an RL the least
+contact force within a sticking phase vanishes, and the mass is released there.
 """
 
 import numpy as np
@@ -31,20 +31,60 @@ def _evaluate_measure(measure, z, problem):
 
 
 def excess_speeds(problem, z):
-    """By how much the speed in each row is too large for a rest, (rows,), inf of rows that no release follows; see
-    `releases.too_fast`."""
+    """Return the excess of each row's speed over the largest one that leads to sticking.
+
+    Parameters
+    ----------
+    problem : OrbitEquations
+        Equations of the orbit.
+    z : ndarray
+        Unknowns.
+
+    Returns
+    -------
+    ndarray
+        Array of shape (rows,), inf for rows that no release follows. See `chatter_and_release.excess_speed`.
+    """
     return np.asarray(_evaluate_measure(chatter_and_release.excess_speed, z, problem))
 
 
 def min_contact_forces(problem, z):
-    """The least press between two falls of it on the way from each row to a release, or how hard the mass is drawn off
-    the wall that it leaves without speed, (rows,), inf elsewhere."""
+    """Return the least contact force between each row and its release.
+
+    For a mass that leaves its wall with zero speed it is the force that pulls it off.
+
+    Parameters
+    ----------
+    problem : OrbitEquations
+        Equations of the orbit.
+    z : ndarray
+        Unknowns.
+
+    Returns
+    -------
+    ndarray
+        Array of shape (rows,), inf for other rows.
+    """
     return np.asarray(diagnose(problem, z[None]).min_contact_force)[0]
 
 
 def toggle_lift_off(problem, z, length_scale):
-    """The equations with the mass drawn off its wall before a rest where it just is not, or the other way round; None
-    where the press is not about to begin at an impact."""
+    """Switch between orbits whose mass lifts off before sticking and orbits whose mass does not.
+
+    Parameters
+    ----------
+    problem : OrbitEquations
+        Equations of the orbit.
+    z : ndarray
+        Unknowns.
+    length_scale : float
+        Length of the scene.
+
+    Returns
+    -------
+    OrbitEquations or None
+        Switched equations; None if no contact force begins at an impact.
+    """
     if problem.sequence.releases is None:
         return None
     switching_rows = np.flatnonzero(
@@ -60,19 +100,50 @@ def toggle_lift_off(problem, z, length_scale):
 
 
 def locate_sticking_limit(problem, z, row, measure):
-    """The point near z where a measure of a row, of `excess_speeds` or `min_contact_forces`, is zero:
-    `locate.Located`."""
+    """Locate the point near z at which a measure of a row vanishes.
+
+    Parameters
+    ----------
+    problem : OrbitEquations
+        Equations of the orbit.
+    z : ndarray
+        Guess.
+    row : int
+        Row.
+    measure : callable
+        `excess_speeds` or `min_contact_forces`.
+
+    Returns
+    -------
+    continuation.augmented_systems.PointSolution
+        Solution.
+    """
     return locate_zero(problem, z, lambda z: measure(problem, z)[row], _relevant_indices(problem, z, row))
 
 
 def _relevant_indices(problem, z, row):
-    """The places in z of what a measure of a row depends on: its impact, the one that follows, and the parameters."""
+    """Return the indices of the unknowns of a row's measure: its impact, the next one, and the parameters."""
     n_rows, next_row = len(problem.sequence.sides), (row + 1) % np.count_nonzero(problem.sequence.sides)
     return [*sorted({row, next_row, n_rows + row, n_rows + next_row}), *range(2 * n_rows, len(z))]
 
 
 def sticking_limit_kind(problem, z, length_scale):
-    """ "CH" or "RL" where a rest of the orbit just is one, or its wall just holds; "" elsewhere."""
+    """Classify the limit of an orbit that sticks.
+
+    Parameters
+    ----------
+    problem : OrbitEquations
+        Equations of the orbit.
+    z : ndarray
+        Unknowns.
+    length_scale : float
+        Length of the scene.
+
+    Returns
+    -------
+    str
+        ``"CH"`` if a sticking phase just exists, ``"RL"`` if the contact force just holds, else empty.
+    """
     tolerance, release_codes = GRAZING_TOLERANCE * length_scale, problem.sequence.releases
     zero_force_rows = np.flatnonzero(abs(min_contact_forces(problem, z)) < tolerance)
     if release_codes is None:

@@ -1,14 +1,16 @@
-"""Normal forms of special points: on which side of the parameter the others live, how fast they part, what is met.
+"""Compute normal forms of SN, PD and SB: the side of the other orbits, and the rate of the multiplier.
 
-At an SN, PD or SB an orbit's equations F(u, p) = 0 have a null vector v, J v = 0, w J = 0, J = F_u; at a PD J is closed
-so that a change comes back as its opposite, as for the orbit gone through twice. The others are u + s v, p + b s^2:
+At the point the equations F(u, p) = 0 of the orbit have null vectors v and w: J v = 0, w J = 0, J = F_u. At a PD, J is
+closed antiperiodically: a perturbation returns with the opposite sign, as for the orbit traversed twice. The other
+orbits are u + s v at p + b s^2:
 
 - SN: b = -w F_uu v v / (2 w F_p);
 - PD, SB: b = -(w F_uuu v v v / 6 + w F_uu v y) / c, c = w F_uu v y' + w F_up v, with F_u y = -F_uu v v / 2, F_u y' =
-  -F_p closed as the orbit itself (Golubitsky and Schaeffer, Singularities and Groups in Bifurcation Theory I, chapters
-  I and VI). c over how w J v changes with the closing is how fast the multiplier passes, with its sign turned.
+  -F_p, both closed like the orbit itself (Golubitsky and Schaeffer, Singularities and Groups in Bifurcation Theory I,
+  chapters I and VI). The rate of the multiplier is minus c divided by the derivative of w J v with respect to the
+  closure.
 
-Slopes are exact, also with soft walls: J's derivatives are differences of them along v, nine points on a line.
+First derivatives are exact, also with soft walls. Derivatives of J are differences along v, on a line of nine points.
 """
 
 from typing import NamedTuple
@@ -23,20 +25,29 @@ from .equations import OrbitEquations, continuation_problem
 from .grazing import padded_sequence
 from .grazing_contact import arclength_weights, contact_durations_at, orbit_duration_at
 
-NODE_SPACING = 0.05  # between the points of a difference, over the fastest rate
-MAX_FLIGHT_FRACTION = 0.05  # of a flight: more no point is moved by, and of a speed, where a wall is soft
+NODE_SPACING = 0.05  # spacing of the stencil, divided by the fastest rate
+MAX_FLIGHT_FRACTION = 0.05  # largest shift relative to a flight, and to a speed if a wall is soft
 STENCIL_NODES = np.array([-4, -3, -2, -1, 1, 2, 3, 4])
 FIRST_DERIV_WEIGHTS = np.array([1 / 280, -4 / 105, 1 / 5, -4 / 5, 4 / 5, -1 / 5, 4 / 105, -1 / 280])
 SECOND_DERIV_WEIGHTS = np.array(
     [-1 / 560, 8 / 315, -1 / 5, 8 / 5, 8 / 5, -1 / 5, 8 / 315, -1 / 560]
-)  # of what is 0 at the point
+)  # for a function that vanishes at the point
 
 
 class Unfolding(NamedTuple):
-    """coefficient: b, the others are at the point's value + bend s^2; null_vector: v, (times, speeds), s being the root
-    mean square over the impacts of the changes of time and of speed over the scene's length; multiplier_rate: how fast
-    the multiplier changes with the parameter along the orbits that the point lies on, nan at an SN, where it does as a
-    root."""
+    """Normal form of a special point.
+
+    Attributes
+    ----------
+    coefficient : float
+        b; the other orbits are at value + b s^2.
+    null_vector : ndarray
+        v: changes of times and speeds, array of shape (2 * impacts,). s is the root mean square over the impacts of the
+        changes of time and of speed over the length of the scene.
+    multiplier_rate : float
+        Derivative of the multiplier with respect to the parameter along the orbits of the point; nan at an SN, where it
+        changes like a square root.
+    """
 
     coefficient: float
     null_vector: Float[np.ndarray, " unknowns"]
@@ -44,9 +55,23 @@ class Unfolding(NamedTuple):
 
 
 class _NullDirection(NamedTuple):
-    """problem: orbits; z: one of them; closure: 1, or -1 where a change comes back as its opposite; right_null,
-    left_null: null vectors of J, w over the length of a row; jacobian: dF/dz; jacobian_derivative: its first derivative
-    along v; third_derivative: w F_uuu v v v."""
+    """Derivatives of the equations along the null vector.
+
+    Attributes
+    ----------
+    problem : OrbitEquations
+        Equations of the orbit.
+    closure : float
+        1, or -1 if a perturbation returns with the opposite sign.
+    right_null, left_null : ndarray
+        Null vectors v and w of J; w is divided by the length of a row.
+    jacobian : ndarray
+        dF/dz.
+    jacobian_derivative : ndarray
+        Derivative of dF/dz along v.
+    third_derivative : float
+        w F_uuu v v v.
+    """
 
     problem: OrbitEquations
     closure: float
@@ -58,7 +83,22 @@ class _NullDirection(NamedTuple):
 
 
 def unfold_saddle_node(scene, problem, z):
-    """The `Unfolding` of an SN. scene: at the point, here and below."""
+    """Unfold an SN.
+
+    Parameters
+    ----------
+    scene : Scene
+        Scene at the point.
+    problem : OrbitEquations
+        Equations of the orbit.
+    z : ndarray
+        Unknowns at the point.
+
+    Returns
+    -------
+    Unfolding
+        Normal form.
+    """
     null_direction = _expand_along_null(scene, problem, z, 1.0)
     coefficient = (
         -0.5
@@ -71,14 +111,46 @@ def unfold_saddle_node(scene, problem, z):
 
 
 def unfold_symmetry_breaking(scene, problem, z):
-    """The `Unfolding` of an SB."""
+    """Unfold an SB.
+
+    Parameters
+    ----------
+    scene : Scene
+        Scene at the point.
+    problem : OrbitEquations
+        Equations of the orbit.
+    z : ndarray
+        Unknowns at the point.
+
+    Returns
+    -------
+    Unfolding
+        Normal form.
+    """
     null_direction = _expand_along_null(scene, problem, z, 1.0)
     return _unfold_pitchfork(null_direction, _impact_components(problem, null_direction.right_null))
 
 
 def unfold_period_doubling(scene, problem, z):
-    """The `Unfolding` of a PD. Of one impact the doubled orbit is looked at: there that change is its own null
-    vector."""
+    """Unfold a PD.
+
+    An orbit with one impact is unfolded as the doubled orbit, whose null vector contains both halves of the
+    perturbation.
+
+    Parameters
+    ----------
+    scene : Scene
+        Scene at the point.
+    problem : OrbitEquations
+        Equations of the orbit.
+    z : ndarray
+        Unknowns at the point.
+
+    Returns
+    -------
+    Unfolding
+        Normal form.
+    """
     if len(problem.impact_rows) > 1:
         null_direction = _expand_along_null(scene, problem, z, -1.0)
         return _unfold_pitchfork(null_direction, _impact_components(problem, null_direction.right_null))
@@ -96,16 +168,18 @@ def unfold_period_doubling(scene, problem, z):
         1.0,
     )
     unfolding = _unfold_pitchfork(null_direction, null_direction.right_null[[0, 2]])
-    return unfolding._replace(multiplier_rate=-0.5 * unfolding.multiplier_rate)  # its multiplier is the square
+    # the multiplier of the doubled orbit is the square
+    return unfolding._replace(multiplier_rate=-0.5 * unfolding.multiplier_rate)
 
 
 def _impact_components(problem, vector):
-    """A change of the impacts alone, without those of empty rows."""
+    """Return the components of the impacts, without empty rows."""
     n_rows, n_impacts = len(problem.sequence.sides), len(problem.impact_rows)
     return np.concatenate([vector[:n_impacts], vector[n_rows : n_rows + n_impacts]])
 
 
 def _expand_along_null(scene, problem, z, closure):
+    """Compute the derivatives of the equations along the null vector."""
     problem_arguments = continuation_problem(problem), z, problem
     jacobian = augmented_systems.jacobian_at(*problem_arguments)
     weights = arclength_weights(problem, scene_length(scene))[:-1]
@@ -117,7 +191,7 @@ def _expand_along_null(scene, problem, z, closure):
     jacobians = augmented_systems.jacobians_at(
         continuation_problem(problem), z + np.outer(STENCIL_NODES * spacing, np.append(right_null, 0.0)), problem
     )
-    if closure < 0:  # the rows of the flight back to the first impact are those where that is moved the other way
+    if closure < 0:  # the flight back to the first impact sees that impact moved in the opposite direction
         reflected = np.append(right_null, 0.0)
         reflected[_closure_indices(problem)[0]] *= -1.0
         reflected_jacobians = augmented_systems.jacobians_at(
@@ -140,7 +214,7 @@ def _expand_along_null(scene, problem, z, closure):
 
 
 def _unfold_pitchfork(null_direction, null_vector):
-    """The `Unfolding` of a pitchfork: of the orbit twice round, or of one without its symmetry."""
+    """Unfold a pitchfork: of the orbit traversed twice, or of an orbit that loses its symmetry."""
     n_unknowns = len(null_direction.right_null)
     curvature = (
         _apply_closure(null_direction.problem, null_direction.jacobian_derivative[None], null_direction.closure)[0][
@@ -150,7 +224,7 @@ def _unfold_pitchfork(null_direction, null_vector):
     )
     bordered = np.zeros((n_unknowns + 1, n_unknowns + 1))
     bordered[:n_unknowns, :n_unknowns] = null_direction.jacobian[:, :-1]
-    if null_direction.closure > 0:  # singular: what is solved for is in its range
+    if null_direction.closure > 0:  # singular matrix, but the right-hand side is in its range
         bordered[:n_unknowns, -1], bordered[-1, :n_unknowns] = null_direction.left_null, null_direction.right_null
     else:
         bordered[-1, -1] = 1.0
@@ -172,14 +246,14 @@ def _unfold_pitchfork(null_direction, null_vector):
 
 
 def _closure_indices(problem):
-    """(the unknowns of the first impact, the rows of the flight back to it)."""
+    """Return the indices of the first impact's unknowns, and the rows of the flight back to it."""
     n_rows = len(problem.sequence.sides)
     last_row = len(problem.impact_rows) - 1
     return [0, n_rows], [last_row, n_rows + last_row]
 
 
 def _apply_closure(problem, jacobians, closure):
-    """Slopes, some, where a change of the first impact comes back times the closing."""
+    """Multiply the derivatives of the flight back to the first impact by the closure."""
     closed_jacobians = np.array(jacobians)
     if closure < 0:
         first_impact, return_rows = _closure_indices(problem)
@@ -189,7 +263,7 @@ def _apply_closure(problem, jacobians, closure):
 
 
 def _stencil_spacing(scene, problem, z, direction):
-    """How far along v a difference's points are apart: so that what they are of is smooth over all of them."""
+    """Return the spacing along v for which the equations are smooth over the whole stencil."""
     n_rows, impact_rows, length_scale = len(problem.sequence.sides), problem.impact_rows, scene_length(scene)
     time_changes, speed_changes = abs(direction[impact_rows]), abs(direction[n_rows + impact_rows])
     flight_durations = (
@@ -209,7 +283,7 @@ def _stencil_spacing(scene, problem, z, direction):
 
 
 def _contact_rates(scene, problem, z):
-    """How fast what is within soft walls beside a force swings, by how long it stays: numbers, one at least."""
+    """Return half-oscillation rates of the contact phases under a user-defined force, preceded by 0."""
     contact_durations = (
         contact_durations_at(problem, z)[problem.impact_rows]
         if scene.soft_sides and scene.force is not None
@@ -219,7 +293,7 @@ def _contact_rates(scene, problem, z):
 
 
 def _fastest_rate(scene):
-    """How fast the fastest of what an orbit's equations hold turns or decays."""
+    """Return the fastest rate of oscillation or decay in the equations of an orbit."""
     frequency = float(scene.frequency)
     if scene.force is None:
         damping = float(scene.damping)

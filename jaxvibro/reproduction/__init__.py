@@ -1,4 +1,4 @@
-"""The paper of Cheng and Xu (2007), recomputed: its figures, and each of its claims beside what is true."""
+"""Recompute the figures of Cheng and Xu (2007) and check each of its claims."""
 
 from .run import paper
 

@@ -1,4 +1,4 @@
-"""Figure 11: the response of figure 10 at four amplitudes, and which of them have a fold and a grazing."""
+"""Reproduce figure 11: the response of figure 10 at four amplitudes, with saddle-nodes and grazings."""
 
 import numpy as np
 
@@ -10,17 +10,17 @@ from .panels import FigureResult, add_legend, figure_style, make_figure, panel_f
 from .response import PEAK_LABEL, frequency_response, select_special_points
 
 CURVE_COLOURS = tuple(COLOURS[k] for k in (0, 5, 7, 3))
-CURVE_POINTS = 40  # points of the fold's amplitude
-LOWEST_AMPLITUDE = 0.155  # the amplitude at which it begins: P100 grazes from 2 gamma sqrt(1 - gamma^2) = 0.1518 on
+CURVE_POINTS = 40  # points of the curve of the saddle-node
+LOWEST_AMPLITUDE = 0.155  # start of this curve; P100 grazes above 2 gamma sqrt(1 - gamma^2) = 0.1518
 
 CAPTION = (
-    "Above, the largest x on P100 and P111 against the drive's frequency at four amplitudes; below, the amplitude at "
-    "which P111 begins in a saddle-node, and that at which P100 grazes. P100 and P111 exist together between them."
+    "Above, the largest x on P100 and P111 against the drive frequency at four amplitudes; below, the amplitudes of "
+    "the saddle-node of P111 and of the grazing of P100. P100 and P111 coexist between them."
 )
 
 
 def reproduce_figure(file, progress):
-    """Figure 11; it has no claims."""
+    """Reproduce figure 11, which has no claims."""
     responses = [
         (panel_file.scene.make(), frequency_response(panel_file.scene.make(), file.branch))
         for panel_file in panel_files(file)
@@ -30,7 +30,7 @@ def reproduce_figure(file, progress):
 
 
 def trace_special_point(special, amplitudes):
-    """(frequencies, amplitudes) at which a special point in frequency is, of those that it is followed to."""
+    """Return (frequencies, amplitudes) of a special point in frequency, up to the last amplitude at which it exists."""
     point, curve_points = prepare_point(special, ("amplitude",)), []
     for amplitude in amplitudes:
         point, fraction = continue_point(point, [amplitude])

@@ -1,4 +1,4 @@
-"""What lasts in a scene, for verdicts: all attractors, and what stays unresolved, which may be anything."""
+"""Check attractors for verdicts, with an allowance for unresolved initial states."""
 
 import numpy as np
 
@@ -6,30 +6,27 @@ from ..attractors.spectrum import spectrum
 from ..maps.initial_conditions import draw_initial_states
 from ..scene.state import State
 
-CHAOS_SIGMAS = 3.0  # standard errors by which an exponent is above 0
-AMPLITUDE_STEP, STARTS_PER_AMPLITUDE, EXPONENT_ERROR, MAX_PERIODS = (
-    0.02,
-    16,
-    0.03,
-    2**14,
-)  # of the look for where chaos begins
-LONG_SETTLE = 3000  # drive periods after which what is found there must still be chaotic
+CHAOS_SIGMAS = 3.0  # standard errors by which a chaotic exponent exceeds 0
+# Search for the onset of chaos.
+AMPLITUDE_STEP, STARTS_PER_AMPLITUDE, EXPONENT_ERROR, MAX_PERIODS = 0.02, 16, 0.03, 2**14
+LONG_SETTLE = 3000  # drive periods after which the motion must still be chaotic
 
 
 def shares_text(motions):
-    """Motions and their shares of the starts, in words."""
+    """Return attractors and their basin fractions as text."""
     return ", ".join(f"{motion.label} ({100 * motion.share:.0f} %)" for motion in motions)
 
 
 def unresolved_excess(motions):
-    """How many more there may be: any number where some starts are unresolved."""
+    """Return the possible number of further attractors: infinity if some initial states are unresolved, else 0."""
     return np.inf if any(motion.kind == "unresolved" for motion in motions) else 0.0
 
 
 def largest_exponent(scene, attractors):
-    """((exponent, error), more): the largest Lyapunov exponent of all that lasts, of one of the unresolved starts too.
+    """Return ((exponent, error), excess) of the largest Lyapunov exponent of attractors and one unresolved state.
 
-    more: how much larger another's may be: of the unresolved starts only one is looked at."""
+    `excess` is the amount by which the exponent of another unresolved state may be larger.
+    """
     amplitude = float(scene.amplitude)
     x, v, contact = (
         np.array([getattr(attractor.state, key) for attractor in attractors], float) for key in ("x", "v", "contact")
@@ -43,9 +40,11 @@ def largest_exponent(scene, attractors):
 
 
 def chaos_onset(scene, lower, upper):
-    """(amplitude, its doubt, number of chaotic starts, largest exponent): the lowest amplitude of those looked at, a
-    `AMPLITUDE_STEP` apart, at which one of some starts settles on chaos; nan where none does. Chaos begins there or
-    below."""
+    """Return (amplitude, error, number of chaotic initial states, largest exponent) of the lowest chaotic amplitude.
+
+    Amplitudes are `AMPLITUDE_STEP` apart, and an amplitude is chaotic if one of its initial states leads to chaos.
+    Chaos begins there or below. All are nan, and the number 0, without chaos.
+    """
     amplitudes = np.arange(upper, lower, -AMPLITUDE_STEP)[::-1]
     starts = draw_initial_states(scene, len(amplitudes) * STARTS_PER_AMPLITUDE, 0)
     lane_amplitudes = np.repeat(amplitudes, STARTS_PER_AMPLITUDE)
@@ -61,14 +60,14 @@ def chaos_onset(scene, lower, upper):
 
 
 def _chaotic_starts(scene, amplitudes, starts, **settings):
-    """(whether the largest exponent from each start is positive beyond doubt, the exponents)."""
+    """Return (True for each initial state with a significantly positive exponent, the exponents)."""
     spectrum_data = spectrum(scene, "amplitude", amplitudes, starts, **settings)
     exponent, error = (spectrum_data[key].values[:, 0] for key in ("exponent", "error"))
     return (exponent - CHAOS_SIGMAS * error > 0) & (spectrum_data["periods"].values == 0), exponent
 
 
 def stable_labels_at(branches, value):
-    """The labels of the stable orbits on branches at a value of their parameter, one for each time they come by."""
+    """Return the labels of the stable orbits on branches at a value of their parameter, once per crossing."""
     labels = []
     for branch in branches:
         for segment in branch.segments:

@@ -1,4 +1,4 @@
-"""Figure 5: which start settles on what, and the manifolds of the saddles between the basins."""
+"""Reproduce figure 5: basins of attraction, and the manifolds of the saddles between them."""
 
 import numpy as np
 import scipy
@@ -16,17 +16,17 @@ from .claim import own_claim, statement_claim
 from .panels import FigureResult, figure_style, make_figure, panel_files, png_bytes, trim_labels
 
 PANEL_LETTERS = "ab"
-SAMPLES_PER_CELL = 4  # points of a manifold for the width of a cell
-MANIFOLD_LENGTH = 60.0  # of a manifold on each side of a saddle
+SAMPLES_PER_CELL = 4  # samples of a manifold per width of a cell
+MANIFOLD_LENGTH = 60.0  # length of a manifold on each side of a saddle
 
 CAPTION = (
-    "Basins of attraction on the section at phase 0, where the paper's figure is said to be (a) and where there is a "
-    "chaotic attractor beside periodic ones (b): chaos is white. Lines are the stable manifolds of the saddles."
+    "Basins of attraction on the section at phase 0, at the amplitude of the paper's figure (a) and at one with "
+    "chaotic and periodic attractors (b). Chaos is white. Lines are the stable manifolds of the saddles."
 )
 
 
 def reproduce_figure(file, diagram_file, progress):
-    """Figure 5 and its claims; diagram_file: the scene file with the diagram that the saddles are on."""
+    """Reproduce figure 5 and its claims; `diagram_file` is the scene file of the diagram with the saddles."""
     explore_table = diagram_file.explore
     diagram = explore(
         diagram_file.scene.make(),
@@ -57,7 +57,7 @@ def reproduce_figure(file, diagram_file, progress):
 
 
 def find_saddles(scene, diagram):
-    """The orbits of one period at a scene's amplitude, on the branches of a diagram, with a multiplier above 1."""
+    """Return the orbits of one period with a multiplier above 1, on a diagram at the amplitude of a scene."""
     amplitude, saddles = float(scene.parameter(diagram.name)), []
     for branch in diagram.branches:
         if branch.data.sizes["period"] > 1:
@@ -77,7 +77,7 @@ def find_saddles(scene, diagram):
 
 
 def _orbit_between(scene, branch, row):
-    """The orbit between a point of a branch and the next, from one of them; None where neither leads to it."""
+    """Return the orbit between two consecutive points of a branch, found from either; None if neither leads to it."""
     for neighbour in (branch.orbit(row), branch.orbit(row + 1)):
         try:
             orbit = find_orbit(scene, neighbour.state, periods=1, settle=0)
@@ -89,42 +89,46 @@ def _orbit_between(scene, branch, row):
 
 
 def _chaos_claims(scene, attractors, claimed_by_paper):
-    """Whether there is a chaotic attractor: where the paper says so, and where we do."""
+    """Yield the claims on chaotic attractors, at the amplitude of the paper and at ours."""
     n_chaotic = sum(attractor.kind == "chaotic" for attractor in attractors)
     amplitude, excess = float(scene.amplitude), unresolved_excess(attractors)
-    reason = f"What starts settle on is {shares_text(attractors)}."
+    reason = f"The attractors are {shares_text(attractors)}."
     if claimed_by_paper:
         text = f"white is a chaotic attractor, A = {amplitude:g} (number of chaotic attractors)"
         yield statement_claim("5", text, (float(n_chaotic), 0.0), low=1.0, reason=reason, excess=excess)
         return
     n_pairs = float(min(n_chaotic, sum(attractor.kind == "periodic" for attractor in attractors)))
     text = (
-        f"such a picture is at A = {amplitude:g}: {shares_text(attractors)} (pairs of chaotic and periodic attractors)"
+        f"such a figure is at A = {amplitude:g}: {shares_text(attractors)} (pairs of chaotic and periodic attractors)"
     )
     yield own_claim("5", text, (n_pairs, 0.0), low=1.0, reason=reason, excess=excess)
     n_mirror_images = sum(
         attractor.kind == "chaotic" and attractor.mirror_of not in (None, k) for k, attractor in enumerate(attractors)
     )
-    text = f"two chaotic attractors at A = {amplitude:g}, each the other's mirror image (number of such)"
+    text = f"two chaotic attractors at A = {amplitude:g} that are mirror images (number of them)"
     yield own_claim("5", text, (float(n_mirror_images), 0.0), low=2.0, high=2.0, reason=reason, excess=excess)
 
 
 def _boundary_claims(scene, basin_data, manifolds):
-    """Whether the boundary of the basins is the stable manifold of the symmetric saddle, or of all saddles."""
+    """Yield the claims that the basin boundary is the stable manifold of the symmetric saddle, or of all saddles."""
     symmetric_manifolds = [curve for orbit, curve in manifolds.items() if orbit.label == "P111"]
     share, n_cells = share_beyond(basin_data, symmetric_manifolds)
     other_labels = ", ".join(sorted({orbit.label for orbit in manifolds} - {"P111"}))
-    reason = f"The rest of the boundary are stable manifolds of the saddles {other_labels} that are born in SN2."
-    text = "the boundary is the stable manifold of the unstable symmetric motion (share of the boundary's cells beyond)"
+    reason = f"The rest of the boundary consists of stable manifolds of the saddles {other_labels}, born in SN2."
+    text = (
+        "the boundary is the stable manifold of the unstable symmetric motion (share of the boundary cells elsewhere)"
+    )
     error = np.sqrt(share * (1.0 - share) / n_cells)
     yield statement_claim("5", text, (share, float(error)), high=1e-3, reason=reason)
     share, n_cells = share_beyond(basin_data, list(manifolds.values()))
-    text = f"it is those of all saddles, {len(manifolds)} (share of the {n_cells} cells farther than one from them)"
+    text = (
+        f"it is the stable manifolds of all {len(manifolds)} saddles (share of the {n_cells} boundary cells elsewhere)"
+    )
     yield own_claim("5", text, (share, float(np.sqrt(share * (1.0 - share) / n_cells))), high=1e-3)
 
 
 def share_beyond(basin_data, manifolds):
-    """(the share of the cells at a boundary of basins that are farther than one cell from some curves, all of them)."""
+    """Return (fraction of the boundary cells that are more than one cell from all curves, number of boundary cells)."""
     labels = basin_data["label"].values
     is_boundary = np.zeros(labels.shape, bool)
     for axis in (0, 1):
@@ -143,7 +147,7 @@ def share_beyond(basin_data, manifolds):
 
 
 def _manifold_cells(basin_data, curve):
-    """(rows, columns) of the cells that a manifold leads through, each piece of it filled in."""
+    """Return (rows, columns) of the cells through which a manifold passes."""
     cell_sizes = [float(basin_data[key][1] - basin_data[key][0]) for key in ("v", "x")]
     positions = np.stack(
         [

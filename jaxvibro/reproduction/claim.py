@@ -1,4 +1,4 @@
-"""A claim of the paper beside what was computed: the verdict follows from the numbers alone."""
+"""Compare a claim of the paper with a computed value; the verdict follows from the numbers alone."""
 
 import math
 from dataclasses import dataclass, replace
@@ -6,19 +6,37 @@ from decimal import Decimal
 
 AGREES = "agrees to its digits"
 DIFFERS = "differs"
-HOLDS = "holds"  # a claim in words
+HOLDS = "holds"  # verdict on a claim in words
 CANNOT_HOLD = "cannot hold"
-UNDECIDED = "undecided"  # the error bar, or what stays unresolved, reaches over an edge of what is claimed
+UNDECIDED = "undecided"  # the error bar or unresolved states extend beyond the claimed range
 
 
 @dataclass(frozen=True)
 class Claim:
-    """A claim: it is right where the computed value lies between two numbers.
+    """Claim of the paper, which is right if the computed value lies between two numbers.
 
-    figure: of the paper; text: what is claimed; printed: its number as printed, "" for a claim in words; low, high:
-    what the value may be; value, error: what was computed, nan where there is nothing of the kind; more: how much
-    larger it may be for what stays unresolved; reason: of a difference; ours: whether the claim is our own, beside the
-    paper's.
+    Attributes
+    ----------
+    figure : str
+        Figure or equation of the paper.
+    text : str
+        Claim in words.
+    printed : str
+        Printed number; "" for a claim in words.
+    low : float
+        Lower bound of admissible values.
+    high : float
+        Upper bound of admissible values.
+    value : float
+        Computed value; nan if the object of the claim does not exist.
+    error : float
+        Error bar of the value.
+    reason : str
+        Explanation of a difference.
+    more : float
+        Amount by which the value may be larger because of unresolved initial states.
+    ours : bool
+        True for an additional claim that is not in the paper.
     """
 
     figure: str
@@ -34,7 +52,11 @@ class Claim:
 
     @property
     def verdict(self) -> str:
-        """A number agrees or differs, words hold or not; what does not exist cannot hold; else it is undecided."""
+        """Verdict of the claim.
+
+        A number agrees or differs, and a claim in words holds or cannot hold. A claim about something that does not
+        exist cannot hold. All others are undecided.
+        """
         if math.isnan(self.value):
             return UNDECIDED if self.more else CANNOT_HOLD
         lower, upper = self.value - self.error, self.value + self.error + self.more
@@ -46,12 +68,15 @@ class Claim:
 
     @property
     def is_right(self) -> bool:
-        """Whether it agrees or holds."""
+        """True if the claim agrees or holds."""
         return self.verdict in (AGREES, HOLDS)
 
 
 def number_claim(figure, text, printed, result, reason=""):
-    """The `Claim` that a number is what is printed, to half a unit of its last digit; result: (value, error)."""
+    """Return the `Claim` that a number equals the printed one, within half a unit of its last digit.
+
+    `result` is (value, error).
+    """
     printed_value = Decimal(printed)
     half_unit = 0.5 * 10.0 ** printed_value.as_tuple().exponent
     return Claim(
@@ -66,29 +91,29 @@ def number_claim(figure, text, printed, result, reason=""):
 
 
 def _truncation_note(printed_value, value):
-    """What is to be said of a number whose digits are right but cut off in place of rounded."""
+    """Return the note on a printed number whose digits are truncated in place of rounded; "" for others."""
     digit_unit = 10.0 ** printed_value.as_tuple().exponent
     is_truncated = digit_unit * 0.5 < value - float(printed_value) < digit_unit
-    return f" The digits printed are those of {value:.6g}, cut off and not rounded." if is_truncated else ""
+    return f" The printed digits are those of {value:.6g}, cut off and not rounded." if is_truncated else ""
 
 
 def statement_claim(figure, text, result, low=-math.inf, high=math.inf, reason="", excess=0.0):
-    """The `Claim` in words that a number lies between two; result: (value, error)."""
+    """Return the `Claim` in words that a number lies between two bounds; `result` is (value, error)."""
     return Claim(figure, text, "", low, high, *result, reason, excess)
 
 
 def own_claim(figure, text, result, low=-math.inf, high=math.inf, reason="", excess=0.0):
-    """The same of our own, that stands apart from the paper's."""
+    """Return an additional `Claim` that is not in the paper."""
     return replace(statement_claim(figure, text, result, low, high, reason, excess), ours=True)
 
 
 def computed_text(claim):
-    """What was computed for a claim, with its error bar."""
+    """Return the computed value of a claim with its error bar as text."""
     return value_text(claim.value, claim.error) + (", perhaps more" if claim.more else "")
 
 
 def value_text(value, error):
-    """A value with its error bar: as many digits as it bears, twelve at most."""
+    """Return a value with its error bar, to the digits that the error justifies and at most twelve."""
     if math.isnan(value):
         return "none"
     if error == 0.0 and float(value).is_integer():

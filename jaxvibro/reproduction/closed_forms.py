@@ -1,7 +1,8 @@
-"""Closed forms of orbits with one impact a wall (paper, section 2), for the claims and as a check of what is continued.
+"""Evaluate closed forms of orbits with one impact per wall (paper, section 2), to check claims and continued curves.
 
-With E the free flow from one impact to the next and u the speed before each, (x, y/omega) of the forced motion at an
-impact is (s - a u, -b u / omega), whose length is A / sqrt(D). The double root in u is where two such orbits meet.
+Let E be the free flow from one impact to the next and u the speed before each impact. Then (x, y/omega) of the forced
+motion at an impact is (s - a u, -b u / omega), whose length is A / sqrt(D). At the double root in u two such orbits
+meet.
 """
 
 import jax
@@ -13,23 +14,53 @@ from ..scene.state import State
 
 
 def forced_motion(amplitude, frequency, damping):
-    """(x, v) at phase 0 of the motion without impacts."""
+    """Return (x, v) at phase 0 of the motion without impacts."""
     complex_amplitude = amplitude / (1.0 - frequency**2 + 2j * damping * frequency)
     return complex_amplitude.real, (1j * frequency * complex_amplitude).real
 
 
 def grazing_amplitude(frequency, damping, distance=1.0):
-    """The amplitude A = s sqrt(D) at which P100 grazes a wall at distance s (8)."""
+    """Return the amplitude A = s sqrt(D) at which P100 grazes a wall (8).
+
+    Parameters
+    ----------
+    frequency : float
+        Drive frequency omega.
+    damping : float
+        Damping gamma.
+    distance : float, optional
+        Distance s of the wall from 0.
+
+    Returns
+    -------
+    Array
+        Amplitude.
+    """
     return distance * jnp.hypot(1.0 - frequency**2, 2.0 * damping * frequency)
 
 
 def symmetric_fold(frequency, damping, restitution):
-    """(A_c, u) of the double root of the symmetric P111 between walls at -1 and 1 (19); a saddle-node where u > 0."""
+    """Return the double root of the symmetric P111 between walls at -1 and 1 (19).
+
+    Parameters
+    ----------
+    frequency : float
+        Drive frequency omega.
+    damping : float
+        Damping gamma.
+    restitution : float
+        Restitution R.
+
+    Returns
+    -------
+    tuple of Array
+        Amplitude A_c and speed u before the impacts. The root is a saddle-node if u > 0.
+    """
     return _double_root(*_symmetric_coefficients(frequency, damping, restitution), frequency, damping, 1.0)
 
 
 def _symmetric_coefficients(frequency, damping, restitution):
-    """(a, b) of the symmetric P111."""
+    """Return (a, b) of the symmetric P111."""
     flow_matrix, identity = _flow_matrix(frequency, damping, jnp.pi / frequency), jnp.eye(2)
     return jnp.linalg.solve(
         flow_matrix + identity, jnp.array([0.0, -1.0]) + flow_matrix @ jnp.stack([0.0 * restitution, restitution])
@@ -37,9 +68,18 @@ def _symmetric_coefficients(frequency, damping, restitution):
 
 
 def symmetric_start(scene):
-    """The `State` after an impact on the right wall of a scene's symmetric P111, of two the one that hits harder.
+    """Return a state on the symmetric P111 of a scene.
 
-    The scene is single, with walls at -1 and 1, A above A_c, and a double root with u > 0."""
+    Parameters
+    ----------
+    scene : Scene
+        Single scene, with walls at -1 and 1, A above A_c, and a double root with u > 0.
+
+    Returns
+    -------
+    State
+        State after an impact on the right wall. Of the two orbits it belongs to the one with the faster impacts.
+    """
     params = [float(getattr(scene, key)) for key in ("frequency", "damping", "restitution", "amplitude")]
     frequency, damping, restitution, amplitude = params
     a, b = (float(value) for value in _symmetric_coefficients(frequency, damping, restitution))
@@ -54,7 +94,26 @@ def symmetric_start(scene):
 
 
 def single_fold(frequency, damping, restitution, distance=1.0, periods=1):
-    """(A_c, u) of the double root of an orbit with one impact in some periods, on a wall at a distance from 0."""
+    """Return the double root of an orbit with one impact in some periods, on one wall.
+
+    Parameters
+    ----------
+    frequency : float
+        Drive frequency omega.
+    damping : float
+        Damping gamma.
+    restitution : float
+        Restitution R.
+    distance : float, optional
+        Distance of the wall from 0.
+    periods : int, optional
+        Drive periods of the orbit.
+
+    Returns
+    -------
+    tuple of Array
+        Amplitude A_c and speed u before the impact. The root is a saddle-node if u > 0.
+    """
     flow_matrix, identity = _flow_matrix(frequency, damping, 2.0 * jnp.pi * periods / frequency), jnp.eye(2)
     a, b = jnp.linalg.solve(
         identity - flow_matrix, jnp.array([0.0, -1.0]) - flow_matrix @ jnp.stack([0.0 * restitution, restitution])
@@ -75,7 +134,7 @@ def _flow_matrix(frequency, damping, time):
 
 
 def equivalent_amplitude(effective_amplitude, frequency, damping, motion):
-    """The larger drive amplitude that acts like another one on a fixed wall, where the wall moves with the drive.
+    """Return the larger drive amplitude with a moving wall that is equivalent to another amplitude with a fixed wall.
 
     Seen from a wall at s + B cos(omega t + phase) the drive is A - B exp(i phase) (1 - omega^2 + 2 i gamma omega).
     """
@@ -84,18 +143,18 @@ def equivalent_amplitude(effective_amplitude, frequency, damping, motion):
 
 
 def meeting_frequency(damping):
-    """The highest frequency at which the saddle-node's curve meets the grazing's: sin(pi r / omega) = 0, r = omega."""
+    """Return the highest frequency at which saddle-node and grazing meet: sin(pi r / omega) = 0, r = omega."""
     return jnp.sqrt((1.0 - damping) * (1.0 + damping))
 
 
 @jax.jit
 def coexistence_width(frequency, damping, restitution):
-    """sqrt(D) - A_c: how far P100 and P111 exist together."""
+    """Return sqrt(D) - A_c, the range of amplitudes in which P100 and P111 coexist."""
     return grazing_amplitude(frequency, damping) - symmetric_fold(frequency, damping, restitution)[0]
 
 
 def coexistence_area(damping, restitution, max_frequency, n_nodes):
-    """The area in (A, omega) between the curves, from where they meet up to a frequency (Gauss and Legendre)."""
+    """Return the area in (A, omega) between the loci up to a frequency, by Gauss-Legendre quadrature."""
     abscissae, weights = np.polynomial.legendre.leggauss(n_nodes)
     min_frequency = meeting_frequency(damping)
     half_range = 0.5 * (max_frequency - min_frequency)

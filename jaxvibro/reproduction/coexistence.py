@@ -1,4 +1,4 @@
-"""Figure 12: between which amplitudes P100 and P111 exist together, at all frequencies, for some dampings."""
+"""Reproduce figure 12: the region in amplitude and frequency in which P100 and P111 coexist, for several dampings."""
 
 from dataclasses import replace
 from typing import NamedTuple
@@ -19,30 +19,28 @@ from . import closed_forms
 from .claim import own_claim, statement_claim
 from .panels import FigureResult, add_legend, figure_style, make_figure, panel_files, png_bytes, trim_labels
 
-N_NODES = (32, 48)  # of Gauss and Legendre's rule; the difference is the error bar
-DIFFERENCE_STEP = 1e-3  # of the parameter in a derivative by differences
-LEFT_WALL = -1.5  # where the left wall stands in the row of unequal walls
-MEETING_TOLERANCE = 0.1  # of omega = 1: what counts as near
-START_FRACTION, SAME_AMPLITUDE = (
-    0.02,
-    1e-9,
-)  # of the way from a saddle-node to the grazing: where P111 is looked for; of amplitudes
-FIRST_STEP_RATIO, LARGEST_STEP_RATIO = 0.1, 0.3  # steps along a branch, of the speed at its saddle-node
-N_FREQUENCIES = 8  # frequencies at which a motion between the curves is looked for
-AMPLITUDE_RANGE, FREQUENCY_RANGE = (0.0, 9.0), (0.55, 3.0)  # ranges of amplitude and frequency in the upper picture
-TONGUE_AMPLITUDES, TONGUE_FREQUENCIES = (0.68, 1.0), (0.2, 0.55)  # in the lower
-MIN_VISIBLE_WIDTH = 0.05  # a tongue as wide is shaded
+N_NODES = (32, 48)  # of Gauss-Legendre quadrature; the difference is the error bar
+DIFFERENCE_STEP = 1e-3  # step of the parameter in central differences
+LEFT_WALL = -1.5  # position of the left wall in the claim on unequal walls
+MEETING_TOLERANCE = 0.1  # distance from omega = 1 that counts as near
+# P111 is sought at a fraction of the distance from the saddle-node to the grazing; tolerance of equal amplitudes.
+START_FRACTION, SAME_AMPLITUDE = 0.02, 1e-9
+FIRST_STEP_RATIO, LARGEST_STEP_RATIO = 0.1, 0.3  # continuation steps, relative to the speed at the saddle-node
+N_FREQUENCIES = 8  # frequencies at which coexistence is checked
+AMPLITUDE_RANGE, FREQUENCY_RANGE = (0.0, 9.0), (0.55, 3.0)  # of the upper panel
+TONGUE_AMPLITUDES, TONGUE_FREQUENCIES = (0.68, 1.0), (0.2, 0.55)  # of the lower panel
+MIN_VISIBLE_WIDTH = 0.05  # wider tongues are shaded
 
 CAPTION = (
-    "Where P100 and P111 exist together: between the locus of the saddle-node (solid, with the closed form (19) as "
-    "dots) and that of the grazing (dotted), for the dampings gamma written there; below, enlarged, the tongues at "
-    "lower frequencies, where sin(pi r / omega) > 0 again, those of larger damping too thin to be seen. P111 may "
-    "graze in them before P100 does, and goes on with more impacts."
+    "Coexistence of P100 and P111: between the locus of the saddle-node (solid, with the closed form (19) as "
+    "dots) and that of the grazing (dotted), for the dampings gamma in the figure; below, enlarged, the tongues at "
+    "lower frequencies, where sin(pi r / omega) > 0 again; those of larger damping are too thin to be visible. P111 "
+    "may graze in them before P100 does and then continues with more impacts."
 )
 
 
 def reproduce_figure(file, progress):
-    """Figure 12 and its claims."""
+    """Reproduce figure 12 and its claims."""
     results = []
     for panel_file in tqdm(panel_files(file), "loci", disable=not progress):
         scene = panel_file.scene.make()
@@ -59,7 +57,7 @@ def reproduce_figure(file, progress):
 
 
 def boundary_loci(scene, file):
-    """(locus of the saddle-node of P111, that of the grazing of P100) as a scene file's [locus] asks."""
+    """Return the loci of the saddle-node of P111 and of the grazing of P100, by the [locus] table of a scene file."""
     explore_table, locus_table = file.explore, file.locus
     branches = explore(
         scene, explore_table.parameter, explore_table.bounds, explore_table.max_period, explore_table.seed
@@ -75,8 +73,10 @@ def boundary_loci(scene, file):
 
 
 class Tongue(NamedTuple):
-    """fold: the `Locus` of the saddle-node; frequency: one within; grazing_amplitude: the amplitude at which P111
-    grazes there before P100 does, nan where it does not."""
+    """Tongue of the coexistence region: its saddle-node `Locus`, a frequency, and an earlier grazing.
+
+    At this frequency P111 grazes at `grazing_amplitude` before P100 does; nan if it does not.
+    """
 
     fold: Locus
     frequency: float
@@ -84,7 +84,7 @@ class Tongue(NamedTuple):
 
 
 def find_tongues(scene, file):
-    """The `Tongue`s below the region, omega from r / (2 k + 1) to r / (2 k), k = 1, 2, ..., down to the lowest."""
+    """Return the tongues below the region, omega from r / (2 k + 1) to r / (2 k), k = 1, 2, ..."""
     locus_table, restitution, damping = file.locus, float(scene.restitution), float(scene.damping)
     min_frequency, meeting_frequency, tongues = (
         locus_table.bounds["frequency"][0],
@@ -99,10 +99,11 @@ def find_tongues(scene, file):
             frequency=frequency, amplitude=fold_amplitude + START_FRACTION * (grazing_amplitude - fold_amplitude)
         )
         orbit = find_orbit(start_scene, closed_forms.symmetric_start(start_scene), periods=1, settle=0)
+        # A tongue may be very thin.
         steps = {
             "first_step": FIRST_STEP_RATIO * speed,
             "largest_step": LARGEST_STEP_RATIO * speed,
-        }  # a tongue may be very thin
+        }
         branch = follow(orbit, "amplitude", (0.5 * fold_amplitude, grazing_amplitude), stop="GR", **steps)
         (point,) = branch.points("SN")
         earlier_grazings = [
@@ -114,8 +115,10 @@ def find_tongues(scene, file):
 
 
 def area_between(fold, grazing):
-    """(the area in (A, omega) between two loci up to the highest frequency, its error): of splines through all and
-    through every other of their points."""
+    """Return the area in (A, omega) between two loci up to the highest frequency, and its error.
+
+    The error is the difference of splines through all points and through every second point.
+    """
     fine, coarse = (
         _spline_area(*(_every_nth_point(boundary.values, step) for boundary in (fold, grazing))) for step in (1, 2)
     )
@@ -123,7 +126,7 @@ def area_between(fold, grazing):
 
 
 def _every_nth_point(curve, step):
-    """Every so many points of a curve, its ends among them."""
+    """Return every n-th point of a curve, including its ends."""
     return curve[np.unique(np.append(np.arange(0, len(curve), step), len(curve) - 1))]
 
 
@@ -144,7 +147,7 @@ def _frequency_span(curve):
 
 
 def _closed_form_area(scene, max_frequency):
-    """((area, error), (its derivatives by damping and restitution, error)) in closed form, up to a frequency."""
+    """Return ((area, error), (derivatives in damping and restitution, error)) in closed form, up to a frequency."""
     params = float(scene.damping), float(scene.restitution)
     areas = [float(closed_forms.coexistence_area(*params, max_frequency, n_nodes)) for n_nodes in N_NODES]
     gradients = [
@@ -155,16 +158,16 @@ def _closed_form_area(scene, max_frequency):
 
 
 def _closed_form_claims(file, scene, fold, grazing, tongues):
-    """That the continued loci are the closed forms, in their points and in the area between them."""
+    """Yield the claims that the continued loci agree with the closed forms, in points and area."""
     damping = float(scene.damping)
     text = f"the SN of P111 is A_c of (19), gamma {damping:g} (largest difference along the locus)"
     yield own_claim("12", text, (_max_difference(scene, fold), 0.0), high=1e-10)
     for tongue in tongues:
         lower, upper = _frequency_span(tongue.fold.values)
         grazing_text = (
-            "it does not graze before P100"
+            "P111 does not graze before"
             if np.isnan(tongue.grazing_amplitude)
-            else f"it grazes itself at {tongue.grazing_amplitude:.6g}"
+            else f"P111 grazes at {tongue.grazing_amplitude:.6g}"
         )
         fold_amplitude, grazing_amplitude = (float(value) for value in _boundary_amplitudes(scene, tongue.frequency))
         text = (
@@ -184,7 +187,7 @@ def _closed_form_claims(file, scene, fold, grazing, tongues):
 
 
 def _max_difference(scene, fold):
-    """The largest difference between a locus and A_c, where the closed form's speed is above 0."""
+    """Return the largest difference between a locus and A_c, where the speed of the closed form is positive."""
     amplitudes, frequencies = fold.values.T
     exact_amplitudes, speeds = jax.vmap(closed_forms.symmetric_fold, (0, None, None))(
         frequencies, float(scene.damping), float(scene.restitution)
@@ -193,7 +196,7 @@ def _max_difference(scene, fold):
 
 
 def _boundary_amplitudes(scene, frequency):
-    """(A_c, sqrt(D)) at a frequency."""
+    """Return (A_c, sqrt(D)) at a frequency."""
     damping = float(scene.damping)
     return closed_forms.symmetric_fold(frequency, damping, float(scene.restitution))[0], closed_forms.grazing_amplitude(
         frequency, damping
@@ -201,7 +204,7 @@ def _boundary_amplitudes(scene, frequency):
 
 
 def _monotonicity_claims(file, scenes):
-    """How the area and the width change."""
+    """Yield the claims on the changes of area and width."""
     max_frequency = file.locus.bounds["frequency"][1]
     gradients = [_closed_form_area(scene, max_frequency)[1] for scene in scenes]
     error = max(gradient[1] for gradient in gradients)
@@ -225,7 +228,7 @@ def _monotonicity_claims(file, scenes):
 
 
 def _coexistence_claims(file, results):
-    """That P111 lasts between the curves, where P100 does."""
+    """Yield the claims that P111 is stable between the loci, where P100 is."""
     max_frequency = file.locus.bounds["frequency"][1]
     for scene, *_ in results:
         damping = float(scene.damping)
@@ -236,15 +239,14 @@ def _coexistence_claims(file, results):
                 scene.replace(frequency=frequency, amplitude=0.5 * (fold_amplitude + grazing_amplitude))
             )
         text = (
-            f"between the curves P100 and P111 exist together, gamma {damping:g} (of {N_FREQUENCIES} points in the"
-            " middle, "
-            "those without a stable P111)"
+            f"P100 and P111 coexist between the curves, gamma {damping:g} (number of"
+            f" {N_FREQUENCIES} points in the middle without a stable P111)"
         )
         yield statement_claim("12", text, (float(n_missing), 0.0), high=0.0)
 
 
 def _is_p111_stable(scene):
-    """Whether a P111, symmetric or not, is stable: where the closed form's motion settles."""
+    """Return True if the motion that starts on the closed form approaches a stable P111, symmetric or not."""
     try:
         orbit = find_orbit(scene, closed_forms.symmetric_start(scene))
     except OrbitError:
@@ -253,7 +255,7 @@ def _is_p111_stable(scene):
 
 
 def _meeting_claims(file, results):
-    """Where the two curves meet."""
+    """Yield the claims on the meeting of the two loci."""
     min_frequency = file.locus.bounds["frequency"][0]
     for scene, fold, _, tongues in results:
         damping, (meeting_frequency, _) = float(scene.damping), _frequency_span(fold.values)
@@ -272,7 +274,7 @@ def _meeting_claims(file, results):
         reason = f"They meet at sqrt(1 - gamma^2) = {exact_frequency:.6g}{meetings_text}."
         text = (
             f"the curves meet near omega = 1, to within {MEETING_TOLERANCE:g}, gamma {damping:g} (the highest"
-            " omega where they do)"
+            " omega of a meeting)"
         )
         yield statement_claim(
             "12",
@@ -285,7 +287,7 @@ def _meeting_claims(file, results):
 
 
 def _unequal_walls_claim(file):
-    """The area between other walls, where there is no closed form, with its derivatives."""
+    """Return the claim on the area between unequal walls, which have no closed form, and its derivatives."""
     file = panel_files(file)[0]
     scene = file.scene.make().replace(**{"left.position": LEFT_WALL})
     total_area, error = area_between(*boundary_loci(scene, file))
@@ -298,8 +300,8 @@ def _unequal_walls_claim(file):
         )
         derivatives.append((area_above - area_below) / (2.0 * DIFFERENCE_STEP))
     text = (
-        f"walls at {LEFT_WALL:g} and 1, gamma {float(scene.damping):g}: the region is there too, its area's"
-        " derivative by "
+        f"walls at {LEFT_WALL:g} and 1, gamma {float(scene.damping):g}: the region exists too; the derivative of"
+        " its area by "
         f"gamma is {derivatives[0]:.4g}, by R {derivatives[1]:.4g} (area)"
     )
     return own_claim("12", text, (total_area, error), low=0.0)
@@ -327,14 +329,13 @@ def _picture(file, results):
         ax.set(xlim=amplitude_range, ylim=frequency_range)
     upper_ax.set_ylim(top=file.locus.bounds["frequency"][1])
     trim_labels(axes_grid, shared=False, max_ticks=9)
-    add_legend(
-        figure, axes_grid, columns=2, excluded_gids={patch.get_gid() for patch in upper_ax.patches}
-    )  # gamma: in the picture
+    # The panel itself shows gamma.
+    add_legend(figure, axes_grid, columns=2, excluded_gids={patch.get_gid() for patch in upper_ax.patches})
     return png_bytes(figure)
 
 
 def _select_special_points(curve, bounds):
-    """A locus with its special points within some frequencies alone, and its ends."""
+    """Return a locus with its ends and only the special points in a range of frequencies."""
     inside_points = [
         special
         for special in curve.special
@@ -353,6 +354,6 @@ def _draw_closed_form(scene, fold, ax, colour):
 
 
 def _max_width(scene, fold):
-    """How far a locus is below the grazing of P100 at most."""
+    """Return the largest distance in amplitude of a locus below the grazing of P100."""
     amplitudes, frequencies = fold.values.T
     return float((np.asarray(closed_forms.grazing_amplitude(frequencies, float(scene.damping))) - amplitudes).max())

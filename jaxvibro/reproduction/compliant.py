@@ -1,4 +1,4 @@
-"""Figure 9: the compliant wall: force against position, and what a motion in and out of contact looks like."""
+"""Reproduce figure 9: spring force and motion with compliant walls."""
 
 import numpy as np
 
@@ -13,13 +13,13 @@ LINE_STYLES = ("-", "--")
 START_STATE = State(0.9, -1.1)
 
 CAPTION = (
-    "The compliant walls at -1 and 1, for two stiffnesses: the force of the springs against position; the motion that "
-    "the mass settles on in the phase plane; and in time. Shaded is where the mass is in contact."
+    "The compliant walls at -1 and 1, for two stiffnesses: the force of the springs against position, and the "
+    "attractor in the phase plane and in time. Contact is shaded."
 )
 
 
 def reproduce_figure(file, progress):
-    """Figure 9; it has no claims."""
+    """Reproduce figure 9, which has no claims."""
     motions = []
     for panel_file in panel_files(file):
         scene = panel_file.scene.make()
@@ -30,7 +30,7 @@ def reproduce_figure(file, progress):
 
 
 def spring_force(scene, x):
-    """The force of the springs on the mass at x, towards 0: x, and k2 (x - x_b) within a wall (39)."""
+    """Return the restoring force of the springs on the mass at x: x, and k2 (x - x_b) inside a wall (39)."""
     forces = np.array(x)
     for sign, wall in ((-1.0, scene.left), (1.0, scene.right)):
         position, stiffness = float(wall.position), float(wall.stiffness)

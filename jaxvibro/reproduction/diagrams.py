@@ -1,4 +1,4 @@
-"""Figures 4, 6 and 7: diagrams against the amplitude, swept and followed."""
+"""Reproduce figures 4, 6 and 7: bifurcation diagrams against the amplitude, by sweeps and continuation."""
 
 import math
 from itertools import combinations
@@ -16,18 +16,19 @@ from .panels import FigureResult, add_legend, figure_style, make_figure, png_byt
 from .special_points import ROUNDING, explore_twice, nearest_special, neighbour_labels, special_value
 
 N_STARTS = 100
-N_AMPLITUDES = 25  # amplitudes between two at which stable motions are counted
-GRAZING_RANGE, MAX_PERIODS = 0.05, 8  # how far from an amplitude, and up to how many periods, grazings are looked for
-CROWD_SHARE, RANGE_MARGIN = 2.0 / 3.0, 0.05  # of all special points; of their range, at its ends
+N_AMPLITUDES = 25  # amplitudes at which stable motions are counted
+GRAZING_RANGE, MAX_PERIODS = 0.05, 8  # search range of grazings: distance in amplitude, and largest period
+# Fraction of the special points in the lower panel, and margin relative to its range.
+CROWD_SHARE, RANGE_MARGIN = 2.0 / 3.0, 0.05
 CAPTION = (
-    "x and v at phase 0 of the drive against its amplitude: swept down and up (dots), and all periodic motions; below, "
-    "x where most special points are."
+    "x and v at phase 0 of the drive against its amplitude: sweeps down and up (dots), and all periodic motions; "
+    "below, x in the range of most special points."
 )
-TURN_NOTE = "No motion of this branch exists below the value beside: it turns there."
+TURN_NOTE = "This branch turns at the computed value and does not exist below it."
 
 
 def reproduce_figure_4(file, progress):
-    """Figure 4 and its claims."""
+    """Reproduce figure 4 and its claims."""
     results, diagrams = _run_study(file, progress)
     diagram, birth, doubling = (
         diagrams.first,
@@ -62,20 +63,22 @@ def reproduce_figure_4(file, progress):
 
 
 def _four_motions_claim(diagram, lower, upper):
-    """That four motions last from where P112 is born to where it doubles its period."""
+    """Return the claim that four attractors exist between the birth of P112 and its period doubling."""
     stable_labels = [
         stable_labels_at(diagram.branches, item) for item in np.linspace(lower, upper, N_AMPLITUDES + 2)[1:-1]
     ]
     counts = [len(item) for item in stable_labels]
     labels_text = " or ".join(sorted({", ".join(sorted(item)) for item in stable_labels}))
     count_range = 0.5 * (max(counts) + min(counts)), 0.5 * (max(counts) - min(counts))
-    text = f"four motions last between SN2 and PD (stable ones at {N_AMPLITUDES} amplitudes between: {labels_text})"
+    text = f"four motions are stable between SN2 and PD (at {N_AMPLITUDES} amplitudes: {labels_text})"
     return statement_claim("4", text, count_range, low=4.0, high=4.0)
 
 
 def _pair_grazing_claim(scene, diagrams, printed, periods):
-    """The grazing of orbits of so many periods nearest to a printed amplitude, and what else grazes there: of all
-    orbits of up to `MAX_PERIODS` periods the nearest."""
+    """Return the claim on the grazing of orbits of some period nearest to a printed amplitude.
+
+    The reason names the nearest grazing of all orbits of up to `MAX_PERIODS` periods.
+    """
     printed_value = float(printed)
     local_diagram = explore(
         scene, "amplitude", (printed_value - GRAZING_RANGE, printed_value + GRAZING_RANGE), MAX_PERIODS
@@ -99,12 +102,12 @@ def _pair_grazing_claim(scene, diagrams, printed, periods):
     ]
     birth_text = f", born in an SN at {max(births):.9g}," if births else ""
     reason = (
-        f"Of all orbits of up to {MAX_PERIODS} periods the nearest to graze is"
+        f"The nearest grazing of orbits of up to {MAX_PERIODS} periods is that of"
         f" {' and '.join(grazing_labels or [grazing_point.label])}, of "
         f"period {len(grazing_point.itinerary)}{birth_text} at {grazing_point.value:.9g}."
     )
     if claimed_point is not None:
-        reason += f" Of period {periods} it is {claimed_point.label}, at {claimed_point.value:.9g}."
+        reason += f" That of period {periods} belongs to {claimed_point.label}, at {claimed_point.value:.9g}."
     text = f"GB2, where a period-{periods} pair grazes"
     return number_claim(
         "4", text, printed, special_value(diagrams, "GR", target=printed_value, periods=periods), reason
@@ -112,7 +115,7 @@ def _pair_grazing_claim(scene, diagrams, printed, periods):
 
 
 def _stability_note(diagram, amplitude, label="P111"):
-    """That a motion is stable at an amplitude, by its multipliers there."""
+    """Return the note that an orbit is stable at an amplitude, with its multipliers."""
     magnitudes = []
     for branch in diagram.branches:
         for segment in (candidate for candidate in branch.segments if candidate.label == label):
@@ -138,7 +141,7 @@ EVENTS = {
 
 
 def reproduce_figure_6(file, slower_file, progress):
-    """Figure 6 and its claims, which compare it with figure 4, whose scene file is the other one."""
+    """Reproduce figure 6 and its claims, which compare it with figure 4, the second scene file."""
     results, diagrams = _run_study(file, progress)
     slower_diagrams = explore_twice(slower_file.scene.make(), slower_file.explore)
     fast_values, slow_values = (
@@ -150,8 +153,8 @@ def reproduce_figure_6(file, slower_file, progress):
         if (fast_values[item][0] < fast_values[next_item][0]) != (slow_values[item][0] < slow_values[next_item][0])
     ]
     order_text = " < ".join(sorted(fast_values, key=lambda name: fast_values[name][0]))
-    reason = f"Here {order_text}: exchanged are {'; '.join(exchanges)}."
-    text = "the same order of events as in figure 4 (number of pairs exchanged)"
+    reason = f"The order is {order_text}; exchanged are {'; '.join(exchanges)}."
+    text = "the same order of events as in figure 4 (number of exchanged pairs)"
     least_event = min(fast_values, key=lambda name: fast_values[name][0] - slow_values[name][0])
     difference = (
         fast_values[least_event][0] - slow_values[least_event][0],
@@ -159,19 +162,19 @@ def reproduce_figure_6(file, slower_file, progress):
     )
     claims = [
         statement_claim("6", text, (float(len(exchanges)), 0.0), high=0.0, reason=reason),
-        statement_claim("6", f"each at a larger A (the least difference, of {least_event})", difference, low=0.0),
+        statement_claim("6", f"each at a larger A (least difference, of {least_event})", difference, low=0.0),
     ]
     return _figure_result(results, claims)
 
 
 def reproduce_figure_7(file, progress):
-    """Figure 7 and its claims."""
+    """Reproduce figure 7 and its claims."""
     results, diagrams = _run_study(file, progress)
     diagram, grazing = diagrams.first, special_value(diagrams, "GR", "P100")
     nearest_fold = nearest_special(diagram, "SN", 5.51)
     reason = f"The SN nearest to 5.51 is that of {nearest_fold.label}, at {nearest_fold.value:.9g}."
     claims = [
-        statement_claim("7", "no SB (number of such points)", (float(len(diagram.points("SB"))), 0.0), high=0.0),
+        statement_claim("7", "no SB (number of them)", (float(len(diagram.points("SB"))), 0.0), high=0.0),
         number_claim(
             "7", "P111 begins at an SN", "0.7", special_value(diagrams, "SN", "P111"), _stability_note(diagram, 0.7)
         ),
@@ -184,14 +187,12 @@ def reproduce_figure_7(file, progress):
 
 
 def _period_two_claims(diagrams, amplitude):
-    """That a motion of two periods follows the chaos, and where it grazes."""
+    """Yield the claims that a motion of period two follows the chaos, and on its grazing."""
     values = np.linspace(amplitude, diagrams.first.bounds[1], N_AMPLITUDES + 1)[1:]
     branches = [item for item in diagrams.first.branches if item.data.sizes["period"] == 2]
     stable_labels = [stable_labels_at(branches, item) for item in values]
     labels = ", ".join(sorted({label for item in stable_labels for label in item}))
-    text = (
-        f"then a period-2 pair (of {N_AMPLITUDES} amplitudes from {amplitude:g} on those with a stable one: {labels})"
-    )
+    text = f"then a period-2 pair (number of {N_AMPLITUDES} amplitudes above {amplitude:g} with a stable one: {labels})"
     yield statement_claim("7", text, (float(sum(map(bool, stable_labels))), 0.0), low=1.0)
     later_grazings = [
         item for item in diagrams.first.points("GR") if len(item.itinerary) == 2 and item.value > amplitude
@@ -203,22 +204,23 @@ def _period_two_claims(diagrams, amplitude):
 
 
 def _chaos_claims(figure, scene, printed, lower):
-    """That motion is chaotic at an amplitude: the largest exponent of all that lasts. And that chaos begins there:
-    where the first is found, from an amplitude on below which the motions are known."""
+    """Yield the claims that motion is chaotic at an amplitude, by the largest exponent, and that chaos begins there.
+
+    The onset is sought from an amplitude below which the motions are known.
+    """
     amplitude = float(printed)
     printed_scene = scene.replace(amplitude=amplitude)
     attractors = find_attractors(printed_scene, N_STARTS)
     exponent, excess = largest_exponent(printed_scene, attractors)
-    text = f"chaos at {printed} (largest exponent a period; what starts settle on: {shares_text(attractors)})"
+    text = f"chaos at {printed} (largest exponent per period; attractors: {shares_text(attractors)})"
     yield statement_claim(figure, text, exponent, low=0.0, excess=excess)
     onset_amplitude, onset_error, n_chaotic, onset_exponent = chaos_onset(scene, lower, amplitude)
     reason = (
         f"There is chaos at {onset_amplitude:.4g} already, from {n_chaotic} starts, with an exponent of"
-        f" {onset_exponent:.3g} a period; looked "
-        f"at were amplitudes {onset_error:g} apart."
+        f" {onset_exponent:.3g} per period; the amplitudes are {onset_error:g} apart."
     )
     yield number_claim(
-        figure, "chaos begins (the same number read as an onset)", printed, (onset_amplitude, onset_error), reason
+        figure, "chaos begins (the same number as an onset)", printed, (onset_amplitude, onset_error), reason
     )
 
 
@@ -250,7 +252,7 @@ def _picture(results):
 
 
 def _crowded_range(values):
-    """The least range that holds `CROWD_SHARE` of some values, and a little more."""
+    """Return the smallest range that contains `CROWD_SHARE` of some values, with a margin."""
     values = np.sort(values)
     count = math.ceil(CROWD_SHARE * len(values))
     start = int(np.argmin(values[count - 1 :] - values[: len(values) - count + 1]))

@@ -1,4 +1,4 @@
-"""Formulas of the paper as our copy reads, beside what they should say. No figure: numbers alone."""
+"""Compare formulas of the paper, as printed, with the correct ones, by numbers alone."""
 
 import numpy as np
 
@@ -11,14 +11,14 @@ from .claim import number_claim, own_claim, statement_claim
 from .panels import FigureResult
 from .special_points import ROUNDING, explore_twice, special_value
 
-TIME_STEP = 1e-5  # in time, of a derivative by differences
-START_STATE = State(0.9, -1.1)  # settles on P111
+TIME_STEP = 1e-5  # time step of a difference quotient
+START_STATE = State(0.9, -1.1)  # approaches P111
 TOLERANCE = 1e-9
-CAPTION = "Formulas, as our copy of the paper reads."
+CAPTION = "Formulas, as printed in our copy of the paper."
 
 
 def reproduce_formulas(file, progress):
-    """The claims on formulas, in the scene of a file."""
+    """Return the claims on formulas, in the scene of a file."""
     scene = file.scene.make()
     diagrams = explore_twice(scene, file.explore)
     claims = [
@@ -34,39 +34,37 @@ def reproduce_formulas(file, progress):
 
 
 def _damping_claim():
-    """The damping, by how fast M X'' + C X' + K X = 0 decays for M = K = 1, C = 0.1."""
+    """Return the claim on the damping, from the decay of M X'' + C X' + K X = 0 for M = K = 1, C = 0.1."""
     decay = -float(np.roots([1.0, 0.1, 1.0]).real[0])
     reason = "Free oscillations decay like exp(-gamma t), so that gamma = C / (2 M w0)."
     return number_claim("(3)", "gamma = C / (M w0): M = K = 1, C = 0.1", "0.10", (decay, 1e-15), reason)
 
 
 def _grazing_claim(scene, diagrams):
-    """Where P100 grazes."""
+    """Return the claim on the grazing of P100."""
     exact_amplitude = float(closed_forms.grazing_amplitude(float(scene.frequency), float(scene.damping)))
     located_amplitude, error = special_value(diagrams, "GR", "P100")
     text = (
-        f"P100 grazes at A = s sqrt(D), {exact_amplitude:.12g} at omega {float(scene.frequency):g} (located less that)"
+        f"P100 grazes at A = s sqrt(D), {exact_amplitude:.12g} at omega {float(scene.frequency):g}"
+        " (located value minus this)"
     )
     return statement_claim("(8)", text, (located_amplitude - exact_amplitude, error), low=-TOLERANCE, high=TOLERANCE)
 
 
 def _fold_claim(scene, diagrams):
-    """The saddle-node of P111, located, beside the closed form as it reads."""
+    """Return the claim that the saddle-node of P111 lies at the closed form as printed."""
     located_fold = special_value(diagrams, "SN", "P111")
     exact_amplitude = float(
         closed_forms.symmetric_fold(*(float(getattr(scene, key)) for key in ("frequency", "damping", "restitution")))[0]
     )
-    reason = (
-        f"A denominator is to be S sqrt(1 + C^2); our own derivation gives {exact_amplitude:.12g}, and so"
-        " says simulation."
-    )
+    reason = f"A denominator must be S sqrt(1 + C^2); our derivation gives {exact_amplitude:.12g}, as does simulation."
     return number_claim(
-        "(19)", f"A_c at omega {float(scene.frequency):g}, as (12) to (19) read", "1.334", located_fold, reason
+        "(19)", f"A_c at omega {float(scene.frequency):g}, as (12) to (19) are printed", "1.334", located_fold, reason
     )
 
 
 def _flow_entry_claim(scene):
-    """The lower right entry of the free motion's matrix: the slope at time 0 of that entry of the flow."""
+    """Return the claim on the lower right entry of the matrix of the free motion, a slope of the flow at time 0."""
     damping = float(scene.damping)
     (_, _, entry), _ = flight_responses(*(np.float64(value) for value in (scene.frequency, damping, TIME_STEP)))
     slope = (float(entry) - 1.0) / TIME_STEP
@@ -76,12 +74,12 @@ def _flow_entry_claim(scene):
 
 
 def _multiplier_claims(scene):
-    """Whose eigenvalues the multipliers are, and the determinant of M, on the motion that lasts."""
+    """Yield the claims on the multipliers and on the determinant of M, on an attractor."""
     orbit = find_orbit(scene, START_STATE)
     duration, damping = 2.0 * np.pi * orbit.periods / float(scene.frequency), float(scene.damping)
     larger_multiplier, flight_multiplier = abs(orbit.multipliers[0]), np.exp(-damping * duration)
     reason = f"They are those of M = Q P ... Q P; P alone has abs(eigenvalue) {flight_multiplier:.6g}."
-    text = f"multipliers are eigenvalues of P, {orbit.label} (the larger less that of P)"
+    text = f"multipliers are eigenvalues of P, {orbit.label} (modulus of the larger minus that of P)"
     yield statement_claim(
         "(37)", text, (float(larger_multiplier - flight_multiplier), 1e-9), low=-1e-6, high=1e-6, reason=reason
     )

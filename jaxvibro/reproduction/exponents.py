@@ -1,4 +1,4 @@
-"""Figure 8: both Lyapunov exponents against the amplitude."""
+"""Reproduce figure 8: both Lyapunov exponents against the amplitude."""
 
 import numpy as np
 from tqdm import tqdm
@@ -11,15 +11,15 @@ from .claim import own_claim
 from .panels import FigureResult, figure_style, make_figure, png_bytes
 from .special_points import ROUNDING
 
-PERIODIC_AMPLITUDE = 2.0  # an amplitude at which the motion is P111
+PERIODIC_AMPLITUDE = 2.0  # amplitude at which the motion is P111
 CAPTION = (
-    "Both Lyapunov exponents, per drive period, against the drive's amplitude. Where the larger one is above 0 the "
-    "motion is chaotic; their sum tells how fast areas shrink."
+    "Both Lyapunov exponents, per drive period, against the drive amplitude. The motion is chaotic if the larger one "
+    "is positive; their sum is the contraction rate of areas."
 )
 
 
 def reproduce_figure(file, progress):
-    """Figure 8 and its claims."""
+    """Reproduce figure 8 and its claims."""
     scene, table = file.scene.make(), file.spectrum
     start = State(table.start.x, table.start.v)
     with tqdm(desc="spectrum", total=table.count, unit=" values", disable=not progress) as bar:
@@ -57,19 +57,19 @@ def _claims(scene, table, spectrum_data):
 
 
 def _sum_claim(scene, spectrum_data):
-    """The sum rule: areas shrink by damping and impacts alone."""
+    """Return the claim on the sum of the exponents: areas contract by damping and impacts alone."""
     expected_sum = -4.0 * np.pi * float(scene.damping) / float(scene.frequency)
     expected_sum = expected_sum + 2.0 * np.log(float(scene.restitution)) * spectrum_data["impacts"].values
     max_difference = float(np.nanmax(abs(spectrum_data["exponent"].values.sum(axis=1) - expected_sum)))
-    text = "the exponents' sum is -2 gamma T + 2 ln R x (impacts a period) (largest difference)"
+    text = "the sum of the exponents is -2 gamma T + 2 ln R x (impacts per period) (largest difference)"
     return own_claim("8", text, (max_difference, ROUNDING), high=1e-12)
 
 
 def _periodic_claim(scene, table, spectrum_data):
-    """At a periodic motion the exponents are ln abs(multiplier) / n."""
+    """Return the claim that the exponents of a periodic motion are ``ln|multiplier| / n``."""
     row = int(np.argmin(abs(table.values - PERIODIC_AMPLITUDE)))
     periodic_scene = scene.replace(**{table.parameter: table.values[row]})
     orbit = find_orbit(periodic_scene, State(table.start.x, table.start.v))
     difference = spectrum_data["exponent"].values[row] - np.log(abs(orbit.multipliers)) / orbit.periods
-    text = f"on {orbit.label} at A = {table.values[row]:g} they are ln abs(multiplier) a period (difference)"
+    text = f"on {orbit.label} at A = {table.values[row]:g} they are ln abs(multiplier) per period (difference)"
     return own_claim("8", text, (float(abs(difference).max()), ROUNDING), high=1e-9)

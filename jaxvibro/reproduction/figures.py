@@ -1,4 +1,4 @@
-"""The figures and what else is judged: the scene files that each needs, and what computes it."""
+"""List the jobs: the scene files of each figure, and the function that reproduces it."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -20,8 +20,10 @@ from .panels import FigureResult
 
 
 class FigureJob(NamedTuple):
-    """files: names of scene files, without ending; reproduce: called with them as `SceneFile`s, gives a
-    `panels.Drawn`."""
+    """Title, names of the scene files without ending, and a function of these `SceneFile` records.
+
+    The function returns a `panels.FigureResult`.
+    """
 
     title: str
     files: tuple[str, ...]

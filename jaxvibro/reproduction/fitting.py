@@ -1,4 +1,4 @@
-"""Numbers of a scene fitted to values of special points: by gradient to come close, by Gauss and Newton to finish."""
+"""Fit parameters of a scene to values of special points, by Adam and then by Gauss-Newton steps."""
 
 from typing import NamedTuple
 
@@ -8,18 +8,28 @@ from jaxtyping import Float
 
 from ..loci.point_continuation import ContinuedPoint, continue_point, parameter_gradient
 
-LEARNING_RATE, ADAM_TOLERANCE, MAX_ADAM_STEPS = (
-    0.02,
-    0.03,
-    80,
-)  # of Adam's steps; a misfit so small ends them; so many at most
-MAX_NEWTON_STEPS, NEWTON_TOLERANCE = 20, 1e-13  # of Newton's steps; one as short is the last
-EXISTENCE_FRACTION = 0.5  # of the way to where a point ends: nearer, its Newton's method may find another
+LEARNING_RATE, MAX_ADAM_STEPS = 0.02, 80
+ADAM_TOLERANCE = 0.03  # largest misfit at which Gauss-Newton steps begin
+MAX_NEWTON_STEPS, NEWTON_TOLERANCE = 20, 1e-13  # relative length of the last step
+EXISTENCE_FRACTION = 0.5  # of the distance to the end of a point, near which Newton's method may find another one
 
 
 class Fit(NamedTuple):
-    """values: the numbers fitted; misfits: value less target of each point; jacobian: d value / d number, (points,
-    numbers); converged: whether the last step was rounding; points: the `held_point.HeldPoint` there."""
+    """Fit of parameters to special points.
+
+    Attributes
+    ----------
+    values : ndarray of shape (numbers,)
+        Fitted parameters.
+    misfits : ndarray of shape (points,)
+        Value minus target of each point.
+    jacobian : ndarray of shape (points, numbers)
+        Derivatives of the values with respect to the parameters.
+    converged : bool
+        True if the last step was rounding.
+    points : tuple of ContinuedPoint
+        Special points at the fitted parameters.
+    """
 
     values: Float[np.ndarray, " numbers"]
     misfits: Float[np.ndarray, " points"]
@@ -29,15 +39,15 @@ class Fit(NamedTuple):
 
     @property
     def condition(self) -> float:
-        """Of the derivative: how much more one direction of the numbers is felt than another."""
+        """Condition number of the Jacobian."""
         return float(np.linalg.cond(self.jacobian))
 
 
 def fit_values(points, targets, start, lower, upper):
-    """The `Fit` of the least squares, from a start, within (low, high) of each number.
+    """Return the `Fit` of least squares from initial parameters, within bounds of each parameter.
 
-    points: `held_point.HeldPoint`, with the same numbers kept; targets: their values as they should be. Where a point
-    does not exist with the start's numbers, it starts on the way there, from the points' own.
+    `points` are `ContinuedPoint` records with the same parameters, and `targets` their desired values. If a point does
+    not exist at the initial parameters, the fit starts on the way there from the parameters of the points.
     """
     points, values = move_points(points, start)
     optimiser = optax.adam(LEARNING_RATE)
@@ -52,7 +62,7 @@ def fit_values(points, targets, start, lower, upper):
 
 
 def move_points(points, values):
-    """(points, numbers): the points where their numbers are these, or as near on the way as all of them exist."""
+    """Return (points, parameters), continued to these parameters, or as far as all points exist."""
     start, values = np.array(points[0].parameter_values), np.asarray(values, float)
     moves = [continue_point(point, values) for point in points]
     fraction = min(move_fraction for _, move_fraction in moves)
@@ -63,7 +73,7 @@ def move_points(points, values):
 
 
 def _misfits_and_jacobian(points, targets):
-    """(misfits, their derivatives)."""
+    """Return the misfits and their derivatives."""
     values = np.array([point.value for point in points])
     return values - np.asarray(targets), np.stack([parameter_gradient(point) for point in points])
 

@@ -1,7 +1,7 @@
-"""The paper's method in NumPy lanes: fixed-step Runge-Kutta 4, contact bracketed by halving and reversing the step.
+"""Integrate with the method of the paper: fixed-step Runge-Kutta of order 4, vectorised in NumPy.
 
-Cheng and Xu 2007: at a crossing the step is halved and reversed until the contact lies within 1e-6 of a step. Between
-walls at -1 and 1, from phase 0 on.
+Cheng and Xu 2007: at a crossing the step is halved and reversed until the contact lies within 1e-6 of a step. The walls
+are at -1 and 1, and the motion starts at phase 0.
 """
 
 from typing import NamedTuple
@@ -11,11 +11,11 @@ from jaxtyping import Bool, Float, Int
 
 BLOCK_SIZE = 8192
 BRACKET_WIDTH = 1e-6
-MAX_IMPACTS = 30  # impacts in a period: complete chatter has them without end, and a lane stops there
+MAX_IMPACTS = 30  # impacts per period; complete chatter has infinitely many, and a lane stops here
 
 
 class DriveParameters(NamedTuple):
-    """What is equal in all lanes: omega, gamma, R."""
+    """Parameters that all lanes share: omega, gamma, R."""
 
     frequency: float
     damping: float
@@ -23,7 +23,7 @@ class DriveParameters(NamedTuple):
 
 
 class SteppedLanes(NamedTuple):
-    """Lanes still on their way; move is the next step, beyond tells that the last one ended past a wall."""
+    """Unfinished lanes; `step` is the next step, and `is_beyond` is True if the last one ended beyond a wall."""
 
     row: Int[np.ndarray, " lanes"]
     x: Float[np.ndarray, " lanes"]
@@ -37,7 +37,10 @@ class SteppedLanes(NamedTuple):
 
 
 class StrobeResult(NamedTuple):
-    """ends: (n, 2), x and v after a period; sides, times: of the impacts, (n, room), 0 and inf in empty slots."""
+    """States after a period, of shape (n, 2), and sides and times of the impacts, of shape (n, max_impacts).
+
+    Empty slots have side 0 and time inf.
+    """
 
     ends: Float[np.ndarray, "rows 2"]
     sides: Int[np.ndarray, "rows room"]
@@ -45,7 +48,10 @@ class StrobeResult(NamedTuple):
 
 
 def fixed_step_strobe(params, states, steps, bracket=BRACKET_WIDTH, max_impacts=MAX_IMPACTS):
-    """`StrobeResult`: rows (x, v, A) one drive period on, in so many steps a period; bracket: of a step."""
+    """Return the `StrobeResult` of rows (x, v, A) after one drive period with a number of steps per period.
+
+    `bracket` is the final width of a contact bracket relative to a step.
+    """
     shape = len(states), max_impacts
     result = StrobeResult(states[:, :2].copy(), np.zeros(shape, np.int8), np.full(shape, np.inf))
     for start in range(0, len(states), BLOCK_SIZE):
@@ -54,7 +60,7 @@ def fixed_step_strobe(params, states, steps, bracket=BRACKET_WIDTH, max_impacts=
 
 
 def _run_block(params, rows, states, result, steps, bracket):
-    """Fills in the results of some rows."""
+    """Fill in the results of some rows."""
     period, max_impacts = 2.0 * np.pi / params.frequency, result.sides.shape[1]
     step_length = period / steps
     x, v, amplitude = states[rows].T.copy()
@@ -65,7 +71,7 @@ def _run_block(params, rows, states, result, steps, bracket):
         lanes, hit_lanes = _step_lanes(params, lanes, step_length, period, bracket)
         if hit_lanes.size:
             _apply_impacts(params, lanes, hit_lanes, result)
-        # the last step is exactly the time left, so what remains is rounding
+        # The last step equals the remaining time, so that the difference is rounding.
         is_done = (lanes.count == max_impacts) | (~lanes.is_searching & (period - lanes.time < 1e-9 * step_length))
         if is_done.any():
             result.ends[lanes.row[is_done]] = np.stack([lanes.x[is_done], lanes.v[is_done]], axis=1)
@@ -73,7 +79,7 @@ def _run_block(params, rows, states, result, steps, bracket):
 
 
 def _step_lanes(params, lanes, step_length, period, bracket):
-    """One step in every lane: the lanes, and which of them have just found their contact."""
+    """Return all lanes after one step, and the indices of those whose contact is found."""
     x, v = _runge_kutta_step(params, lanes.x, lanes.v, lanes.amplitude, lanes.time, lanes.step)
     time = lanes.time + lanes.step
     is_beyond = np.abs(x) > 1
@@ -89,7 +95,7 @@ def _step_lanes(params, lanes, step_length, period, bracket):
 
 
 def _runge_kutta_step(params, x, v, amplitude, time, step_length):
-    """Runge and Kutta's step of order 4, of a length that may be negative."""
+    """Return (x, v) after a Runge-Kutta step of order 4, whose length may be negative."""
     half_step, twice_damping = 0.5 * step_length, 2 * params.damping
     drive_start, drive_middle, drive_end = (
         amplitude * np.cos(params.frequency * (time + offset)) for offset in (0.0, half_step, step_length)
@@ -105,7 +111,7 @@ def _runge_kutta_step(params, x, v, amplitude, time, step_length):
 
 
 def _apply_impacts(params, lanes, hit_lanes, result):
-    """Puts lanes that found their contact on the wall, turns them round and notes the impact."""
+    """Place lanes with a contact on the wall, apply the restitution law and record the impact."""
     side = np.sign(lanes.x[hit_lanes])
     lanes.x[hit_lanes] = side
     lanes.v[hit_lanes] *= -params.restitution

@@ -1,4 +1,4 @@
-"""Figure 2: hysteresis of the sweeps at two frequencies, between symmetric walls and between others."""
+"""Reproduce figure 2: hysteresis of sweeps at two frequencies, between symmetric and unequal walls."""
 
 import numpy as np
 
@@ -10,21 +10,19 @@ from .panels import FigureResult, add_legend, figure_style, make_figure, panel_f
 from .special_points import explore_twice, special_value
 
 PANEL_LETTERS = "abcd"
-PRINTED_JUMPS = (
-    ("2.615", "0.40"),
-    ("4.33", "0.65"),
-)  # up and down, as printed, at the two frequencies between walls at 1
-MOTION_TOLERANCE = 1e-6  # from the motion without impacts
-LEG_TOLERANCE = 1e-3  # between two legs
+# Printed jumps up and down at the two frequencies, with walls at -1 and 1.
+PRINTED_JUMPS = ("2.615", "0.40"), ("4.33", "0.65")
+MOTION_TOLERANCE = 1e-6  # distance from the motion without impacts
+LEG_TOLERANCE = 1e-3  # difference of two legs
 
 CAPTION = (
-    "x at phase 0 of the drive against its amplitude, swept down and up, over the branches of periodic motions: "
+    "x at phase 0 of the drive against its amplitude, in sweeps down and up, over the branches of periodic motions, "
     "between walls at -1 and 1 (above) and at -1.5 and 1 (below), at two frequencies."
 )
 
 
 def reproduce_figure(file, progress):
-    """Figure 2 and its claims."""
+    """Reproduce figure 2 and its claims."""
     results = [run_studies(item, progress=progress) for item in panel_files(file)]
     loop_edges = [_loop_edges(item) for item in results]
     with figure_style():
@@ -44,7 +42,7 @@ def reproduce_figure(file, progress):
 
 
 def _loop_edges(results):
-    """((value, error) of the grazing of P100, that of the first saddle-node of P111)."""
+    """Return (value, error) of the grazing of P100 and of the first saddle-node of P111."""
     diagrams = explore_twice(results.scene, results.file.explore, results.diagram)
     return special_value(diagrams, "GR", "P100"), special_value(diagrams, "SN", "P111")
 
@@ -58,15 +56,18 @@ def _jump_claims(results, loop_edges, printed_jumps):
         ("up", "down"), loop_edges, event_names, printed_jumps, sweep_jumps, strict=True
     ):
         reason = (
-            f"It is {event}. Our own sweep, {results.file.sweep.count} values settled for {results.file.sweep.settle} "
-            f"periods, jumps between {jump[0]:.5g} and {jump[1]:.5g}: that depends on its steps and how it settles."
+            f"It is {event}. Our sweep of {results.file.sweep.count} values with transients of"
+            f" {results.file.sweep.settle} periods jumps between {jump[0]:.5g} and {jump[1]:.5g}, which depends on"
+            " steps and transients."
         )
         yield number_claim("2a", f"jump {direction} at {frequency_text}", printed_text, loop_edge, reason)
 
 
 def sweep_jump(results, leg):
-    """Between which two values a leg changes from the motion without impacts to another, or back to it: the last of
-    the one side and the first of the other, in the order of the sweep; nan where it does not."""
+    """Return the two consecutive values between which a leg changes from or to the motion without impacts.
+
+    They are in the order of the sweep; nan if the leg does not change.
+    """
     sweep, scene = results.swept.sel(leg=leg), results.scene
     values = sweep[sweep.attrs["swept"]].transpose("step", ...).values.ravel()
     frequency, damping = float(scene.frequency), float(scene.damping)
@@ -79,7 +80,7 @@ def sweep_jump(results, leg):
 
 
 def loop_ranges(sweep):
-    """The (low, high) of each range of values at which the legs of a sweep, one the other's way back, differ."""
+    """Return the (low, high) of each range of values in which two legs of a sweep in opposite directions differ."""
     values = sweep[sweep.attrs["swept"]].transpose("step", "leg").values
     down_leg, up_leg = sweep["x"].transpose("leg", "step", "period").values
     differs = abs(up_leg - down_leg[::-1]).max(axis=1) > LEG_TOLERANCE
@@ -88,7 +89,7 @@ def loop_ranges(sweep):
 
 
 def _wider_loop_claim(results, narrow_edges, wide_edges):
-    """That the interval with two motions is wider between unequal walls."""
+    """Return the claim that the interval with two motions is wider between unequal walls."""
     (wide_upper, wide_upper_error), (wide_lower, wide_lower_error) = wide_edges
     (narrow_upper, narrow_upper_error), (narrow_lower, narrow_lower_error) = narrow_edges
     difference = (
@@ -103,8 +104,8 @@ def _wider_loop_claim(results, narrow_edges, wide_edges):
     ranges_text = " and ".join(f"{lower:.4g} to {upper:.4g}" for lower, upper in loop_ranges(results.swept))
     reason = (
         f"P100 grazes at {wide_upper:.6g} here and {narrow_upper:.6g} there, P111 begins at {wide_lower:.6g} and"
-        f" {narrow_lower:.6g}. Our sweeps to "
-        f"and fro differ at {ranges_text}."
+        f" {narrow_lower:.6g}. The two sweeps "
+        f"differ at {ranges_text}."
     )
     return statement_claim(
         "2b", f"hysteresis is wider than in 2a ({loop_text}; the difference)", difference, low=0.0, reason=reason

@@ -1,4 +1,4 @@
-"""The paper's method of integration: what a contact bracketed to 1e-6 of a step leaves of a strobe."""
+"""Check the integration method of the paper, which brackets contacts to 1e-6 of a step."""
 
 import numpy as np
 
@@ -8,12 +8,12 @@ from .claim import own_claim, statement_claim
 from .fixed_step import BRACKET_WIDTH, MAX_IMPACTS, DriveParameters
 from .fixed_step import fixed_step_strobe as stepped
 
-N_STARTS, STEPS_PER_PERIOD = 4096, (100, 400, 1600)  # the steps in a period are not printed
-FINE_BRACKET = 1e-12  # of a step: a bracket that leaves the integrator's own error
+N_STARTS, STEPS_PER_PERIOD = 4096, (100, 400, 1600)  # the paper does not state the steps per period
+FINE_BRACKET = 1e-12  # relative to a step: the remaining error is that of the integrator
 
 
 def method_claims(scene):
-    """How near the contacts are, and what error that leaves of a strobe, in a scene with walls at -1 and 1."""
+    """Yield the claims on the accuracy of contacts and of the stroboscopic map, in a scene with walls at -1 and 1."""
     rng = np.random.default_rng(0)
     lower, upper = [-1.0, -3.0, 0.0], [1.0, 3.0, 6.0]
     states = rng.uniform(lower, upper, (N_STARTS, len(lower)))
@@ -32,31 +32,34 @@ def method_claims(scene):
     yield _bracket_claim(runs, 2.0 * np.pi / params.frequency)
     errors = np.array([[_median_error(run, exact_ends, exact_sides) for run in pair] for pair in runs])
     errors_text = "; ".join(
-        f"{steps} steps a period: {coarse:.2g}, the integrator alone {fine:.2g}"
+        f"{steps} steps per period: {coarse:.2g}, the integrator alone {fine:.2g}"
         for steps, (coarse, fine) in zip(STEPS_PER_PERIOD, errors, strict=True)
     )
     order = np.log(errors[-2, 0] / errors[-1, 0]) / np.log(STEPS_PER_PERIOD[-1] / STEPS_PER_PERIOD[-2])
-    text = f"that bracket makes a strobe's error fall like the step, not like its fourth power: {errors_text} (order)"
+    text = (
+        "with that bracket the error of a strobe decreases like the step, not like its fourth power:"
+        f" {errors_text} (order)"
+    )
     yield own_claim("method", text, (float(order), 0.1), low=0.8, high=1.2)
 
 
 def _bracket_claim(runs, period):
-    """How far the first contacts are from the integrator's own, in steps."""
+    """Return the claim on the distance of the first contacts from those of the integrator, in steps."""
     distances = []
     for (coarse, fine), steps in zip(runs, STEPS_PER_PERIOD, strict=True):
         is_same_wall = (coarse.sides[:, 0] == fine.sides[:, 0]) & (coarse.sides[:, 0] != 0)
         distances.append(abs(coarse.times[is_same_wall, 0] - fine.times[is_same_wall, 0]).max() * steps / period)
     steps_text = ", ".join(f"{steps}" for steps in STEPS_PER_PERIOD)
     text = (
-        f"a contact is bracketed to 1e-6 of a step (first contacts of {N_STARTS} starts, {steps_text} steps a"
-        " period; the "
-        "farthest from where the integrator crosses the wall, in steps)"
+        f"a contact is bracketed to 1e-6 of a step (first contacts of {N_STARTS} starts, {steps_text} steps"
+        " per period; largest "
+        "distance from the crossing of the integrator, in steps)"
     )
     return statement_claim("method", text, (float(max(distances)), 2.0 * FINE_BRACKET), high=BRACKET_WIDTH)
 
 
 def _median_error(run, exact_ends, exact_sides):
-    """The median error of the states after a period, of those that hit the walls that they should, once at least."""
+    """Return the median error of the states after a period, over motions with the exact sequence of impacts."""
     n_slots = min(exact_sides.shape[1], run.sides.shape[1])
     is_same = (run.sides[:, :n_slots] == exact_sides[:, :n_slots]).all(axis=1) & (exact_sides[:, 0] != 0)
     return float(np.median(abs(run.ends - exact_ends)[is_same].max(axis=1)))

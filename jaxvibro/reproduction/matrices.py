@@ -1,4 +1,4 @@
-"""The paper's matrices of a flight and of an impact, (24) and (35), beside the derivative of the strobe."""
+"""Compare the matrices of the paper for a flight and an impact, (24) and (35), with the derivative of the strobe."""
 
 import jax
 import numpy as np
@@ -11,14 +11,14 @@ from ..scene.wall import Motion, Wall
 from .claim import statement_claim
 from .special_points import ROUNDING
 
-AMPLITUDE = 6.0  # at which a period has several impacts
+AMPLITUDE = 6.0  # with several impacts per period
 START_STATES = (State(0.9, -1.1), State(0.0, 3.0), State(-0.5, -2.0))
-WALL_MOTION = (0.1, 0.5)  # amplitude and phase of the wall that moves
+WALL_MOTION = (0.1, 0.5)  # amplitude and phase of the moving wall
 TOLERANCE = 1e-9
 
 
 def matrix_claims(scene):
-    """Q as the factor of an impact, and its determinant, between walls that rest and one that moves."""
+    """Yield the claims on Q as the factor of an impact and on its determinant, for fixed walls and a moving one."""
     params = [AMPLITUDE, *(float(getattr(scene, key)) for key in ("frequency", "damping", "restitution"))]
     moving_wall = Wall(float(scene.right.position), motion=Motion(*WALL_MOTION))
     moving_scene = make_scene(*params, (float(scene.left.position), moving_wall))
@@ -36,7 +36,7 @@ def matrix_claims(scene):
             )
             determinant_errors.append(abs(impact_determinant ** (1.0 / len(impact_matrices)) - params[-1] ** 2))
             n_impacts += len(impact_matrices)
-    impacts_text = f"{n_impacts} impacts, on walls that rest and one that moves"
+    impacts_text = f"{n_impacts} impacts, on fixed walls and a moving one"
     text = (
         f"Q as in (35), in M = P Q P ... P: {impacts_text} (largest relative difference to the derivative of"
         " the strobe)"
@@ -49,13 +49,13 @@ def matrix_claims(scene):
 
 
 def _strobe_jacobian(scene, start):
-    """The derivative of the strobe by x and v, by forward mode, (2, 2)."""
+    """Return the derivative of the strobe with respect to x and v in forward mode, of shape (2, 2)."""
     derivative = jax.jacfwd(lambda x, v: strobe(scene, State(x, v))[0], (0, 1))(start.x, start.v)
     return np.array([[float(entry) for entry in row] for row in (derivative.x, derivative.v)])
 
 
 def _matrix_factors(params, scene, start, motion):
-    """(the P of each flight of a drive period, the Q of each impact between)."""
+    """Return (P of each flight in a drive period, Q of each impact between them)."""
     _, frequency, damping, _ = params
     _, impacts = strobe(scene, start, slots=REPLAY_SLOTS)
     is_impact = np.asarray(impacts.side) != 0
@@ -68,7 +68,7 @@ def _matrix_factors(params, scene, start, motion):
 
 
 def _flight_matrix(damping, duration):
-    """P of (24)."""
+    """Return P of (24)."""
     damped_frequency = np.sqrt(1.0 - damping**2)
     sine, cosine = np.sin(damped_frequency * duration), damped_frequency * np.cos(damped_frequency * duration)
     matrix = [[damping * sine + cosine, sine], [-sine, cosine - damping * sine]]
@@ -76,7 +76,7 @@ def _flight_matrix(damping, duration):
 
 
 def _impact_matrix(params, time, speed, side, motion):
-    """Q of (35); the right wall stands at 1 + B cos(omega t + phase), the left one at -1."""
+    """Return Q of (35); the right wall is at 1 + B cos(omega t + phase), the left one at -1."""
     (amplitude, frequency, damping, restitution), (wall_amplitude, phase) = params, motion
     wall_amplitude, angle = wall_amplitude * (side > 0), frequency * time + phase
     displacement, wall_velocity, wall_acceleration = wall_amplitude * np.array(

@@ -1,4 +1,4 @@
-"""The panels of a scene file: the same asked of several scenes. And the sheets that figures are drawn on."""
+"""Make the scene files of the panels of a figure, and the figures themselves."""
 
 from dataclasses import dataclass, field
 from io import BytesIO
@@ -12,14 +12,26 @@ from matplotlib.figure import Figure
 from ..scene.scene_table import make_scene_table
 from .claim import Claim
 
-DPI = 300  # per inch
-FIGURE_WIDTH = 5.0  # inches: at a column's width, 8.6 cm, texts are of 6 points; on a slide they are large enough
+DPI = 300  # dots per inch
+FIGURE_WIDTH = 5.0  # inches: text has 6 points at a column width of 8.6 cm and is large enough for slides
 RC_STYLE = {"font.size": 9.5, "axes.titlesize": 9.5, "legend.fontsize": 8.5, "axes.linewidth": 0.8}
 
 
 @dataclass(frozen=True, eq=False)
 class FigureResult:
-    """A figure computed. picture: a PNG's bytes, None where there is none; caption; claims; data: by an ending."""
+    """Recomputed figure.
+
+    Attributes
+    ----------
+    picture : bytes or None
+        Image as PNG; None for a job without a figure.
+    caption : str
+        Caption.
+    claims : tuple of Claim
+        Claims on the figure.
+    data : dict of str to Dataset
+        Data, by the ending of their file names.
+    """
 
     picture: bytes | None
     caption: str
@@ -28,7 +40,7 @@ class FigureResult:
 
 
 def panel_files(file):
-    """The scene file of each of its panels."""
+    """Return the scene file of each panel of a scene file."""
     scene = file.scene.make()
     return [
         msgspec.structs.replace(file, scene=make_scene_table(scene.replace(**values)), panels={})
@@ -37,15 +49,16 @@ def panel_files(file):
 
 
 def make_figure(rows, columns, height):
-    """(Figure, Axes in an array) for panels; height: of one of them, inches."""
+    """Return (Figure, array of Axes) for panels of a height in inches."""
     figure = Figure(figsize=(FIGURE_WIDTH, height * rows), layout="constrained")
     return figure, figure.subplots(rows, columns, squeeze=False)
 
 
 def trim_labels(axes_grid, shared=True, max_ticks=5):
-    """Labels at the sheet's edge alone, their symbols and units; numbers too where all panels have the same ranges.
+    """Keep labels at the edge of a figure only, as symbols and units, and numbers too if the panels share their ranges.
 
-    max_ticks: numbers along each panel, at most."""
+    `max_ticks` is the largest number of ticks on the x axis of a panel.
+    """
     for (row, column), ax in np.ndenumerate(axes_grid):
         x_label, y_label = (label[label.find("$") :] for label in (ax.get_xlabel(), ax.get_ylabel()))
         is_last = row + 1 == len(axes_grid) or not axes_grid[row + 1, column].axison
@@ -56,7 +69,7 @@ def trim_labels(axes_grid, shared=True, max_ticks=5):
 
 
 def add_legend(figure, axes_grid, columns=3, excluded_gids=()):
-    """One legend below all panels, each entry once; excluded_gids: group ids of what is left out."""
+    """Add one legend below all panels, each entry once, without artists that have one of `excluded_gids`."""
     entries = {}
     for ax in axes_grid.flat:
         for handle, text in zip(*ax.get_legend_handles_labels(), strict=True):
@@ -66,12 +79,12 @@ def add_legend(figure, axes_grid, columns=3, excluded_gids=()):
 
 
 def png_bytes(figure):
-    """A figure as a PNG's bytes."""
+    """Return a figure as the bytes of a PNG."""
     buffer = BytesIO()
     figure.savefig(buffer, format="png", dpi=DPI)
     return buffer.getvalue()
 
 
 def figure_style():
-    """The style that all figures share, for a `with` block in which they are drawn and saved."""
+    """Return the context manager of the style in which all figures are drawn and saved."""
     return rc_context(RC_STYLE)

@@ -1,4 +1,4 @@
-"""Figure 3: phase portraits of what the scene settles on at five amplitudes."""
+"""Reproduce figure 3: phase portraits at five amplitudes."""
 
 from typing import NamedTuple
 
@@ -18,18 +18,18 @@ from .panels import FigureResult, figure_style, make_figure, panel_files, png_by
 
 PANEL_LETTERS = "abcde"
 CLAIMED_LABELS = ("P100", "P111", "P111", "P112", "P121")  # in the order of the panels
-SYMMETRIC_PANEL, ASYMMETRIC_PANEL = 1, 2  # the panel said to be symmetric, the one said not to be
-SAMPLES_PER_PERIOD, CHAOTIC_PERIODS = 400, 60  # of a drive period; periods drawn of a chaotic motion
-ROUNDING, ASYMMETRY_TOLERANCE = 1e-9, 1e-6  # of an attractor's speeds; as different they are two
+SYMMETRIC_PANEL, ASYMMETRIC_PANEL = 1, 2  # panels that the paper calls symmetric and asymmetric
+SAMPLES_PER_PERIOD, CHAOTIC_PERIODS = 400, 60  # per drive period; drive periods of a chaotic motion
+ROUNDING, ASYMMETRY_TOLERANCE = 1e-9, 1e-6  # of impact speeds; a larger difference is an asymmetry
 
 CAPTION = (
-    "Phase portraits at five amplitudes: the motion that the paper names where it lasts, else that which most starts "
-    "settle on; where chaotic, 60 drive periods. Dots are the states at phase 0."
+    "Phase portraits at five amplitudes: the motion that the paper names if it is an attractor, else the attractor "
+    "with the largest basin; if chaotic, 60 drive periods. Dots are the states at phase 0."
 )
 
 
 def reproduce_figure(file, progress):
-    """Figure 3 and its claims."""
+    """Reproduce figure 3 and its claims."""
     results = []
     for panel_file in tqdm(panel_files(file), "portraits", disable=not progress):
         scene, table = panel_file.scene.make(), panel_file.attractors
@@ -43,7 +43,7 @@ def reproduce_figure(file, progress):
 
 
 class StableMotion(NamedTuple):
-    """What lasts: its label, a state on it, its drive periods (0: chaotic), its `Orbit` or None, share of starts."""
+    """Stable motion: label, state, drive periods (0 if chaotic), `Orbit` or None, and basin fraction."""
 
     label: str
     state: State
@@ -53,8 +53,7 @@ class StableMotion(NamedTuple):
 
 
 def _stable_motions(scene, attractors):
-    """The `StableMotion`s that last: the attractors that starts settle on, and P100 where it is stable, as its basin
-    may be too small for them."""
+    """Return the stable motions: the attractors, and a stable P100 whose basin may be too small to be sampled."""
     motions = [
         StableMotion(motion.label, motion.state, motion.periods, motion.orbit, motion.share)
         for motion in attractors
@@ -69,10 +68,10 @@ def _stable_motions(scene, attractors):
 
 
 def _existence_claim(panel, scene, motions, excess):
-    """That the motion claimed lasts; excess: how many unresolved ones there may be."""
+    """Return the claim that the named motion is an attractor; `excess` allows for unresolved ones."""
     text = f"{CLAIMED_LABELS[panel]} at A = {float(scene.amplitude):g} (number of such attractors)"
     n_matching = float(sum(_matches_claim(panel, motion) for motion in motions))
-    reason = f"What lasts there, and the share of starts that settle on it: {shares_text(motions)}."
+    reason = f"The attractors, with their shares of the starts: {shares_text(motions)}."
     return statement_claim(f"3{PANEL_LETTERS[panel]}", text, (n_matching, 0.0), low=1.0, reason=reason, excess=excess)
 
 
@@ -82,9 +81,9 @@ def _matches_claim(panel, motion):
 
 
 def _symmetry_claim(scene, motions):
-    """That a motion of those is symmetric: both walls are hit at one speed."""
-    reason = "The symmetry is broken before: see SB in figure 4."
-    text = f"symmetric at A = {float(scene.amplitude):g} (least difference of the impacts' speeds at the walls)"
+    """Return the claim that a named motion is symmetric, with equal impact speeds on both walls."""
+    reason = "The symmetry breaks at a smaller amplitude: see SB in figure 4."
+    text = f"symmetric at A = {float(scene.amplitude):g} (least difference of the impact speeds on the walls)"
     difference = min(_speed_differences(SYMMETRIC_PANEL, motions), default=np.nan)
     return statement_claim(
         f"3{PANEL_LETTERS[SYMMETRIC_PANEL]}", text, (difference, ROUNDING), high=ASYMMETRY_TOLERANCE, reason=reason
@@ -92,14 +91,14 @@ def _symmetry_claim(scene, motions):
 
 
 def _asymmetry_claim(scene, motions):
-    """That the motion is not symmetric."""
-    text = f"asymmetric at A = {float(scene.amplitude):g} (least difference of the impacts' speeds at the walls)"
+    """Return the claim that a named motion is asymmetric."""
+    text = f"asymmetric at A = {float(scene.amplitude):g} (least difference of the impact speeds on the walls)"
     difference = min(_speed_differences(ASYMMETRIC_PANEL, motions), default=np.nan)
     return statement_claim(f"3{PANEL_LETTERS[ASYMMETRIC_PANEL]}", text, (difference, ROUNDING), low=ASYMMETRY_TOLERANCE)
 
 
 def _speed_differences(panel, motions):
-    """The difference of the speeds at both walls of each motion that is meant."""
+    """Yield the difference of the impact speeds on the two walls for each motion that matches the claim."""
     for motion in (
         candidate for candidate in motions if candidate.orbit is not None and _matches_claim(panel, candidate)
     ):

@@ -1,4 +1,4 @@
-"""The report: every figure, and every claim beside what was computed: a page that needs no other file, and a text."""
+"""Write the report of all figures and claims as a self-contained HTML page and as Markdown."""
 
 import base64
 import html
@@ -9,9 +9,9 @@ COLUMN_TITLES = ("figure", "claim", "printed", "computed", "verdict", "reason")
 INTRODUCTION = (
     "Cheng and Xu, Periodic Motions, Bifurcation, and Hysteresis of the Vibro-Impact System, Mechanics Based Design of "
     "Structures and Machines 35(2), 2007, 179-203: figures and claims, recomputed. A verdict follows from the numbers "
-    "beside it: a printed number agrees where the computed one lies within half a unit of its last digit; a claim in "
-    "words holds where the number that it speaks of lies where it says. What the paper says is as our copy reads, a "
-    "scan, and in our own words."
+    "beside it: a printed number agrees if the computed one lies within half a unit of its last digit; a claim in "
+    "words holds if its number lies in the claimed range. Quotations follow our copy of the paper, a scan, in our own "
+    "words."
 )
 TABLE_TITLES = (("The paper's claims", False), ("Our own rows", True))
 CSS = """
@@ -26,7 +26,7 @@ td.verdict { font-weight: bold; white-space: nowrap; }
 
 
 def claim_rows(claims):
-    """The claims as rows of texts, see HEAD; a reason only where the claim is not right."""
+    """Return the claims as rows of texts in the order of `COLUMN_TITLES`; only wrong claims have a reason."""
     return [
         (
             claim.figure,
@@ -41,7 +41,7 @@ def claim_rows(claims):
 
 
 def verdict_counts(claims):
-    """How many claims got which verdict, in a sentence on the paper's and one on our own."""
+    """Return the number of claims with each verdict, as a sentence on the paper and one on the additional claims."""
     parts = [(title, [claim.verdict for claim in claims if claim.ours == ours]) for title, ours in TABLE_TITLES]
     return " ".join(
         f"{title}: {len(verdicts)}"
@@ -52,13 +52,13 @@ def verdict_counts(claims):
 
 
 def _claim_tables(claims):
-    """(title, claims) of each table that has any."""
+    """Return (title, claims) of each table that is not empty."""
     parts = [(title, [claim for claim in claims if claim.ours == ours]) for title, ours in TABLE_TITLES]
     return [(title, table_claims) for title, table_claims in parts if table_claims]
 
 
 def html_page(entries):
-    """The report as HTML. entries: (title, `panels.Drawn`) of each job."""
+    """Return the report as HTML, from (title, `panels.FigureResult`) of each job."""
     claims = [claim for _, result in entries for claim in result.claims]
     tables = [_html_table(title, table_claims) for title, table_claims in _claim_tables(claims)]
     figures = [_html_figure(title, result) for title, result in entries if result.picture]
@@ -99,7 +99,7 @@ def _html_figure(title, result):
 
 
 def markdown_text(entries):
-    """The report as Markdown. entries: (title, name of the picture's file or None, `panels.Drawn`) of each job."""
+    """Return the report as Markdown, from (title, image file or None, `panels.FigureResult`) of each job."""
     claims = [claim for *_, result in entries for claim in result.claims]
     lines = ["# The paper, recomputed", "", INTRODUCTION]
     for title, table_claims in _claim_tables(claims):

@@ -1,4 +1,4 @@
-"""Figure 10: the largest x against the frequency between compliant walls, and the numbers that the paper leaves out."""
+"""Reproduce figure 10: the frequency response between compliant walls, and the parameters that the paper omits."""
 
 from dataclasses import replace
 from itertools import pairwise, product
@@ -24,33 +24,30 @@ from .panels import FigureResult, add_legend, figure_style, make_figure, panel_f
 from .special_points import ROUNDING
 
 STIFFNESSES = (10, 50)
-PRINTED_FOLDS, PRINTED_GRAZING = ("1.48", "1.74"), "1.18"  # as printed
+PRINTED_FOLDS, PRINTED_GRAZING = ("1.48", "1.74"), "1.18"  # as printed in the paper
 CONTACT_DAMPINGS = ("left.damping", "right.damping")  # gamma2
 FIT_NAMES = ("amplitude", "damping", CONTACT_DAMPINGS)
 LOWER_BOUNDS, UPPER_BOUNDS = (0.05, 0.0, 0.0), (2.0, 0.5, 1.0)  # of A, gamma, gamma2
 FIT_STARTS = tuple(product((0.3, 0.6), (0.05, 0.2), (0.05, 0.4)))
-N_SAMPLES = 12  # values of gamma on either side of the fitted one at which an SN's slope is looked at
-GRAZING_FRACTION = 0.95  # of the gamma beyond which P100 grazes nowhere: the SN ends there too
-HALF_DIGIT = 0.005  # of a unit of the last digit printed
-SOLUTION_TOLERANCE = 1e-8  # between solutions
-FREQUENCY_OFFSET = 0.05  # of a jump's frequency: where but one motion lasts
-STIFFNESS_SERIES, TOP_FREQUENCIES = (
-    (10.0, 50.0, 250.0),
-    (1.2, 1.4),
-)  # stiffnesses, and frequencies on the top of all of their curves
+N_SAMPLES = 12  # values of gamma on either side of the fit at which the slope of an SN is checked
+GRAZING_FRACTION = 0.95  # relative to the gamma beyond which P100 does not graze and the SN does not exist
+HALF_DIGIT = 0.005  # half a unit of the last printed digit
+SOLUTION_TOLERANCE = 1e-8  # largest difference of equal solutions
+FREQUENCY_OFFSET = 0.05  # from the frequency of a jump to one with a single attractor
+STIFFNESS_SERIES = 10.0, 50.0, 250.0
+TOP_FREQUENCIES = 1.2, 1.4  # on the top of the curves of all these stiffnesses
 
 PEAK_LABEL = r"$\max|X|\,/\,d$"
 
 CAPTION = (
     "The largest x on the orbits against the drive's frequency, A = {0:g}, gamma2 = {1:g}, gamma = {2:.6f} fitted to "
-    "both saddle-nodes: P100 and P111, stable (solid) and unstable (dashed), for two stiffnesses of the walls. "
+    "both saddle-nodes. P100 and P111, stable (solid) and unstable (dashed), for two stiffnesses of the walls. "
     "P111 has another saddle-node within 1e-4 of the upper grazing, below its marker."
 )
 
 
 class FrequencyResponse(NamedTuple):
-    """Branches along the frequency; fold: the SN at which P111 ends above; grazing: the GR of P100 there; None where
-    there are none."""
+    """Branches in the frequency, the highest saddle-node of P111 and the highest grazing of P100, None without one."""
 
     branches: tuple[Branch, ...]
     fold: Special | None
@@ -58,7 +55,7 @@ class FrequencyResponse(NamedTuple):
 
 
 def reproduce_figure(file, progress):
-    """Figure 10 and its claims."""
+    """Reproduce figure 10 and its claims."""
     scenes, table = [panel_file.scene.make() for panel_file in panel_files(file)], file.branch
     initial_responses = [frequency_response(scene, table) for scene in scenes]
     printed_folds = [float(item) for item in PRINTED_FOLDS]
@@ -81,9 +78,10 @@ def reproduce_figure(file, progress):
 
 
 def frequency_response(scene, table):
-    """The `FrequencyResponse` of a scene as a scene file's [branch] asks, each branch up to its grazings.
+    """Return the `FrequencyResponse` of a scene by the [branch] table of a scene file, each branch up to its grazings.
 
-    P100 is followed from both ends of the range, P111 from the scene's own frequency."""
+    P100 is followed from both ends of the range, P111 from the frequency of the scene.
+    """
     lower, upper = table.bounds
     branches = [_follow_p100(scene, frequency, table) for frequency in (lower, upper)]
     branches.append(_follow_p111(scene, table))
@@ -96,7 +94,7 @@ def frequency_response(scene, table):
 
 
 def _follow_p100(scene, frequency, table):
-    """The branch of P100 from one frequency on."""
+    """Return the branch of P100 from a frequency."""
     scene = scene.replace(frequency=frequency)
     start = State(*forced_motion(float(scene.amplitude), frequency, float(scene.damping)))
     orbit = find_orbit(scene, start, periods=1, settle=0)
@@ -104,7 +102,7 @@ def _follow_p100(scene, frequency, table):
 
 
 def _follow_p111(scene, table):
-    """The branch of P111, None where the mass settles on none."""
+    """Return the branch of P111; None if the motion does not approach it."""
     start = State(table.start.x, table.start.v)
     try:
         orbit = find_orbit(scene, start, periods=1, itinerary=("RL",), settle=table.settle)
@@ -114,21 +112,21 @@ def _follow_p111(scene, table):
 
 
 def _fit_claims(responses, joint_fit):
-    """The three numbers at the gamma that suits both saddle-nodes best."""
+    """Yield the claims on the three numbers at the gamma that fits both saddle-nodes best."""
     gamma = float(joint_fit.values[0])
-    gamma_text = f"gamma {gamma:.6f}, the least squares of both SN"
+    gamma_text = f"gamma {gamma:.6f}, the least-squares fit to both SN"
     for stiffness, printed, point, response in zip(
         STIFFNESSES, PRINTED_FOLDS, joint_fit.points, responses, strict=True
     ):
         value = point.value, abs(point.value - response.fold.value) + ROUNDING
         yield number_claim("10", f"SN at k2 = {stiffness} ({gamma_text})", printed, value)
     value = responses[0].grazing.value, abs(responses[0].grazing.value - responses[1].grazing.value) + ROUNDING
-    reason = "It depends on A and gamma alone, and no gamma brings it to 1.18: see below."
+    reason = "It depends on A and gamma alone, and no gamma gives 1.18: see below."
     yield number_claim("10", f"GR, of P100 ({gamma_text})", PRINTED_GRAZING, value, reason)
 
 
 def _single_fit_claims(fold_points, printed_folds):
-    """What each saddle-node alone says of gamma."""
+    """Yield the claims on the gamma of each saddle-node alone."""
     fits = [
         fitting.fit_values([estimate], [value], estimate.parameter_values, LOWER_BOUNDS[1], UPPER_BOUNDS[1])
         for estimate, value in zip(fold_points, printed_folds, strict=True)
@@ -139,21 +137,21 @@ def _single_fit_claims(fold_points, printed_folds):
     )
     tolerance = HALF_DIGIT / abs(first_slope) + HALF_DIGIT / abs(second_slope)
     text = (
-        f"one gamma suits both SN: {estimate:.6f} from k2 = {STIFFNESSES[0]}, {other_estimate:.6f} from k2 ="
+        f"one gamma fits both SN: {estimate:.6f} from k2 = {STIFFNESSES[0]}, {other_estimate:.6f} from k2 ="
         f" {STIFFNESSES[1]} (difference)"
     )
     yield own_claim("10", text, (abs(estimate - other_estimate), ROUNDING), high=tolerance)
     for stiffness, point in zip(STIFFNESSES, fold_points, strict=True):
         max_slope, (lower, upper) = _slope_range(point)
         text = (
-            f"no other gamma from {lower:g} to {upper:.3f} does: the SN falls all the way, k2 = {stiffness}"
-            " (greatest slope)"
+            f"no other gamma from {lower:g} to {upper:.3f} does: the frequency of the SN decreases with gamma,"
+            f" k2 = {stiffness} (largest slope)"
         )
         yield own_claim("10", text, (max_slope, 1e-9), high=0.0)
 
 
 def _slope_range(point):
-    """(the greatest d value / d gamma, (low, high)) over the gammas at which both P100 grazes and the point exists."""
+    """Return (largest d value / d gamma, (low, high)) over the gammas at which P100 grazes and the point exists."""
     amplitude = float(point.problem.scene.amplitude)
     max_gamma = GRAZING_FRACTION * np.sqrt(0.5 * (1.0 - np.sqrt(1.0 - amplitude**2)))  # 2 gamma sqrt(1 - gamma^2) = A
     slope_points = [(float(parameter_gradient(point)[0]), float(point.parameter_values[0]))]
@@ -167,9 +165,9 @@ def _slope_range(point):
 
 
 def _grazing_claim(scene):
-    """That some gamma gives the GR printed, with A as captioned: it is at most sqrt(1 + A), at gamma = 0."""
+    """Return the claim that a gamma gives the printed GR with the printed A: at most sqrt(1 + A), at gamma = 0."""
     amplitude = float(scene.amplitude)
-    text = f"a GR at {PRINTED_GRAZING} is possible at A = {amplitude:g} (the highest that any gamma leads to)"
+    text = f"a GR at {PRINTED_GRAZING} is possible at A = {amplitude:g} (the highest for any gamma)"
     reason = f"It would need A of at least {float(PRINTED_GRAZING) ** 2 - 1.0:.4f}, were gamma zero."
     return statement_claim(
         "10", text, (np.sqrt(1.0 + amplitude), ROUNDING), low=float(PRINTED_GRAZING) - HALF_DIGIT, reason=reason
@@ -177,7 +175,7 @@ def _grazing_claim(scene):
 
 
 def _three_parameter_claims(responses, printed_folds):
-    """A, gamma and gamma2 from the three numbers printed."""
+    """Yield the claims on A, gamma and gamma2 from the three printed numbers."""
     points = [
         *(prepare_point(item.fold, FIT_NAMES) for item in responses),
         prepare_point(responses[0].grazing, FIT_NAMES),
@@ -201,12 +199,15 @@ def _three_parameter_claims(responses, printed_folds):
         for index, item in enumerate(solutions)
         if all(abs(item - earlier).max() > SOLUTION_TOLERANCE for earlier in solutions[:index])
     ]
-    text = f"no other three do: {len(solutions)} of {len(fits)} starts lead to a solution (number of different ones)"
+    text = (
+        f"no other values do: {len(solutions)} of {len(fits)} initial guesses lead to a solution"
+        " (number of distinct ones)"
+    )
     yield own_claim("10", text, (float(len(distinct_solutions)), 0.0), low=1.0, high=1.0)
 
 
 def _coexistence_claims(responses):
-    """That two motions last between the grazing of P100 and the saddle-node of P111, and one on either side."""
+    """Yield the claims that two stable motions exist between grazing and saddle-node, and one on either side."""
     for stiffness, response in zip(STIFFNESSES, responses, strict=True):
         lower, upper = response.grazing.value, response.fold.value
         expected_labels = [
@@ -217,17 +218,16 @@ def _coexistence_claims(responses):
             sorted(stable_labels_at(response.branches, frequency)) != labels for frequency, labels in expected_labels
         )
         text = (
-            f"k2 = {stiffness}: P100 and P111 last from omega {lower:.6g}, where a sweep down jumps, to"
-            f" {upper:.6g}, where one "
-            f"up falls from x = {peak(response.fold.orbit):.4g}; one of them beside (of {len(expected_labels)}"
-            " frequencies those "
-            "where not)"
+            f"k2 = {stiffness}: P100 and P111 are stable from omega {lower:.6g}, where a downward sweep jumps, to"
+            f" {upper:.6g}, where an "
+            f"upward one drops from x = {peak(response.fold.orbit):.4g}; one of them outside (exceptions among"
+            f" {len(expected_labels)} frequencies)"
         )
         yield own_claim("10", text, (float(n_wrong), 0.0), high=0.0)
 
 
 def _flat_top_claim(scene, table):
-    """That the top of the curve is the flatter the stiffer the walls are."""
+    """Return the claim that the top of the curve becomes flatter for stiffer walls."""
     table, rises = msgspec.structs.replace(table, bounds=TOP_FREQUENCIES), []
     for stiffness in STIFFNESS_SERIES:
         stiff_scene = scene.replace(**{"left.stiffness": stiffness, "right.stiffness": stiffness})
@@ -238,7 +238,7 @@ def _flat_top_claim(scene, table):
     )
     lower, upper = TOP_FREQUENCIES
     text = (
-        f"the top gets flat as k2 grows: from omega {lower:g} to {upper:g} the largest x rises by {rises_text}"
+        f"the top becomes flat as k2 grows: from omega {lower:g} to {upper:g} the largest x rises by {rises_text}"
         " (largest ratio)"
     )
     ratios = [after / before for before, after in pairwise(rises)]
@@ -246,14 +246,14 @@ def _flat_top_claim(scene, table):
 
 
 def select_special_points(branch):
-    """A branch with its SN and GR alone, for a picture in which nothing else is asked for."""
+    """Return a branch with only its SN and GR, for a figure that shows no others."""
     return replace(branch, special=tuple(special for special in branch.special if special.kind in ("SN", "GR")))
 
 
 def _picture(scenes, responses):
     figure, axes_grid = make_figure(2, 1, 2.7)
     for (ax,), scene, response in zip(axes_grid, scenes, responses, strict=True):
-        for branch in reversed(response.branches):  # P100 last: its GR hides an SN that is as good as there
+        for branch in reversed(response.branches):  # P100 last: its GR hides an SN at nearly the same point
             plot.branch(
                 select_special_points(branch), "peak", ax, COLOURS[2 if branch.segments[0].label == "P100" else 7]
             )

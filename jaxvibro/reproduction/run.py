@@ -1,4 +1,4 @@
-"""Recomputes the paper: each figure from its scene file, and the report of all that is there."""
+"""Recompute the paper: each figure from its scene file, and the report of all results."""
 
 import hashlib
 import json
@@ -29,7 +29,19 @@ REPORT_NAME = "report"
 
 @dataclass(frozen=True)
 class Report:
-    """What `paper` wrote. page, text: the paths of the report; claims: all that are in it; told: a sentence on them."""
+    """Report that `paper` wrote.
+
+    Attributes
+    ----------
+    page : Path
+        Path of the report as HTML.
+    text : Path
+        Path of the report as Markdown.
+    claims : tuple of Claim
+        Claims in the report.
+    told : str
+        Number of claims with each verdict, in a sentence.
+    """
 
     page: Path
     text: Path
@@ -46,17 +58,55 @@ def paper(
     progress: bool = False,
     workers: int = 1,
 ) -> Report:
-    """Recomputes figures and claims of the paper and writes them into a folder: a `Report`.
+    """Recompute figures and claims of Cheng and Xu (2007) and write them into a folder.
 
-    names: of `figures.JOBS`, all where none is given. out: the folder, made where it is missing; it holds NAME.png and
-    NAME.json (the claims) of each, its data as NetCDF, and report.html and report.md of all that is there. scenes: the
-    folder of the scene files, by default those that come with the package. What is there already, of the same scene
-    files and program, is kept unless force is given: so an interrupted run goes on where it stopped. progress: show
-    bars on stderr, with several workers lines alone. workers: so many figures at once, each in a process of its own
-    where it is more than one; a script that asks for them has to be one that may be imported (`multiprocessing`).
+    The folder receives ``NAME.png``, ``NAME.json`` with the claims and the data as NetCDF for each figure, and
+    ``report.html`` and ``report.md`` for all figures in the folder. A figure that was computed with the same scene
+    files and the same program is kept, so that an interrupted run resumes.
 
-    Raises ArgumentError for a name that is none, workers that are no whole number from 1 on and scene files that break
-    a rule, OSError where a file cannot be read or written.
+    Parameters
+    ----------
+    names : str or sequence of str, optional
+        Figures, for example ``"fig4"``. All figures by default.
+    out : str or path-like, optional
+        Folder of the results, created if necessary.
+    scenes : str or path-like, optional
+        Folder of the scene files. None takes those of the package.
+    force : bool, optional
+        Recompute figures that exist already.
+    progress : bool, optional
+        Show progress bars on stderr; with several workers, one line per figure.
+    workers : int, optional
+        Number of figures that are computed at the same time, each in its own process if there are several. A script
+        that uses more than one must be importable, as for `multiprocessing`.
+
+    Returns
+    -------
+    Report
+        Paths of the report, and its claims.
+
+    Raises
+    ------
+    ArgumentError
+        If a name is unknown, `workers` is not a whole number from 1 on, or a scene file is invalid.
+    OSError
+        If a file cannot be read or written.
+
+    See Also
+    --------
+    run : Run the analyses in a scene file.
+
+    References
+    ----------
+    Cheng and Xu, Mechanics Based Design of Structures and Machines 35 (2007) 179-203.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     report = jv.paper(["fig9"], out=folder)
+    >>> report.page.name
+    'report.html'
     """
     workers = check.whole_number("workers", workers, 1)
     out, folder = Path(out), _default_folder() if scenes is None else Path(scenes)
@@ -82,11 +132,11 @@ def _read_files(folder, name):
 
 
 def _run_tasks(tasks, workers):
-    """What `_compute_figure` gives of each task, in this process or, as they are done, in some of their own."""
+    """Yield the result of `_compute_figure` for each task, in this process or in order of completion from several."""
     if workers == 1 or len(tasks) < 2:
         yield from (_compute_figure(*task) for task in tasks)
         return
-    context = multiprocessing.get_context("spawn")  # jax's threads do not live through a fork
+    context = multiprocessing.get_context("spawn")  # threads of jax do not survive a fork
     with ProcessPoolExecutor(workers, context, _set_precision, (jax.config.jax_enable_x64,)) as pool:
         futures = [pool.submit(_compute_figure, *task) for task in tasks]
         try:
@@ -97,12 +147,12 @@ def _run_tasks(tasks, workers):
 
 
 def _set_precision(double_precision):
-    """A new process computes in the precision of this one."""
+    """Set the precision of a new process to that of this one."""
     jax.config.update("jax_enable_x64", double_precision)
 
 
 def _compute_figure(name, folder, out, key, progress):
-    """(the name of a figure, how long it took), its files written."""
+    """Compute a figure, write its files, and return (its name, the time in s)."""
     start_time = time.perf_counter()
     if progress:
         print(name, file=sys.stderr, flush=True)
@@ -111,7 +161,7 @@ def _compute_figure(name, folder, out, key, progress):
 
 
 def _default_folder():
-    """The folder of the scene files: in the package where it was installed, beside it in a checkout."""
+    """Return the folder of the scene files: inside an installed package, or beside the package in a checkout."""
     package_folder = ROOT / "scenes"
     return package_folder if package_folder.is_dir() else ROOT.parent / "scenes"
 
@@ -121,7 +171,7 @@ def _files_exist(folder, names):
 
 
 def _content_key(folder, names):
-    """What tells one computation from another: the scene files' and the program's text."""
+    """Return a hash of the scene files and the program, which identifies a computation."""
     sha256 = hashlib.sha256(__version__.encode())
     sources = [source for package in (ROOT, ROOT.parent / "continuation") for source in sorted(package.rglob("*.py"))]
     for path in [*(folder / f"{name}.toml" for name in names), *sources]:
@@ -130,7 +180,7 @@ def _content_key(folder, names):
 
 
 def _save_result(out, name, key, result):
-    """Writes what was computed, its claims last: they tell that all is there, by the SHA-256 of each other file."""
+    """Write the files of a figure, the claims last, with the SHA-256 of the others, as a mark of completion."""
     files = {f"{name}{suffix}.nc": netcdf_bytes(data) for suffix, data in result.data.items()}
     if result.picture is not None:
         files[f"{name}.png"] = result.picture
@@ -144,8 +194,7 @@ def _save_result(out, name, key, result):
 
 
 def _load_result(out, name, key):
-    """The `FigureResult` of an earlier run with the same key, without its data; None where there is none, or a file is
-    not as it was written."""
+    """Return the `FigureResult` of an earlier run with this key, without its data; None if missing or damaged."""
     try:
         content = (out / f"{name}.json").read_bytes()
         record = json.loads(content) if has_valid_checksum(content, name) else {"key": None}
@@ -165,7 +214,7 @@ def _load_result(out, name, key):
 
 
 def _write_report(out, keys):
-    """Writes the report of all that is there: the `Report`."""
+    """Write the report of all results in the folder and return the `Report`."""
     results = {name: _load_result(out, name, key) for name, key in keys.items()}
     entries = [(name, result) for name, result in results.items() if result is not None]
     titled_results = [(JOBS[name].title, result) for name, result in entries]

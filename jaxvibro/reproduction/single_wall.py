@@ -1,4 +1,4 @@
-"""One wall: the orbits P101 and P110 with their closed forms, fixed and moving, and the paper's remark on them."""
+"""Check the orbits P101 and P110 with one wall, fixed or moving, against closed forms and a remark of the paper."""
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from .claim import own_claim, statement_claim
 from .panels import FigureResult, add_legend, figure_style, make_figure, panel_files, png_bytes, trim_labels
 from .special_points import ROUNDING, explore_twice, special_value
 
-WALL_MOTION = (0.1, 0.5)  # amplitude and phase of the wall in the row of a moving one
+WALL_MOTION = (0.1, 0.5)  # amplitude and phase of the moving wall
 TOLERANCE = 1e-9
 
 CAPTION = (
@@ -21,7 +21,7 @@ CAPTION = (
 
 
 def reproduce_figure(file, progress):
-    """The diagrams of one wall and the claims on it."""
+    """Reproduce the diagrams with one wall and their claims."""
     results, claims = [], []
     for panel_file in panel_files(file):
         scene = panel_file.scene.make()
@@ -41,7 +41,7 @@ def _exact_fold(scene):
 
 
 def _fold_claims(scene, diagrams):
-    """Where P101 has a saddle-node: as its own condition says, not as (19)'s does."""
+    """Yield the claims on the saddle-node of P101, by its own condition and by that of (19)."""
     frequency, damped_frequency = float(scene.frequency), float(np.sqrt(1.0 - float(scene.damping) ** 2))
     fold_amplitude, speed = (float(value) for value in _exact_fold(scene))
     located_fold = special_value(diagrams, "SN", "P101")
@@ -53,7 +53,7 @@ def _fold_claims(scene, diagrams):
     )
     if own_condition:
         text = (
-            f"P101 has an SN where sin(r T) < 0, {frequency_text}: at A_c = {fold_amplitude:.12g} (located less"
+            f"P101 has an SN where sin(r T) < 0, {frequency_text}: at A_c = {fold_amplitude:.12g} (located minus"
             " closed form)"
         )
         yield own_claim(
@@ -65,14 +65,16 @@ def _fold_claims(scene, diagrams):
         )
         yield own_claim("one wall", text, (n_folds, 0.0), high=0.0)
     expectation = "has" if paper_condition else "has no"
-    reason = "The condition has (19)'s form with another sign and twice the time: sin(r T) < 0, not sin(r T / 2) > 0."
+    reason = (
+        "The condition has the form of (19) with another sign and twice the time: sin(r T) < 0, not sin(r T / 2) > 0."
+    )
     text = f'"the condition is the same as (19)": {frequency_text}, P101 {expectation} SN (number of them)'
     lower, upper = (1.0, np.inf) if paper_condition else (-np.inf, 0.0)
     yield statement_claim("one wall", text, (n_folds, 0.0), low=lower, high=upper, reason=reason)
 
 
 def _mirror_claims(file, scene, diagram):
-    """That P110 on a wall to the left is the mirror image of P101."""
+    """Yield the claim that P110 on a left wall is the mirror image of P101."""
     params = (float(getattr(scene, key)) for key in ("amplitude", "frequency", "damping", "restitution"))
     mirror_scene = make_scene(*params, (-float(scene.right.position), None))
     table = file.explore
@@ -85,7 +87,7 @@ def _mirror_claims(file, scene, diagram):
 
 
 def _moving_wall_claim(file, scene):
-    """That a wall which moves with the drive acts like a fixed one under another drive."""
+    """Return the claim that a wall moving with the drive is equivalent to a fixed wall under another drive."""
     motion = Motion(*WALL_MOTION)
     params = (float(getattr(scene, key)) for key in ("amplitude", "frequency", "damping", "restitution"))
     moving_scene = make_scene(*params, (None, Wall(float(scene.right.position), motion=motion)))
@@ -96,7 +98,7 @@ def _moving_wall_claim(file, scene):
     text = (
         f"a wall moving by {WALL_MOTION[0]:g} cos(omega t + {WALL_MOTION[1]:g}), frequency"
         f" {float(scene.frequency):g}: SN of "
-        f"P101 at A = {exact_amplitude:.12g} (located less closed form)"
+        f"P101 at A = {exact_amplitude:.12g} (located minus closed form)"
     )
     return own_claim(
         "moving wall", text, (located_fold[0] - exact_amplitude, located_fold[1]), low=-TOLERANCE, high=TOLERANCE

@@ -1,7 +1,6 @@
-"""The scene: an oscillator, its drive and its walls.
+"""Define the scene: an oscillator, its drive and its walls.
 
-In: numbers, as a user or a file gives them. Out: `Scene` and `State`, frozen pytrees that have passed every rule;
-the codes that lanes are told by; what a parameter is called, where it may lie and which leaf of a scene it is. No
-flight, no file. Start with `scene`; `check` has the rules and the words of every refusal, `soft_walls` what
-stiffness means for restitution.
+The modules turn numbers from a user or a file into `Scene` and `State`, frozen pytrees that satisfy every rule. They
+also define the integer codes of lanes, and the name, domain and leaf of each parameter. Flight and files are elsewhere.
+Start with `scene`. `check` has the rules and their messages, and `soft_walls` relates stiffness to restitution.
 """

@@ -1,12 +1,14 @@
-"""The codes of the lanes: how a strobe ended, and what contact a mass has with a wall."""
+"""Define the integer codes of lanes: the status of a strobe, the contact with a wall, the status of a solution."""
 
 from enum import IntEnum
 
 
 class Status(IntEnum):
-    """How a strobe ended (`Impacts.status`): from CAP on the state is nan.
+    """Status of a strobe, as in `Impacts.status`; from CAP on the state is nan.
 
-    FULL: more impacts than slots, or infinitely many before a rest (complete chatter); the state is right.
+    OK: all impacts are recorded. FULL: there are more impacts than slots, or the mass sticks after complete chatter.
+    The state is right. CAP: too many impacts or steps. INVALID: an invalid scene or start. NONFINITE: a number that is
+    not finite.
     """
 
     OK = 0
@@ -17,16 +19,16 @@ class Status(IntEnum):
 
     @property
     def word(self) -> str:
-        """As it stands in messages and in saved data."""
+        """Word for the status in messages and in saved data."""
         return self.name.lower()
 
 
 class Contact(IntEnum):
-    """The contact of a mass with a wall, times the wall's sign; 0 is free.
+    """Contact of the mass with a wall, multiplied by the sign of the wall; 0 is free.
 
-    LANDED: leaves a wall that it has hit; STUCK: rests on it; WITHIN: is within a soft one. Along a path there are
-    also ENTERED: has just met a soft wall, and is not yet past it; RELEASED: not pressed any more on the wall that it
-    rested on.
+    LANDED: leaving a wall after an impact. STUCK: sticking. WITHIN: inside a soft wall. Two more codes occur along a
+    path only. ENTERED: at a soft wall at the instant of entry. RELEASED: at the wall at the instant at which the
+    contact force vanishes.
     """
 
     LANDED = 1
@@ -37,9 +39,27 @@ class Contact(IntEnum):
 
 
 class SolutionStatus(IntEnum):
-    """What became of a solution that was asked for, an orbit or a special point. OK: it is there. JUMPED: what was
-    found may be another: the way from the known one was lost, and Newton's method has led to it from there. VIRTUAL:
-    its orbit passes through a wall, or hits one from behind. NONE: none was found, the numbers are nan."""
+    """Status of a solution, an orbit or a special point.
+
+    Attributes
+    ----------
+    OK : int
+        0: the solution is the requested one.
+    JUMPED : int
+        1: the solution may be another one. The continuation from the known solution failed and Newton's method
+        converged to this one.
+    VIRTUAL : int
+        2: the orbit is inadmissible. It passes through a wall or hits one from behind.
+    NONE : int
+        3: there is no solution; the numbers are nan.
+
+    Examples
+    --------
+    >>> jv.SolutionStatus(2).name
+    'VIRTUAL'
+    >>> int(jv.SolutionStatus.OK)
+    0
+    """
 
     OK = 0
     JUMPED = 1

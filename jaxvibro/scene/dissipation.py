@@ -1,10 +1,10 @@
-"""Whether areas of the state space never grow: a proof, by intervals.
+"""Prove by interval arithmetic that phase-space areas never grow.
 
-In flight an area changes at the rate d force / d v, whatever the drive does; at an impact with a rigid wall by R^2,
-standing or moving, and not at all where a soft wall is met. So it is enough that damping is not negative, R not above
-1, and d force / d v not positive at any t and v, and any x that the walls allow. The last is what JAX traces of the
-derivative, evaluated with intervals (`intervals`), over cells of x and v that are halved where they do not tell. A
-force is to be continuous in v, as an area may grow where it jumps; where it jumps in t or x none does.
+In flight an area changes at the rate d force / d v, for any drive. At an impact with a rigid wall, moving or not, it
+changes by the factor R^2, and at entry into a soft wall not at all. It is therefore sufficient that the damping is not
+negative, R is at most 1, and d force / d v is not positive at any t and v and any x that the walls allow. For the last
+condition `intervals` evaluates the traced derivative over cells of x and v, and halves the cells that are undecided.
+The force must be continuous in v, because an area may grow where it jumps in v; a jump in t or x does not change areas.
 """
 
 from functools import lru_cache
@@ -30,15 +30,26 @@ from .intervals import (
     subtract,
 )
 
-MAX_CELLS = 4096  # lanes, and cells, at once
-MAX_HALVINGS = 40  # of halving
+MAX_CELLS = 4096  # lanes or cells in one evaluation
+MAX_HALVINGS = 40
 UNIT = point_interval(1.0)
 SUM_RULES = {"add": add, "add_any": add, "sub": subtract}
 
 
 def areas_never_grow(*scenes):
-    """True where it is proved that no area grows, in flight or at an impact, of any scene whose numbers lie between
-    those of these, of which each lane differs in one number at the most; else None."""
+    """Return True if phase-space areas provably never grow, for all scenes between the given ones.
+
+    Parameters
+    ----------
+    *scenes : Scene
+        Scenes of equal structure. The proof holds for all scenes with numbers between theirs; each lane may differ in
+        one number at most.
+
+    Returns
+    -------
+    bool or None
+        True with a proof, in flight and at impacts; None without one, and for traced numbers.
+    """
     if check.is_traced(*jax.tree.leaves(scenes)):
         return None
     is_passive = all(bool(np.all(np.abs(scene.bounce(side)) <= 1.0)) for scene in scenes for side in scene.walls)
@@ -53,7 +64,7 @@ def areas_never_grow(*scenes):
 
 
 def _force_never_expands(scenes):
-    """Whether d force / d v is proved not to be positive: of all the lanes at once, or else of each."""
+    """Return True if d force / d v is provably not positive, for all lanes at once or for each."""
     names, dtype = tuple(scenes[0].force.numbers), np.dtype(scenes[0].dtype)
     derivative = _velocity_derivative(scenes[0].force.function, names, dtype)
     intervals = [_hull_of_arrays([scene.force.numbers[name] for scene in scenes]) for name in names]
@@ -74,13 +85,13 @@ def _force_never_expands(scenes):
 
 
 def _hull_of_arrays(values):
-    """From the least to the largest of some arrays, lane by lane."""
+    """Return the interval from the smallest to the largest of some arrays, lane by lane."""
     values = np.stack(np.broadcast_arrays(*(np.asarray(array, float) for array in values)))
     return Interval(values.min(axis=0), values.max(axis=0))
 
 
 def _position_range(scene):
-    """(the least, the largest) x that the walls of a scene allow."""
+    """Return the smallest and the largest x that the walls of a scene allow."""
     bounds = {"left": -np.inf, "right": np.inf}
     for side, wall in scene.walls.items():
         wall_amplitude = 0.0 if wall.motion is None else np.abs(np.asarray(wall.motion.amplitude, float))
@@ -94,8 +105,7 @@ def _position_range(scene):
 
 
 def _is_proved(derivative, intervals):
-    """Whether d force / d v is nowhere positive; intervals: the intervals of the force's numbers and, the last, of
-    x."""
+    """Return True if d force / d v is nowhere positive, for intervals of the force's parameters and, last, of x."""
     zeros = np.zeros(len(intervals[-1].lower))
     cells = [Interval(*(np.tile(bound, 2) for bound in interval)) for interval in intervals]
     cells.append(Interval(np.append(zeros - np.inf, zeros), np.append(zeros, zeros + np.inf)))
@@ -113,7 +123,7 @@ def _is_proved(derivative, intervals):
 
 
 def _halve_cells(cells, index):
-    """Cells cut in two along one of their intervals."""
+    """Return the cells, halved along one of their intervals."""
     lower, upper = cells[index]
     midpoint = _midpoint(cells[index])
     halves = [Interval(*(np.tile(bound, 2) for bound in interval)) for interval in cells]
@@ -122,7 +132,7 @@ def _halve_cells(cells, index):
 
 
 def _midpoint(interval):
-    """A number within an interval, which may be unbounded."""
+    """Return a number within an interval, which may be unbounded."""
     lower, upper = interval
     with np.errstate(invalid="ignore", over="ignore"):
         half_line_point = np.where(
@@ -133,7 +143,7 @@ def _midpoint(interval):
 
 @lru_cache(256)
 def _velocity_derivative(function, names, dtype):
-    """The `ClosedJaxpr` of d force / d v, of t, x, v and the numbers; None of a force that may jump where v changes."""
+    """Return the jaxpr of d force / d v, or None if the force may jump in v."""
     if not _trace_continuity(cached_jaxpr(function, names, dtype).jaxpr, [False, False, True, *[False] * len(names)])[
         0
     ]:
@@ -147,7 +157,7 @@ def _velocity_derivative(function, names, dtype):
 
 
 def _trace_continuity(jaxpr, depends_on_v):
-    """(whether what is done to numbers that move with v is known to be continuous, whether each result moves)."""
+    """Return whether all operations on values that depend on v are continuous, and which results depend on v."""
     dependence = dict(zip(jaxpr.invars, depends_on_v, strict=True))
     is_continuous = True
     for eqn in jaxpr.eqns:
@@ -174,19 +184,19 @@ def _trace_continuity(jaxpr, depends_on_v):
 
 
 def _keeps_type(eqn):
-    """Whether an operation turns a number into one of the same type."""
+    """Return True if an operation converts a number to its own type."""
     return eqn.primitive.name == "convert_element_type" and eqn.invars[0].aval.dtype == eqn.outvars[0].aval.dtype
 
 
 def _evaluate_cells(derivative, cells):
-    """The interval of d force / d v in each cell, of the numbers', x's and v's intervals."""
+    """Return the interval of d force / d v in each cell."""
     *params, x, v = cells
     (interval,) = _evaluate_jaxpr(derivative, [ENTIRE, x, v, *params])
     return Interval(*(np.broadcast_to(np.asarray(bound, float), np.shape(x.lower)) for bound in interval))
 
 
 def _evaluate_jaxpr(closed_jaxpr, inputs):
-    """The intervals of what a `ClosedJaxpr` gives."""
+    """Return the intervals of the results of a jaxpr."""
     environment = dict(zip(closed_jaxpr.jaxpr.invars, inputs, strict=True))
     environment |= {
         name: _constant_interval(value)
@@ -213,11 +223,12 @@ def _evaluate_jaxpr(closed_jaxpr, inputs):
 
 
 def _constant_interval(value):
+    """Return the interval of a constant, unbounded for an array."""
     return point_interval(float(value)) if np.ndim(value) == 0 and np.isfinite(value) else ENTIRE
 
 
 def _evaluate_operation(eqn, producers, read_interval):
-    """The interval of what one operation gives: anything where no rule is known."""
+    """Return the interval of the result of one operation, unbounded without a rule."""
     name, (output,) = eqn.primitive.name, eqn.outvars
     unbounded = BOOLEAN if output.aval.dtype == bool else ENTIRE
     has_rule = name in OPERATION_RULES and (
@@ -234,8 +245,10 @@ def _evaluate_operation(eqn, producers, read_interval):
 
 
 def _repeated_operand(eqn, producers, read_interval):
-    """A square of one number, and a + a b, a - a b as a (1 + b), a (1 - b): what stands there twice is one number. None
-    of other operations."""
+    """Return the tighter interval of an expression in which one operand occurs twice, or None for other operations.
+
+    These are a square, and a + a b and a - a b, which are evaluated as a (1 + b) and a (1 - b).
+    """
     name = eqn.primitive.name
     if name not in ("mul", *SUM_RULES) or any(isinstance(variable, core.Literal) for variable in eqn.invars):
         return None

@@ -1,4 +1,4 @@
-"""A force of the user's own, in place of the spring and the damper."""
+"""Define user-defined forces, which take the place of the spring and the damper."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -14,16 +14,34 @@ MIN_TOLERANCE, MAX_TOLERANCE = 1e-15, 1e-3
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class Force:
-    """The acceleration that a mass has beside the drive's: function(t, x, v, numbers), in place of -x - 2 damping v.
+    """User-defined acceleration of the mass, in place of ``-x - 2 damping v``.
 
-    function: of numbers, with jax.numpy, or the name of one of ours: "duffing", "polynomial", "pendulum", "stribeck",
-    "van_der_pol" (docs/force.md). numbers: {name: number or array}, which it takes, and which are parameters of the
-    scene, "force.<name>". t is the drive's phase over its frequency: the force must repeat with the drive's period.
-    tolerance: of a step's error, over the largest of x, v, the walls' distances and the drive's amplitude.
-    solver: one of diffrax's that estimate their errors, or its name; None takes Taylor steps where all operations of
-    the force have a Taylor series, else "Dopri8". A stiff force needs an implicit one, "Kvaerno5".
+    Parameters
+    ----------
+    function : callable or str
+        ``function(t, x, v, numbers)`` of scalars, written with jax.numpy, or the name of a predefined force:
+        ``"duffing"``, ``"polynomial"``, ``"pendulum"``, ``"stribeck"``, ``"van_der_pol"``, ``"tabulated"``
+        (docs/force.md). Here t is the phase of the drive over its frequency. The force must repeat with the period of
+        the drive.
+    numbers : dict of str to array_like, optional
+        Parameters of the function. They are parameters of the scene with the names ``"force.<name>"``.
+    tolerance : float, optional
+        Bound on the error of a step, relative to the largest of x, v, the distances of the walls and the drive
+        amplitude.
+    solver : object or str, optional
+        Solver of diffrax with error estimates, or its name. None takes Taylor steps if all operations of the force have
+        a Taylor series, else ``"Dopri8"``. A stiff force needs an implicit solver such as ``"Kvaerno5"``.
 
-    What is compiled is kept for the function itself: define it once, and not anew for each call.
+    Notes
+    -----
+    Compiled code is cached for the function object. Define the function once, not anew for each call.
+
+    Examples
+    --------
+    >>> force = jv.Force("duffing", {"cubic": 0.5, "damping": 0.05})
+    >>> scene = jv.make_scene(2.0, 2.1, restitution=0.7, walls=(-1.0, 1.0), force=force)
+    >>> scene.names[-6:-4]
+    ('force.cubic', 'force.damping')
     """
 
     function: Callable[..., Any] | str = field(metadata={"static": True})
@@ -33,7 +51,22 @@ class Force:
 
 
 def flat_function(function, names, n_arguments=3):
-    """function(t, x, v, *numbers), the numbers of these names in a row; n_arguments: how many it takes besides."""
+    """Return ``function(t, x, v, *numbers)`` for a function that takes its parameters as a dict.
+
+    Parameters
+    ----------
+    function : callable
+        Function of its arguments and a dict of parameters.
+    names : tuple of str
+        Names of the parameters, in order.
+    n_arguments : int, optional
+        Number of arguments before the parameters.
+
+    Returns
+    -------
+    callable
+        The function of positional numbers.
+    """
 
     def call_flat(*arguments):
         return function(*arguments[:n_arguments], dict(zip(names, arguments[n_arguments:], strict=True)))
@@ -42,7 +75,7 @@ def flat_function(function, names, n_arguments=3):
 
 
 def trace_jaxpr(function, names, dtype, n_arguments=3):
-    """The `ClosedJaxpr` of a force, traced anew, of scalars of a type; n_arguments: as of `flat_function`."""
+    """Trace a force anew with scalars of a type and return its `ClosedJaxpr`."""
     return jax.make_jaxpr(flat_function(function, names, n_arguments))(
         *[jax.ShapeDtypeStruct((), dtype)] * (n_arguments + len(names))
     )

@@ -1,4 +1,4 @@
-"""The rules for a force of the user's own: each broken one names the key, the rule and the value, like a scene's."""
+"""Check user-defined forces; each error names the key, the rule and the value."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -15,25 +15,24 @@ from .force import MAX_TOLERANCE, MIN_TOLERANCE, Force, flat_function, trace_jax
 from .force_trace import ops_without_series
 from .named_forces import NAMED_FORCES, count_knots, expected_parameters, force_name, tabulated
 
-N_PROBES = 64  # at which a force is looked at
-PERIODIC_TOLERANCE = 1e-9  # of a force's size: as much may it differ a period later
-SYMMETRY_TOLERANCE = 1e-12  # of its largest value: so far may a force be from its mirror image
-MAX_PROBED_SCENES = 4  # scenes of a batch whose forces are looked at
+N_PROBES = 64  # states at which a force is evaluated
+PERIODIC_TOLERANCE = 1e-9  # largest relative difference of a force after one period
+SYMMETRY_TOLERANCE = 1e-12  # largest difference from the mirror image, relative to the largest value
+MAX_PROBED_SCENES = 4  # scenes of a batch whose forces are evaluated
 FALLBACK_SOLVER = "Dopri8"  # the solver of a force that has an operation without a Taylor series
 MIN_SOLVER_TOLERANCE = 1e-14
-MAX_EXPLICIT_RATE = 1e4  # the rate of a force, over the drive's period, that explicit steps can follow
-TRACE_ADVICE = {  # for what JAX raises
-    "TracerBoolConversionError": "no if, and, or, while on t, x, v or its numbers",
-    "ConcretizationTypeError": "jax.numpy in place of math, and no float()",
-    "TracerArrayConversionError": "jax.numpy in place of numpy",
+MAX_EXPLICIT_RATE = 1e4  # largest rate of a force, per drive period, for explicit steps
+TRACE_ADVICE = {  # advice by the name of JAX's exception
+    "TracerBoolConversionError": "use jnp.where in place of if, and, or, while on t, x, v or its numbers",
+    "ConcretizationTypeError": "use jax.numpy in place of math, and no float()",
+    "TracerArrayConversionError": "use jax.numpy in place of numpy",
 }
 
 
 def check_force(force, to_array, dtype):
-    """The force with its numbers as arrays and its solver, once it breaks no rule that needs another number of the
-    scene.
+    """Return the force with checked parameters and its solver; ``to_array(key, value)`` converts a number.
 
-    to_array: (key, value) -> the array; dtype: its type.
+    Rules that need other numbers of the scene are checked by `check_force_values`.
     """
     if not isinstance(force, Force):
         raise check.ArgumentError("force", "must be a Force or None: jv.Force(function, {name: number})", force)
@@ -41,7 +40,9 @@ def check_force(force, to_array, dtype):
     expected_names = expected_parameters(function, force.numbers)
     if expected_names is not None:
         names_text = ", ".join(force.numbers) or "none"
-        raise check.ArgumentError("force.numbers", f"those of {force_name(function)} are {expected_names}", names_text)
+        raise check.ArgumentError(
+            "force.numbers", f"must be the parameters of {force_name(function)}: {expected_names}", names_text
+        )
     tolerance = force.tolerance
     if not isinstance(tolerance, float) or not MIN_TOLERANCE <= tolerance <= MAX_TOLERANCE:
         raise check.ArgumentError(
@@ -58,17 +59,18 @@ def check_force(force, to_array, dtype):
         solver = _check_solver(solver)
         if tolerance < MIN_SOLVER_TOLERANCE:
             raise check.ArgumentError(
-                "force.tolerance", f"must be {MIN_SOLVER_TOLERANCE} or more with a solver", tolerance
+                "force.tolerance", f"must be at least {MIN_SOLVER_TOLERANCE} with a solver", tolerance
             )
     return replace(force, function=function, numbers=params, solver=solver)
 
 
 def check_callable(key, law, known_functions, signature):
-    """The function of a `Force` or a `Push`, once it is one, of ours by name or not, and its numbers have names."""
+    """Return the function of a `Force` or a `Push`, predefined or not, after a check of it and its parameter names."""
     function = law.function
     if isinstance(function, str):
         if function not in known_functions:
-            rule = f"must be a function, or one of ours{check.describe_choices(function, known_functions)}"
+            choices_text = check.describe_choices(function, known_functions)
+            rule = f"must be a function, or the name of a predefined one{choices_text}"
             raise check.ArgumentError(f"{key}.function", rule, function)
         function = known_functions[function]
     if not callable(function):
@@ -77,16 +79,16 @@ def check_callable(key, law, known_functions, signature):
         raise check.ArgumentError(f"{key}.numbers", "must be a dict {name: number}", law.numbers)
     for name in law.numbers:
         if not isinstance(name, str) or not name.isidentifier():
-            raise check.ArgumentError(f"{key}.numbers", "names must be letters, digits and _", name)
+            raise check.ArgumentError(f"{key}.numbers", "must have names of letters, digits and _", name)
     return function
 
 
 def _check_table(params):
-    """Refuse the numbers of a `tabulated` force that are no table."""
+    """Check that the parameters of a `tabulated` force are a table."""
     n_knots = count_knots(params)
     expected_names = {f"{letter}{knot}" for letter in "xf" for knot in range(n_knots)} | {"damping"}
     if n_knots < 3 or expected_names != set(params):
-        rule = "must be damping and x0, f0, x1, f1, ..., three places or more, and no others"
+        rule = "must be damping and x0, f0, x1, f1, ... of at least three positions"
         raise check.ArgumentError("force.numbers", rule, ", ".join(params))
     knot_positions = [params[f"x{knot}"] for knot in range(n_knots)]
     for knot, (position, next_position) in enumerate(pairwise(knot_positions)):
@@ -97,11 +99,11 @@ def _check_table(params):
 
 
 def _check_solver(solver):
-    """The solver itself, or that of a name, once it is one of diffrax's that estimate their errors."""
+    """Return a diffrax solver, given by itself or by its name, after a check that it estimates errors."""
     diffrax = import_module("diffrax")
     solver_class = getattr(diffrax, solver, None) if isinstance(solver, str) else type(solver)
     if not (isinstance(solver_class, type) and issubclass(solver_class, diffrax.AbstractAdaptiveSolver)):
-        rule = "must be one of diffrax's solvers that estimate their errors, such as diffrax.Dopri8(), or its name"
+        rule = "must be a diffrax solver with error estimates, such as diffrax.Dopri8(), or its name"
         raise check.ArgumentError("force.solver", rule, solver)
     try:
         instance = solver_class() if isinstance(solver, str) else solver
@@ -112,30 +114,29 @@ def _check_solver(solver):
 
 
 def solver_name(solver):
-    """The name by which diffrax makes this very solver, None where there is none."""
+    """Return the name with which diffrax makes an equal solver, or None."""
     name = type(solver).__name__
     return name if getattr(import_module("diffrax"), name, None) is type(solver) and solver == type(solver)() else None
 
 
 def flow_text(force, dtype):
-    """Which steps fly under a force, and why, in a sentence."""
+    """Return the sentence that names the steps under a force, and the reason."""
     accuracy_text = f"to {force.tolerance:g}"
     operations = ops_without_series(force.function, tuple(force.numbers), np.dtype(dtype))
     if force.solver is None:
         return f"Taylor steps {accuracy_text}: each operation of the force has a Taylor series"
-    reason = f"no Taylor series is known of {', '.join(operations)}" if operations else "asked for"
+    reason = f"no Taylor series is known for {', '.join(operations)}" if operations else "selected by the user"
     return f"steps of diffrax's {type(force.solver).__name__} {accuracy_text}: {reason}"
 
 
 def check_force_values(scene):
-    """Refuse the force of a scene that is no real number of t, x, v and its numbers, that is not finite where the mass
-    may be, or that does not repeat with the drive."""
+    """Check that the force of a scene is real and finite between the walls, and repeats with the drive."""
     force = scene.force
     if force.solver is not None and scene.soft_sides:
         operations = ops_without_series(force.function, tuple(force.numbers), np.dtype(scene.dtype))
-        reason = f", which are not known of {', '.join(operations)}" if operations else ""
+        reason = f", which do not exist for {', '.join(operations)}" if operations else ""
         raise check.ArgumentError(
-            "force.solver", f"beside a soft wall a force flies by Taylor steps{reason}", force.solver
+            "force.solver", f"must be None with a soft wall, where a force needs Taylor steps{reason}", force.solver
         )
     names, dtype = tuple(force.numbers), np.dtype(scene.dtype)
     is_time_dependent = _check_traceable(force.function, names, dtype)
@@ -159,7 +160,7 @@ def check_force_values(scene):
 
 
 def is_odd(scene):
-    """Whether the force of a single scene is its own mirror image: -force(t, x, v) half a period later at -x, -v."""
+    """Return True if the force of a single scene is odd: -force(t, x, v) half a period later at -x, -v."""
     rng = np.random.default_rng(1)
     scale = max([1.0, *(abs(float(wall.position)) for wall in scene.walls.values())])
     half_period, dtype = np.pi / float(scene.frequency), scene.dtype
@@ -179,6 +180,7 @@ def _is_rigid(wall):
 
 
 def _probe_force(scene, params, frequency, wall_positions, is_time_dependent, index):
+    """Check the force of one scene at random states: finite, not too stiff for the solver, periodic."""
     force, rng = scene.force, np.random.default_rng(0)
     scale = max([1.0, *map(abs, wall_positions)])
     x_min = wall_positions[0] if _is_rigid(scene.left) else min([*wall_positions, 0.0]) - 2.0 * scale
@@ -192,7 +194,7 @@ def _probe_force(scene, params, frequency, wall_positions, is_time_dependent, in
     if invalid.size:
         location = {name: float(coordinate[invalid[0]]) for name, coordinate in (("t", t), ("x", x), ("v", v))}
         raise check.ArgumentError(
-            "force", f"must be finite where the mass may be: it is {values[invalid[0]]}", location, index
+            "force", f"must be finite at all possible states: it is {values[invalid[0]]}", location, index
         )
     if force.solver is None or not isinstance(force.solver, import_module("diffrax").AbstractImplicitSolver):
         rates = _compile_rates(force.function, tuple(force.numbers))(
@@ -200,7 +202,7 @@ def _probe_force(scene, params, frequency, wall_positions, is_time_dependent, in
         )
         median_rate = float(np.median(rates))
         if median_rate * period > MAX_EXPLICIT_RATE:
-            rule = f'is too stiff for explicit steps, at a rate of {median_rate:.2g}: solver="Kvaerno5" can'
+            rule = f'is too stiff for explicit steps, at a rate of {median_rate:.2g}: use solver="Kvaerno5"'
             raise check.ArgumentError("force", rule, force_name(force.function), index)
     if is_time_dependent:
         next_values = np.asarray(
@@ -218,12 +220,13 @@ def _probe_force(scene, params, frequency, wall_positions, is_time_dependent, in
 
 @lru_cache(256)
 def _compile_force(function, names):
+    """Return the compiled force at many states."""
     return jax.jit(jax.vmap(flat_function(function, names), (0, 0, 0, *[None] * len(names))))
 
 
 @lru_cache(256)
 def _compile_rates(function, names):
-    """How fast a motion turns or decays under a force: the larger of the two rates of what is linear about a state."""
+    """Return the compiled rate at which a motion turns or decays: the larger rate of the linearised force."""
     flat_force = flat_function(function, names)
 
     def evaluate_rate(t, x, v, *params):
@@ -240,7 +243,7 @@ def _compile_rates(function, names):
 
 @lru_cache(256)
 def _check_traceable(function, names, dtype):
-    """Whether the force depends on t; refused where it cannot be traced, or is another each time it is."""
+    """Return whether the force depends on t; check that it can be traced, and twice with the same result."""
     try:
         jaxpr, second_jaxpr = (trace_jaxpr(function, names, dtype) for _ in range(2))
         output_shapes = jax.eval_shape(
@@ -255,14 +258,16 @@ def _check_traceable(function, names, dtype):
     if not is_single or outputs[0].shape != () or outputs[0].dtype != dtype:
         outputs_text = ", ".join(f"{output.dtype}{list(output.shape)}" for output in outputs) or "nothing"
         outputs_text = outputs_text if is_single or not outputs else f"{type(output_shapes).__name__} of {outputs_text}"
-        raise check.ArgumentError("force", f"must return one number of type {dtype}, of numbers", outputs_text)
+        raise check.ArgumentError("force", f"must return one number of type {dtype} for scalar arguments", outputs_text)
     is_reproducible = len(jaxpr.consts) == len(second_jaxpr.consts)
     is_reproducible = is_reproducible and all(
         np.array_equal(a, b) for a, b in zip(jaxpr.consts, second_jaxpr.consts, strict=True)
     )
     if not is_reproducible or str(jaxpr) != str(second_jaxpr):
         raise check.ArgumentError(
-            "force", "must be the same each time: it depends on something besides", force_name(function)
+            "force",
+            "must be the same in each trace: it depends on something besides its arguments",
+            force_name(function),
         )
     time_variable = jaxpr.jaxpr.invars[0]
     return (
@@ -272,7 +277,7 @@ def _check_traceable(function, names, dtype):
 
 
 def _error_reason(error, names):
-    """The name of what was raised while a force was traced, what it says, and the advice that there is for it."""
+    """Return the name and text of an exception from tracing a force, with the advice for it."""
     name = type(error).__name__
     if name in TRACE_ADVICE:
         return f"{name}): {TRACE_ADVICE[name]}"

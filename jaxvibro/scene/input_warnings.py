@@ -1,24 +1,27 @@
-"""What a user may have meant: numbers that are right as they stand, and yet look as if they were in other units."""
+"""Warn about valid numbers that look as if they were in another unit."""
 
 import warnings
 
 import numpy as np
 
-HZ_RANGE = (0.4, 2.5)  # of the natural frequency: what is so near once it is taken for Hz looks like Hz
-MM_RATIO = 20.0  # times what the mass reaches: a wall as far away looks like one in mm
+HZ_RANGE = (0.4, 2.5)  # frequency ratios, if the number is read as Hz, at which it looks like Hz
+MM_RATIO = 20.0  # wall distance over response amplitude above which positions look like mm
 MILLI = 1e-3
 
 
 def warn_about_scene(scene, in_radians, damping_ratio=None, gap=None):
-    """Warn, once, where the frequency given in radians per second looks like Hz, the walls' positions like mm, the
-    damping ratio like per cent, or a gap like a position, of a single scene."""
+    """Warn once about numbers of a single scene that look as if they were in another unit.
+
+    These are a frequency in rad/s that looks like Hz, wall positions that look like mm, a damping ratio that looks like
+    per cent, and a gap that looks like positions.
+    """
     frequency = float(scene.frequency)
     questions = []
     looks_like_hz = in_radians and HZ_RANGE[0] <= 2.0 * np.pi * frequency <= HZ_RANGE[1]
     if looks_like_hz:
         comparison = f"the drive is at {frequency:.3g} of the natural frequency, and would be at"
         questions.append(
-            f"is the frequency in Hz ({comparison} {2.0 * np.pi * frequency:.3g})? frequency_hz= takes it so"
+            f"is the frequency in Hz ({comparison} {2.0 * np.pi * frequency:.3g})? Use frequency_hz= for Hz"
         )
     likely_frequency = 2.0 * np.pi * frequency if looks_like_hz else frequency
     wall_distances = [abs(float(wall.position)) for wall in scene.walls.values() if wall.motion is None]
@@ -34,20 +37,28 @@ def warn_about_scene(scene, in_radians, damping_ratio=None, gap=None):
         and min(wall_distances) > MM_RATIO * response_amplitude >= MM_RATIO * MILLI * min(wall_distances)
     ):
         ratio_text = f"{min(wall_distances) / response_amplitude:.3g} times as far as the drive moves the mass"
-        questions.append(f"are the walls' positions in mm (they are {ratio_text})? they are taken in m")
+        questions.append(f"are the walls' positions in mm (they are {ratio_text})? They are read in m")
     if damping_ratio is not None and float(damping_ratio) > 1.0:
         questions.append(f"is the damping ratio in per cent ({float(damping_ratio):g})? 1 is critical")
     if isinstance(gap, tuple | list) and any(distance is not None and float(distance) < 0 for distance in gap):
         questions.append(
-            f"is gap ({', '.join(map(str, gap))}) meant as positions? walls= takes them; a gap counts outwards"
+            f"is gap ({', '.join(map(str, gap))}) meant as positions? Use walls= for positions; a gap is a distance"
         )
     if questions:
         warnings.warn("; ".join(questions), UserWarning, stacklevel=4)
 
 
 def warn_about_record(scene, record):
-    """Warn where a record's times look like seconds: it is to cover less than a drive period of a scene with scales."""
+    """Warn about a record that covers less than a drive period, so that its times look like seconds.
+
+    Parameters
+    ----------
+    scene : Scene
+        Scene; without scales there is no warning.
+    record : ImpactRecord or SampleRecord
+        The record.
+    """
     n_periods = float(np.ptp(record.times)) * float(scene.frequency) / (2.0 * np.pi)
     if scene.scales is not None and n_periods < 1.0:
         message = f"the record covers {n_periods:.2g} of a drive period: are its times in seconds?"
-        warnings.warn(f"{message} record_from_physical takes them so", UserWarning, stacklevel=4)
+        warnings.warn(f"{message} Use record_from_physical for times in seconds", UserWarning, stacklevel=4)

@@ -1,8 +1,8 @@
-"""Interval arithmetic, rounded outwards: what is told of a result holds for all real numbers in the intervals given.
+"""Evaluate interval arithmetic, rounded outwards: each result holds for all real numbers in the input intervals.
 
-Numbers are lanes. 0 times what is unbounded is 0, as no number is infinite. Where an operation is not known anything
-may come of it; a root or a logarithm is of what is not negative, as a force is a real number where the mass may be.
-What is told of a comparison holds but where both are equal.
+Bounds are arrays over lanes. The product of 0 and an unbounded interval is 0, because no number is infinite. The result
+of an unknown operation is unbounded. Arguments of roots and logarithms are taken as not negative, because a force is a
+real number at every possible state. The result of a comparison may be wrong where both sides are equal.
 """
 
 import math
@@ -11,13 +11,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-ERROR_ULPS = 8.0  # by so many a function of NumPy's may be off, of its size
-MAX_TRIG_ARGUMENT = 1e6  # beyond, sin and cos may be anything between -1 and 1
-PEAK_SLACK = 1e-9  # from a peak of sin and cos: as near it counts as in the interval
+ERROR_ULPS = 8.0  # bound on the error of a NumPy function, in units in the last place
+MAX_TRIG_ARGUMENT = 1e6  # for larger arguments the interval of sin and cos is [-1, 1]
+PEAK_SLACK = 1e-9  # distance within which a peak of sin or cos counts as in the interval
 
 
 class Interval(NamedTuple):
-    """All real numbers from low to high, which are lanes or numbers."""
+    """Interval of real numbers; the bounds are numbers or arrays over lanes."""
 
     lower: Any
     upper: Any
@@ -28,12 +28,12 @@ BOOLEAN = Interval(0.0, 1.0)
 
 
 def point_interval(value):
-    """The interval of one number, or of each of many."""
+    """Return the interval of one number, or of each number of an array."""
     return Interval(value, value)
 
 
 def hull(intervals):
-    """All from the least to the largest of some intervals."""
+    """Return the smallest interval that contains some intervals."""
     lowers, uppers = zip(*intervals, strict=True)
     lower, upper = lowers[0], uppers[0]
     for bound in lowers[1:]:
@@ -96,13 +96,13 @@ def divide(a, b):
 
 
 def absolute(a):
-    """abs a."""
+    """Return ``|a|``."""
     lower = np.where((a.lower <= 0) & (a.upper >= 0), 0.0, np.minimum(np.abs(a.lower), np.abs(a.upper)))
     return Interval(lower, np.maximum(np.abs(a.lower), np.abs(a.upper)))
 
 
 def integer_power(a, exponent):
-    """a to a whole number."""
+    """Return a to an integer power."""
     if exponent < 0:
         return reciprocal(integer_power(a, -exponent))
     if exponent == 0:
@@ -111,7 +111,7 @@ def integer_power(a, exponent):
 
 
 def power(a, b):
-    """a^b; of what may be negative only to a power that is the same whole number in all lanes."""
+    """Return ``a^b``; for a base that may be negative the exponent must be one integer in all lanes."""
     exponents = np.unique(np.stack(np.broadcast_arrays(*b)))
     if exponents.size == 1 and float(exponents[0]).is_integer() and abs(exponents[0]) < 2**31:
         return integer_power(a, int(exponents[0]))
@@ -120,7 +120,7 @@ def power(a, b):
 
 
 def _monotone_rule(function, minimum=-np.inf, maximum=np.inf, domain_start=-np.inf):
-    """The rule of a function that grows: between these values, from a start on."""
+    """Return the rule of an increasing function with the given range and start of the domain."""
 
     def rule(a, **_):
         with np.errstate(all="ignore"):
@@ -134,7 +134,7 @@ def _monotone_rule(function, minimum=-np.inf, maximum=np.inf, domain_start=-np.i
 
 
 def _widen_value(function, bound, sign):
-    """The value at an end, moved outwards by what NumPy may be off: not where it is 0 or 1 at 0, 1 or without bound."""
+    """Return the value at a bound, moved outwards by the error of NumPy; exact values 0 and 1 stay."""
     value, max_float = np.asarray(function(np.asarray(bound, float))), np.finfo(float).max
     is_exact = ((value == 0) | (np.abs(value) == 1)) & ((value == bound) | np.isinf(bound)) | (
         np.isinf(value) & np.isinf(bound)
@@ -146,7 +146,7 @@ def _widen_value(function, bound, sign):
 
 
 def _trig_rule(function, peak_phase, trough_phase):
-    """The rule of sin or cos, whose peaks and troughs are at these phases."""
+    """Return the rule of sin or cos from the phases of its peaks and troughs."""
 
     def rule(a, **_):
         lower, upper = (
@@ -169,13 +169,13 @@ def _trig_rule(function, peak_phase, trough_phase):
 
 
 def _greater(a, b):
-    """Whether a > b within, 1 or 0, whatever it is where both are equal."""
+    """Return a > b as an interval within [0, 1]; the result for equal numbers is arbitrary."""
     always, never = a.lower >= b.upper, a.upper <= b.lower
     return Interval(np.where(always & ~never, 1.0, 0.0), np.where(never & ~always, 0.0, 1.0))
 
 
 def _select(selector, cases):
-    """One of some cases, by a flag where there are two."""
+    """Return the hull of some cases, or the selected one of two cases."""
     lower, upper = hull(cases)
     for condition, case in (
         ((selector.upper == 0, cases[0]), (selector.lower == 1, cases[1])) if len(cases) == 2 else ()
@@ -191,7 +191,9 @@ def _logistic(u):
 _exp_rule, _log_rule = _monotone_rule(np.exp, 0.0), _monotone_rule(np.log, domain_start=0.0)
 _sqrt_rule, _cosh_rule = _monotone_rule(np.sqrt, 0.0, domain_start=0.0), _monotone_rule(np.cosh, 1.0)
 HALF_PI_UP = np.nextafter(np.pi / 2.0, 2.0)
-OPERATION_RULES: dict[str, Callable[..., Interval]] = {  # of an operation's inputs, and its parameters by name
+OPERATION_RULES: dict[
+    str, Callable[..., Interval]
+] = {  # functions of the inputs of an operation, and of its parameters by name
     "add": lambda a, b, **_: add(a, b),
     "add_any": lambda a, b, **_: add(a, b),
     "sub": lambda a, b, **_: subtract(a, b),

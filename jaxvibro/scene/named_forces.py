@@ -1,4 +1,4 @@
-"""Forces with names, which scene files may ask for: accelerations of (t, x, v, numbers), in units of w0."""
+"""Define the predefined forces, which scene files may name: accelerations of (t, x, v, numbers), in units of w0."""
 
 import re
 
@@ -6,37 +6,42 @@ import jax.numpy as jnp
 
 
 def duffing(t, x, v, p):
-    """A spring that stiffens, or softens: -x - cubic x^3 - 2 damping v."""
+    """Evaluate a spring that stiffens or softens: ``-x - cubic x^3 - 2 damping v``."""
     return -x - p["cubic"] * x**3 - 2.0 * p["damping"] * v
 
 
 def polynomial(t, x, v, p):
-    """A spring that is a polynomial: -(c0 + c1 x + c2 x^2 + ...) - 2 damping v, of the c that are given."""
+    """Evaluate a polynomial spring with the given coefficients: ``-(c0 + c1 x + c2 x^2 + ...) - 2 damping v``."""
     spring_force = sum((p[name] * x ** int(name[1:]) for name in sorted(p) if name != "damping"), 0.0 * x)
     return -spring_force - 2.0 * p["damping"] * v
 
 
 def pendulum(t, x, v, p):
-    """A pendulum, x its angle in radians: -sin x - 2 damping v."""
+    """Evaluate a pendulum, x being its angle in rad: ``-sin x - 2 damping v``."""
     return -jnp.sin(x) - 2.0 * p["damping"] * v
 
 
 def stribeck(t, x, v, p):
-    """A block on a belt, with dry friction that is smoothed: -x - (low + (high - low) exp(-(u / slip)^2)) tanh(u /
-    smooth), u = v - belt."""
+    """Evaluate a block on a belt with smoothed dry friction.
+
+    The acceleration is ``-x - (low + (high - low) exp(-(u / slip)^2)) tanh(u / smooth)`` with ``u = v - belt``.
+    """
     u = v - p["belt"]
     friction = p["low"] + (p["high"] - p["low"]) * jnp.exp(-((u / p["slip"]) ** 2))
     return -x - friction * jnp.tanh(u / p["smooth"])
 
 
 def van_der_pol(t, x, v, p):
-    """An oscillator that drives itself: -x + gain (1 - x^2) v."""
+    """Evaluate a self-excited oscillator: ``-x + gain (1 - x^2) v``."""
     return -x + p["gain"] * (1.0 - x * x) * v
 
 
 def tabulated(t, x, v, p):
-    """A spring that was measured: minus the pull f0, f1, ... at the places x0 < x1 < ..., three or more, less 2 damping
-    v. Between places a cubic with the slopes of parabolas through three of them; beyond the ends straight on."""
+    """Evaluate a measured spring and a damper: ``-f(x) - 2 damping v``.
+
+    f interpolates the forces f0, f1, ... at three or more positions x0 < x1 < ... by cubics. Their slopes at the
+    positions are those of parabolas through three of them. Beyond the ends f is linear.
+    """
     positions, forces = (jnp.stack([p[f"{letter}{interval}"] for interval in range(count_knots(p))]) for letter in "xf")
     widths, secants = jnp.diff(positions), jnp.diff(forces) / jnp.diff(positions)
     inner_slopes = (widths[1:] * secants[:-1] + widths[:-1] * secants[1:]) / (widths[1:] + widths[:-1])
@@ -63,7 +68,7 @@ def tabulated(t, x, v, p):
 
 
 def count_knots(params):
-    """How many places a `tabulated` force has."""
+    """Return the number of positions of a `tabulated` force."""
     return sum(name[0] == "x" for name in params)
 
 
@@ -79,7 +84,7 @@ COEFFICIENT_PATTERN = re.compile(r"c(0|[1-9]\d?)")
 
 
 def expected_parameters(function, names):
-    """None where a force of ours takes numbers of these names, and where it is none of ours; else which it takes."""
+    """Return None if the parameter names fit the force, or if it is user-defined; else the expected names as a text."""
     if function is polynomial:
         other_names = [name for name in names if not COEFFICIENT_PATTERN.fullmatch(name)]
         return None if other_names == ["damping"] else "c0, c1, c2, ... c99, those that are to be, and damping"
@@ -88,10 +93,21 @@ def expected_parameters(function, names):
 
 
 def registered_name(function):
-    """The name of a force, None where it has none."""
+    """Return the name of a predefined force, or None."""
     return next((name for name, force in NAMED_FORCES.items() if force is function), None)
 
 
 def force_name(function):
-    """What a force is called: by its name, or as its function is."""
+    """Return the name of a force: the registered name, or the name of its function.
+
+    Parameters
+    ----------
+    function : callable
+        The force.
+
+    Returns
+    -------
+    str
+        The name.
+    """
     return registered_name(function) or getattr(function, "__name__", "force")

@@ -1,4 +1,4 @@
-"""What a parameter of a scene may be, and along which leaf of the scene it lies."""
+"""Define the domain of each parameter of a scene, and the leaf of the scene that holds it."""
 
 from dataclasses import replace
 
@@ -9,11 +9,26 @@ from . import check
 from .scene import replace_unchecked
 from .unit_mistakes import require_scene_units, unit_hint, value_text
 
-EQUALITY_TOLERANCE = 8.0 * np.finfo(float).eps  # of a value: as near are two equal
+EQUALITY_TOLERANCE = 8.0 * np.finfo(float).eps  # relative difference up to which two values count as equal
 
 
 def parameter_domain(scene, name):
-    """(low, high): between them, ends left out where the walls would meet or the drive stand, the scene is one."""
+    """Return the interval of values that a parameter may have.
+
+    Parameters
+    ----------
+    scene : Scene
+        Single scene.
+    name : str
+        Name of the parameter.
+
+    Returns
+    -------
+    lower : float
+        Lower end.
+    upper : float
+        Upper end. An end at which the walls meet or the frequency is 0 is not itself a valid value.
+    """
     inf = np.inf
     if name.startswith("force."):
         return -inf, inf
@@ -34,35 +49,93 @@ def parameter_domain(scene, name):
 
 
 def check_bounds(scene, name, bounds):
-    """(low, high) as plain numbers, checked: two finite numbers, the first smaller, with the scene's value between."""
+    """Check the bounds of a parameter.
+
+    Parameters
+    ----------
+    scene : Scene
+        Single scene.
+    name : str
+        Name of the parameter.
+    bounds : tuple of float
+        Lower and upper bound.
+
+    Returns
+    -------
+    lower : float
+        Lower bound.
+    upper : float
+        Upper bound.
+
+    Raises
+    ------
+    ArgumentError
+        If `name` is not a parameter, or `bounds` are not two finite numbers, the first smaller, that enclose the
+        scene's value.
+    """
     check.require_parameter(name, scene.names, name)
     interval = np.asarray(bounds, float) if np.shape(bounds) == (2,) else np.array([np.nan, np.nan])
     if not (np.isfinite(interval).all() and interval[0] < interval[1]):
         raise check.ArgumentError("bounds", "must be (low, high), two finite numbers, the first smaller", bounds)
     value = float(scene.parameter(name))
     if not interval[0] <= value <= interval[1]:
-        rule = f"must hold the start's {name}, {value_text(scene, name)}{unit_hint(scene, name, *interval)}"
+        rule = f"must contain the initial {name}, {value_text(scene, name)}{unit_hint(scene, name, *interval)}"
         raise check.ArgumentError("bounds", rule, bounds)
     return float(interval[0]), float(interval[1])
 
 
 def check_values(scene, name, values):
-    """Values of a parameter as an array, checked: a row of one at least, with each of which the scene is one."""
+    """Check values of a parameter.
+
+    Parameters
+    ----------
+    scene : Scene
+        Single scene.
+    name : str
+        Name of the parameter.
+    values : array_like
+        One-dimensional, with at least one value.
+
+    Returns
+    -------
+    ndarray
+        The values, float64.
+
+    Raises
+    ------
+    ArgumentError
+        If `name` is not a parameter, or a value makes no valid scene.
+    """
     check.require_parameter(name, scene.names, values)
     array = check.real_array("values", values, np.float64)
     if array.ndim != 1 or not len(array):
-        raise check.ArgumentError("values", f"must be a row of values of {name}, one at least", values)
+        raise check.ArgumentError("values", f"must be a one-dimensional array of at least one value of {name}", values)
     require_scene_units("values", scene, name, array)
     scene.replace(**{name: array})
     return array
 
 
 def mark_parameters(scene, *names):
-    """(the scene with numbers of its own at the parameters, the same tree with 1 at the first, 2 at the second, else
-    0). A parameter may be several that have one value, a tuple of their names.
+    """Mark the leaves of the scene that hold some parameters.
 
-    The hardness of soft walls gets a leaf, whatever the parameters are: what is compiled is then the same for all. The
-    numbers are NumPy's, as the host asks for each of them again and again.
+    Parameters
+    ----------
+    scene : Scene
+        Single scene.
+    *names : str or tuple of str
+        Parameters. A tuple of names is one parameter that several leaves share.
+
+    Returns
+    -------
+    scene : Scene
+        The scene with its own numbers at the parameters.
+    markers : Scene
+        The same tree with 1 at the first parameter, 2 at the second, and 0 elsewhere.
+
+    Notes
+    -----
+    The hardness of soft walls gets a leaf for any choice of parameters, so that the compiled code is the same for all.
+    The numbers are NumPy arrays, because the host reads each of them many times.
     """
     scene = jax.tree.map(np.asarray, scene)
     for name in flatten_names(names):
@@ -82,18 +155,44 @@ def mark_parameters(scene, *names):
 
 
 def flatten_names(names):
-    """Names of parameters, those in tuples too, in a row."""
+    """Return names of parameters, those in tuples included, in one list.
+
+    Parameters
+    ----------
+    names : sequence of str or tuple of str
+        The names.
+
+    Returns
+    -------
+    list of str
+        The names in order.
+    """
     return [name for group in names for name in check.name_tuple("names", group)]
 
 
 def common_value(scene, name):
-    """The value of a parameter, or of several that are one, a tuple of names.
+    """Return the value of a parameter, or the common value of several that are varied together.
 
-    Raises ArgumentError where their values differ: no number is then that of all.
+    Parameters
+    ----------
+    scene : Scene
+        Single scene.
+    name : str or tuple of str
+        One parameter, or several.
+
+    Returns
+    -------
+    float
+        The value.
+
+    Raises
+    ------
+    ArgumentError
+        If the values differ.
     """
     values = {parameter: float(scene.parameter(parameter)) for parameter in check.name_tuple("names", name)}
     min_value, max_value = min(values.values()), max(values.values())
     if max_value - min_value > EQUALITY_TOLERANCE * max(abs(min_value), abs(max_value)):
-        rule = "in one tuple must have one value; for a common shift take the sum of what each gives alone"
+        rule = "must have one value in one tuple; for a common shift add the results of each alone"
         raise check.ArgumentError("names", rule, values)
     return min_value

@@ -1,4 +1,4 @@
-"""A scene from dimensional quantities: M X'' + C X' + K X = F cos(Omega T) between walls (paper, section 1)."""
+"""Make a scene from SI quantities, ``M X'' + C X' + K X = F cos(Omega T)`` between walls (paper, section 1)."""
 
 import warnings
 from collections.abc import Sequence
@@ -16,7 +16,7 @@ from .scene import SIDES, Scene, Walls, drive_terms, make_scene, resolve_restitu
 from .scene_rules import check_value
 from .wall import Motion, Wall
 
-RECORD_LENGTH = 100  # values of a force: so many look like a record in time
+RECORD_LENGTH = 100  # number of force values from which an array looks like a record in time
 
 
 @check.raise_scene_errors
@@ -36,24 +36,81 @@ def scene_from_physical(
     frequency_hz: Real[ArrayLike, "..."] | None = None,
     gap: Real[ArrayLike, "..."] | tuple[Real[ArrayLike, "..."] | None, Real[ArrayLike, "..."] | None] | None = None,
 ) -> Scene:
-    """The nondimensional scene of a mass on a spring, from SI quantities, which it remembers as its `Scales`.
+    """Make the nondimensional scene of a mass on a spring from SI quantities.
 
-    mass M > 0 (kg), stiffness K > 0 (N/m), force F (N), restitution R: numbers or arrays that broadcast, the last left
-    out where each rigid wall has its own. One each of: damping C >= 0 (N s/m) or damping_ratio C / (2 sqrt(K M));
-    frequency Omega > 0 (rad/s) or frequency_hz Omega / (2 pi); walls, (left, right) as in `make_scene`, or gap, how far
-    from the rest position they stand on both sides: a number, or (left, right), None where there is no wall. A soft
-    wall's stiffness is the force it adds over how far the mass is beyond it, its damping takes the place of C.
+    The scene remembers the quantities as its `Scales`. Give one each of `damping` or `damping_ratio`, `frequency` or
+    `frequency_hz`, and `walls` or `gap`.
 
-    drive: as in `make_scene`, its amplitudes in N.
+    Parameters
+    ----------
+    mass : array_like
+        Mass M > 0, in kg.
+    damping : array_like, optional
+        Damping C >= 0, in N s/m.
+    stiffness : array_like, optional
+        Stiffness K > 0 of the spring, in N/m. Must be given.
+    force : array_like, optional
+        Amplitude F of the drive, in N. Must be given.
+    frequency : array_like, optional
+        Frequency Omega > 0 of the drive, in rad/s.
+    restitution : array_like, optional
+        Coefficient of restitution R from 0 to 1. May be left out if each rigid wall has its own.
+    walls : tuple of (array_like, Wall or None), optional
+        Left and right wall as in `make_scene`, positions in m. The stiffness of a soft wall, in N/m, is its additional
+        force divided by the depth of the mass in the wall. Its damping, in N s/m, takes the place of C.
+    length : array_like, optional
+        Unit of length d of the scene, in m. None takes the position of the right wall, which must then be above 0, so
+        that the right wall of the scene is at 1.
+    dtype : dtype, optional
+        Either float64 (default, needs ``jax_enable_x64``) or float32.
+    drive : sequence of Motion or tuple, optional
+        Further terms of the drive as in `make_scene`, amplitudes in N.
+    damping_ratio : array_like, optional
+        Damping ratio ``C / (2 sqrt(K M))``.
+    frequency_hz : array_like, optional
+        Frequency ``Omega / (2 pi)`` of the drive, in Hz.
+    gap : array_like or tuple, optional
+        Distance of the walls from the rest position, in m: one number for both sides, or (left, right) with None for no
+        wall.
 
-    length d (m) is what the scene measures lengths in; None takes the right wall's position, which must then be above
-    0: the scene's right wall stands at 1. With w0 = sqrt(K / M) the scene has amplitude F / (K d), frequency
-    Omega / w0, damping C / (2 M w0); its time is w0 T, its x is X / d, its velocity (dX/dT) / (w0 d). The damping
-    follows from the equation of motion; our copy of the paper reads C / (M w0), which does not fit it. Any other
-    consistent units do as well, but physical ones are then told by wrong names; batches of M, K or d leave no scales.
+    Returns
+    -------
+    Scene
+        The scene, with `Scales` if mass, stiffness and length are single known numbers.
 
-    Raises SceneError for a quantity that breaks its rule; the scene itself is then checked as in `make_scene`. Warns
-    where a frequency looks like Hz, or positions like mm.
+    Raises
+    ------
+    SceneError
+        If a quantity breaks its rule, or the scene breaks one as in `make_scene`.
+
+    Warns
+    -----
+    UserWarning
+        If a frequency looks like Hz, positions look like mm, a damping ratio looks like per cent, or a gap looks like
+        positions.
+
+    See Also
+    --------
+    make_scene : Make a scene from nondimensional numbers.
+
+    Notes
+    -----
+    Numbers or arrays broadcast to a batch of scenes. With ``w0 = sqrt(K / M)`` the scene has amplitude ``F / (K d)``,
+    frequency ``Omega / w0`` and damping ``C / (2 M w0)``. Its time is w0 T, its x is X / d and its velocity is
+    ``(dX/dT) / (w0 d)``. The damping follows from the equation of motion; our copy of the paper reads ``C / (M w0)``,
+    which does not fit it.
+
+    Other consistent units give the same scene, but results in physical units then have wrong unit names.
+
+    Examples
+    --------
+    >>> made = jv.scene_from_physical(
+    ...     mass=0.5, stiffness=200.0, damping=1.0, force=4.0, frequency_hz=6.7, restitution=0.7, gap=0.01
+    ... )
+    >>> float(made.amplitude), float(made.damping)
+    (2.0, 0.05)
+    >>> round(float(made.frequency), 4), made.scales.length
+    (2.1049, 0.01)
     """
     float_dtype = check.float_type(dtype)
     walls = check.wall_pair(_choose_alternative("walls", walls, "gap", _gap_positions(gap)))
@@ -70,7 +127,7 @@ def scene_from_physical(
     check.require_broadcast(quantities.items())
     for key, value in quantities.items():
         if key == "stiffness" and not check.is_traced(value) and np.any(value == 0):
-            rule = "must be greater than 0: times are measured in sqrt(mass / stiffness)"
+            rule = "must be greater than 0: the unit of time is sqrt(mass / stiffness)"
             raise check.SceneError(key, f"{rule}; for a mass without a spring use make_scene with a Force", 0.0)
         check_value(key, value)
     _require_amplitude(quantities["force"])
@@ -99,19 +156,20 @@ def scene_from_physical(
 
 
 def _require_given(key, value):
+    """Refuse a quantity that is None."""
     if value is None:
         raise check.SceneError(key, "must be given", None)
 
 
 def _choose_alternative(key, value, other_key, other_value):
-    """The one of two ways to give a quantity that is given."""
+    """Return the given one of two alternative arguments; exactly one must be given."""
     if (value is None) == (other_value is None):
-        raise check.SceneError(key, f"must be given, or {other_key}, and not both", value)
+        raise check.SceneError(key, f"must be given, or {other_key}, but not both", value)
     return other_value if value is None else value
 
 
 def _gap_positions(gap):
-    """(left, right), the walls' positions that a gap means; None without."""
+    """Return the wall positions (left, right) of a gap, or None without one."""
     if gap is None:
         return None
     left, right = gap if isinstance(gap, tuple | list) and len(gap) == 2 else (gap, gap)
@@ -124,20 +182,24 @@ def _gap_positions(gap):
 
 
 def _require_amplitude(force):
-    """Refuse a record of a force in time where the drive's amplitude is due: an array is a batch of scenes, and no
-    amplitude of a batch needs to be below 0. Warn where an array is as long as a record."""
+    """Refuse a force in time where the drive amplitude is due, and warn about an array as long as a record.
+
+    An array is a batch of scenes, and no batch needs amplitudes of both signs.
+    """
     if check.is_traced(force) or force.size < 2:
         return
     if force.min() < 0 < force.max():
-        rule = "is the drive's amplitude, not a force in time: give a number, or further harmonics as drive; an array "
-        raise check.SceneError("force", rule + "makes a batch of scenes and must not change its sign", force)
+        rule = (
+            "must be the drive amplitude, not a force in time: give a number, and further harmonics as drive; an array "
+        )
+        raise check.SceneError("force", rule + "is a batch of scenes and must not change its sign", force)
     if force.size >= RECORD_LENGTH:
-        message = f"force is the drive's amplitude: its {force.size} values make as many scenes, one each"
-        warnings.warn(f"{message}; a force in time is given by its harmonics, drive=", UserWarning, stacklevel=4)
+        message = f"force is the drive amplitude: its {force.size} values make a batch of {force.size} scenes"
+        warnings.warn(f"{message}; give a force in time by its harmonics, drive=", UserWarning, stacklevel=4)
 
 
 def _make_scales(quantities):
-    """The `Scales` of single numbers that are known, else None."""
+    """Return the `Scales` of single known numbers, else None."""
     values = {key: quantities[key] for key in ("mass", "stiffness", "length")}
     if check.is_traced(*values.values()) or any(np.ndim(value) for value in values.values()):
         return None
@@ -149,25 +211,25 @@ def _default_length(walls, float_dtype):
     right = walls[1]
     position = right.position if isinstance(right, Wall) else right
     if position is None:
-        raise check.SceneError("length", "must be given where there is no right wall", None)
+        raise check.SceneError("length", "must be given without a right wall", None)
     position = check.real_array("right.position", position, float_dtype)
     if not check.is_traced(position) and np.any(position == 0):
-        rule = "must be given where the gap, or the right wall's position, is 0: lengths are measured in it otherwise"
+        rule = "must be given if the gap, or the right wall's position, is 0, as that is the default unit"
         raise check.SceneError("length", rule, None)
     if not check.is_traced(position) and np.any(position < 0):
-        rule = "must be given where the right wall is not right of 0: are the walls the wrong way round?"
+        rule = "must be given if the right wall is not right of 0: are the walls in the wrong order?"
         raise check.SceneError("length", rule, None)
     return position
 
 
 def _scale_drive_term(key, quantities, float_dtype, amplitude, harmonic, phase):
-    """A term of the drive in the unit K d."""
+    """Return a term of the drive with its amplitude in the unit K d."""
     amplitude = check.scene_quantity(f"{key}.amplitude", amplitude, float_dtype)
     return amplitude / (quantities["stiffness"] * quantities["length"]), harmonic, phase
 
 
 def _scale_wall(side, wall, quantities, natural_frequency, float_dtype):
-    """The wall with its lengths in the unit of length, its stiffness in K, its damping in 2 M w0."""
+    """Return the wall with lengths in the unit of length, stiffness in K and damping in 2 M w0."""
     if wall is None:
         return None
     if not isinstance(wall, Wall):

@@ -1,4 +1,4 @@
-"""What a soft wall does with a law of its own, in place of a stiffness and a damping."""
+"""Define contact laws of soft walls, which take the place of stiffness and damping."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -11,14 +11,33 @@ from jaxtyping import ArrayLike, Real
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class Push:
-    """The acceleration with which a soft wall pushes a mass that is beyond it back: function(depth, rate, numbers).
+    """Contact law of a soft wall: the acceleration that pushes the mass back.
 
-    function: of numbers, with jax.numpy, or the name of one of ours: "hertz", stiffness depth^1.5, or "hunt_crossley",
-    that times (1 + dissipation rate) (Hunt and Crossley, J. Appl. Mech. 42, 440, 1975). depth: abs(x - x_b); rate: how
-    fast it grows; numbers: {name: number or array}, which it takes, and which are parameters of the scene,
-    "right.law.<name>". It is 0 where both are 0, and a power series in the root of the depth.
+    Parameters
+    ----------
+    function : callable or str
+        ``function(depth, rate, numbers)`` of scalars, written with jax.numpy, or the name of a predefined law:
+        ``"hertz"``, ``stiffness depth^1.5``, or ``"hunt_crossley"``, ``stiffness depth^1.5 (1 + dissipation rate)``
+        [1]_. The depth is ``|x - x_b|`` and the rate its time derivative. The function must be 0 at depth 0 and rate 0,
+        and a power series in the root of the depth.
+    numbers : dict of str to array_like, optional
+        Parameters of the function. They are parameters of the scene with names such as ``"right.law.<name>"``.
 
-    What is compiled is kept for the function itself: define it once, and not anew for each call.
+    Notes
+    -----
+    Compiled code is cached for the function object. Define the function once, not anew for each call.
+
+    References
+    ----------
+    .. [1] K. H. Hunt and F. R. E. Crossley, J. Appl. Mech. 42, 440 (1975).
+
+    Examples
+    --------
+    >>> law = jv.Push("hertz", {"stiffness": 400.0})
+    >>> force = jv.Force("polynomial", {"c1": 1.0, "damping": 0.05})
+    >>> scene = jv.make_scene(2.0, 2.1, walls=(None, jv.Wall(1.0, law=law)), force=force)
+    >>> float(scene.parameter("right.law.stiffness"))
+    400.0
     """
 
     function: Callable[..., Any] | str = field(metadata={"static": True})
@@ -26,12 +45,12 @@ class Push:
 
 
 def hertz(depth, rate, p):
-    """Two elastic bodies of which one is round (Hertz): stiffness depth^1.5."""
+    """Evaluate the law of Hertz for two elastic bodies, one of them round: ``stiffness depth^1.5``."""
     return p["stiffness"] * depth**1.5
 
 
 def hunt_crossley(depth, rate, p):
-    """The same with a loss that grows with the depth: stiffness depth^1.5 (1 + dissipation rate)."""
+    """Evaluate the law of Hunt and Crossley: ``stiffness depth^1.5 (1 + dissipation rate)``."""
     return p["stiffness"] * depth**1.5 * (1.0 + p["dissipation"] * rate)
 
 
@@ -39,5 +58,5 @@ NAMED_PUSHES = {law.__name__: law for law in (hertz, hunt_crossley)}
 
 
 def registered_push_name(function):
-    """The name of a push, None where it has none."""
+    """Return the name of a predefined law, or None."""
     return next((name for name, law in NAMED_PUSHES.items() if law is function), None)

@@ -1,4 +1,4 @@
-"""The rules for the law of a soft wall: each broken one names the key, the rule and the value, like a scene's."""
+"""Check the contact law of a soft wall; each error names the key, the rule and the value."""
 
 from dataclasses import replace
 from functools import lru_cache
@@ -20,12 +20,12 @@ LAW_PARAMETERS = {hertz: ("stiffness",), hunt_crossley: ("stiffness", "dissipati
 
 
 def check_push(side, wall, to_array, dtype, force):
-    """The law of a wall with its numbers as arrays, once it breaks no rule. to_array: (key, value) -> the array."""
+    """Return the law of a wall with checked numbers; ``to_array(key, value)`` converts a number."""
     key, law = f"{side}.law", wall.law
     if not isinstance(law, Push):
         raise check.ArgumentError(key, "must be a Push or None", law)
     if force is None:
-        rule = "needs a force beside it; the spring is jv.Force('polynomial', {'c1': 1.0, 'damping': ...})"
+        rule = "needs a scene with a force; the spring is jv.Force('polynomial', {'c1': 1.0, 'damping': ...})"
         raise check.ArgumentError(key, rule, law.function)
     function = check_callable(key, law, NAMED_PUSHES, "depth, rate, numbers")
     params = {name: to_array(f"{key}.{name}", value) for name, value in law.numbers.items()}
@@ -38,7 +38,7 @@ def check_push(side, wall, to_array, dtype, force):
 
 
 def _check_params(key, function, params):
-    """Refuse numbers that one of our laws does not take, or that break its rules."""
+    """Check the parameters of a predefined law."""
     if function not in LAW_PARAMETERS:
         return
     if set(params) != set(LAW_PARAMETERS[function]):
@@ -51,7 +51,7 @@ def _check_params(key, function, params):
 
 @lru_cache(256)
 def _check_traceable(key, function, names, dtype):
-    """Refuse a law that JAX cannot trace, or that returns no number."""
+    """Check that JAX can trace a law, and that it returns one number."""
     try:
         results = trace_jaxpr(function, names, dtype, N_ARGUMENTS).out_avals
     except Exception as error:
@@ -59,11 +59,11 @@ def _check_traceable(key, function, names, dtype):
         raise check.ArgumentError(key, f"cannot be traced by JAX ({reason})", function) from None
     if len(results) != 1 or results[0].shape != () or results[0].dtype != dtype:
         outputs_text = ", ".join(f"{output.dtype}{list(output.shape)}" for output in results)
-        raise check.ArgumentError(key, f"must return one number of type {dtype}, of numbers", outputs_text)
+        raise check.ArgumentError(key, f"must return one number of type {dtype} for scalar arguments", outputs_text)
 
 
 def _check_zero_push(key, function, params, dtype):
-    """Refuse a law that pushes a mass which only touches the wall."""
+    """Check that a law is 0 for a mass that only touches the wall."""
     zero = np.zeros((), dtype)
     with jax.ensure_compile_time_eval():
         push = np.asarray(_compile_law(function, tuple(params))(zero, zero, *params.values()))
@@ -72,4 +72,5 @@ def _check_zero_push(key, function, params, dtype):
 
 @lru_cache(256)
 def _compile_law(function, names):
+    """Return the compiled law of positional numbers."""
     return jax.jit(flat_function(function, names, N_ARGUMENTS))

@@ -1,4 +1,4 @@
-"""What a scene's numbers are measured in: a mass, a stiffness and a length, in SI units."""
+"""Define the scales of a scene: a mass, a stiffness and a length in SI units."""
 
 from dataclasses import dataclass
 
@@ -10,10 +10,29 @@ from .scene_rules import check_value
 
 @dataclass(frozen=True)
 class Scales:
-    """The physical quantities that are 1 in a scene: the mass M (kg), the spring's stiffness K (N/m) and a length d
-    (m). The scene's time is w0 T, w0 = sqrt(K / M); its lengths are in d, its forces in K d.
+    """Physical quantities that are 1 in a scene.
 
-    Raises ArgumentError for what is no number greater than 0.
+    The time of the scene is w0 T with ``w0 = sqrt(K / M)``. Its lengths are in d and its forces in K d.
+
+    Parameters
+    ----------
+    mass : float
+        Mass M, in kg.
+    stiffness : float
+        Stiffness K of the spring, in N/m.
+    length : float
+        Length d, in m.
+
+    Raises
+    ------
+    ArgumentError
+        If a value is not a number greater than 0.
+
+    Examples
+    --------
+    >>> scales = jv.Scales(mass=0.5, stiffness=200.0, length=0.01)
+    >>> scales.natural_frequency
+    20.0
     """
 
     mass: float
@@ -30,18 +49,34 @@ class Scales:
 
     @property
     def numbers(self) -> dict[str, float]:
-        """{"mass": M, "stiffness": K, "length": d}."""
+        """Mass, stiffness and length by name: ``{"mass": M, "stiffness": K, "length": d}``."""
         return {key: getattr(self, key) for key in ("mass", "stiffness", "length")}
 
     @property
     def natural_frequency(self) -> float:
-        """w0, radians per second."""
+        """Undamped natural frequency w0, in rad/s."""
         return float(np.sqrt(self.stiffness / self.mass))
 
 
 def require_scales(scene):
-    """The `Scales` of a scene. Raises ArgumentError where it has none."""
+    """Return the scales of a scene.
+
+    Parameters
+    ----------
+    scene : Scene
+        The scene.
+
+    Returns
+    -------
+    Scales
+        Its scales.
+
+    Raises
+    ------
+    ArgumentError
+        If the scene has no scales.
+    """
     if scene.scales is None:
-        rule = "must have scales to be told in physical units: scene_from_physical makes such a scene"
+        rule = "physical units need scales: scene_from_physical makes a scene with scales"
         raise check.ArgumentError("units", rule, "a scene without scales")
     return scene.scales

@@ -1,4 +1,4 @@
-"""The scene: an oscillator, its drive and its walls, a frozen pytree of nondimensional numbers (paper, section 1)."""
+"""Define the scene: an oscillator, its drive and its walls, a pytree of nondimensional numbers (paper, section 1)."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
@@ -24,19 +24,58 @@ from .scene_rules import check_scene
 from .wall import Motion, Wall
 
 SIDES = ("left", "right")
-MAX_DRIVE_TERMS = 32  # of the drive, beside its first: each is compiled for
+MAX_DRIVE_TERMS = 32  # terms of the drive beside its first; each number of terms compiles
 
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """x'' + 2 damping x' + x = amplitude cos(frequency t) between the walls, y+ - v = -restitution (y- - v) at a rigid
-    one; beyond a soft one as `Wall` says. With a force of its own x'' = force + amplitude cos(frequency t).
+    """Oscillator with its drive and its walls.
 
-    Every real number is an array; together they broadcast to the batch of scenes. A wall that is None is not there.
-    drive: further terms beside amplitude cos(frequency t), `Motion`s. force: a `Force`; damping is then None. harder:
-    by how many decades the soft walls are stiffer than they say, at the same R_eff; None but along a branch. scales:
-    the `Scales` of one that `scene_from_physical` made, None of others; what JAX's transformations give back has none.
-    Make one with `make_scene`, which checks it.
+    Make a scene with `make_scene`, which checks it.
+
+    Attributes
+    ----------
+    amplitude : Array
+        Amplitude A of the drive, in lengths of the scene.
+    frequency : Array
+        Frequency omega of the drive, in units of the undamped natural frequency w0.
+    damping : Array or None
+        Damping ratio gamma, 1 being critical. None if the scene has a `Force`.
+    restitution : Array
+        Coefficient of restitution R of the rigid walls without their own.
+    left, right : Wall or None
+        The walls. None means that the scene has no wall on this side.
+    harder : Array or None
+        Decades by which the soft walls are stiffer than their stiffness states, at the same effective restitution. None
+        except along a branch.
+    force : Force or None
+        User-defined force in place of the spring and the damper. None selects the spring and the damper.
+    drive : tuple of Motion
+        Further terms of the drive beside ``amplitude cos(frequency t)``.
+    scales : Scales or None
+        Scales of a scene that `scene_from_physical` made. None for other scenes and for results of JAX transformations.
+
+    See Also
+    --------
+    make_scene : Make a scene from nondimensional numbers.
+    scene_from_physical : Make a scene from SI quantities.
+
+    Notes
+    -----
+    Between the walls the mass obeys ``x'' + 2 damping x' + x = amplitude cos(frequency t)``. With a `Force` it obeys
+    ``x'' = force + amplitude cos(frequency t)``. At a rigid wall the velocity y changes to y+ with
+    ``y+ - v = -restitution (y- - v)``, v being the velocity of the wall. `Wall` states the equation inside a soft wall.
+
+    All real numbers are arrays. They broadcast to the shape of the batch of scenes.
+
+    Examples
+    --------
+    >>> scene = jv.make_scene(amplitude=2.0, frequency=2.1, damping=0.05, restitution=0.7, walls=(-1.0, 1.0))
+    >>> float(scene.amplitude), scene.shape
+    (2.0, ())
+    >>> stronger = scene.replace(amplitude=3.0)
+    >>> float(stronger.amplitude)
+    3.0
     """
 
     amplitude: Real[Array, "..."]
@@ -52,30 +91,33 @@ class Scene:
 
     @property
     def dtype(self) -> np.dtype:
-        """The floating-point type of the scene's numbers."""
+        """Floating-point type of the scene's numbers."""
         return jnp.result_type(self.amplitude)
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """The shape of the batch: of all the scene's numbers, broadcast together."""
+        """Shape of the batch: the shapes of all numbers, broadcast together."""
         shapes = [jnp.shape(leaf) for leaf in jax.tree.leaves(self)]
         return jnp.broadcast_shapes(*shapes) if any(shapes) else ()
 
     @property
     def flow(self) -> str:
-        """How the mass flies between the walls, and why, in a sentence: "exact: ..." under spring and damper, else by
-        steps, Taylor's or those of a solver."""
+        """Method that computes the flight between the walls, with the reason, in one sentence.
+
+        "exact: ..." under spring and damper. Under a `Force` it names Taylor steps, or the steps of a solver.
+        """
         if self.force is None:
             return "exact: the flow of spring, damper and drive is known in closed form"
         return flow_text(self.force, self.dtype)
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The names of the scene's parameters, those of a wall dotted: "right.motion.phase".
+        """Names of the scene's parameters; names of a wall are dotted, as in ``"right.motion.phase"``.
 
-        Where there is a soft wall beside the spring, "hardness" is one: the decimal logarithm of its stiffness, of the
-        left one's where there are two. Naming it multiplies the stiffness of all soft walls by one number, and changes
-        the damping of each so that its R_eff stays (`effective_restitution`).
+        A scene with a soft wall beside the spring has the parameter ``"hardness"``, the decimal logarithm of the
+        stiffness of the soft wall (of the left one if both are soft). A change of the hardness multiplies the stiffness
+        of all soft walls by one factor and adjusts the damping of each, so that its effective restitution stays
+        (`effective_restitution`).
         """
         names = ["amplitude", "frequency", "restitution"]
         if self.force is None:
@@ -90,28 +132,43 @@ class Scene:
 
     @property
     def shares_restitution(self) -> bool:
-        """Whether there is a rigid wall without a restitution of its own, which has the scene's."""
+        """True if a rigid wall has no restitution of its own and takes the scene's."""
         return any(not wall.soft and wall.restitution is None for wall in self.walls.values())
 
     @property
     def walls(self) -> dict[str, Wall]:
-        """{side: `Wall`} of the walls that there are, left first."""
+        """Walls of the scene by side, the left one first: ``{side: Wall}``."""
         return {side: getattr(self, side) for side in SIDES if getattr(self, side) is not None}
 
     @property
     def soft_sides(self) -> tuple[str, ...]:
-        """The sides of its soft walls, left first."""
+        """Sides of the soft walls, left first."""
         return tuple(side for side, wall in self.walls.items() if wall.soft)
 
     @property
     def hardens(self) -> bool:
-        """Whether it has a hardness: R_eff of its soft walls is that beside the spring."""
+        """True if the scene has a hardness: it has a soft wall beside the spring."""
         return bool(self.soft_sides) and self.force is None
 
     def parameter(self, name: str) -> Float[Array, "..."] | np.floating | float | int:
-        """The value of a parameter, an array; a wall without a restitution, or damping, of its own gives the scene's.
+        """Return the value of a parameter.
 
-        Raises ArgumentError where the scene has no parameter of this name.
+        A wall without its own restitution or damping takes the scene's.
+
+        Parameters
+        ----------
+        name : str
+            Name of the parameter, one of `names`.
+
+        Returns
+        -------
+        Array
+            The value.
+
+        Raises
+        ------
+        ArgumentError
+            If the scene has no parameter of this name.
         """
         check.require_parameter(name, self.names, name)
         if name == "hardness":
@@ -122,37 +179,69 @@ class Scene:
 
     @property
     def numbers(self) -> dict[str, float]:
-        """{name: number} of the parameters of a single scene."""
+        """Parameters of a single scene as plain numbers: ``{name: number}``."""
         return {name: float(self.parameter(name)) for name in self.names}
 
     def bounce(self, side: str) -> Float[Array, "..."] | np.floating | float | int:
-        """R of a wall, with which the velocity against it comes back; -1 of a soft one, which lets it pass."""
+        """Return the coefficient of restitution R of a wall, or -1 for a soft wall.
+
+        A soft wall does not reverse the velocity.
+
+        Parameters
+        ----------
+        side : {"left", "right"}
+            Side of the wall.
+
+        Returns
+        -------
+        Array
+            Coefficient of restitution relative to the wall.
+        """
         wall = getattr(self, side)
         return -jnp.ones_like(wall.position) if wall.soft else self.parameter(f"{side}.restitution")
 
     @property
     def dissipative(self) -> bool | None:
-        """True where it is proved that areas in the state space never grow, in flight or at an impact, of no scene of
-        the batch; None where it is not proved, and where numbers are traced. It is never False.
+        """True if phase-space areas provably never grow, for every scene of the batch; else None.
 
-        Then no multipliers' product is above 1, and there are no Neimark-Sacker points. Areas that stay as they are,
-        without damping and with R = 1, count as such that do not grow. Of spring and damper it is always so; of a force
-        d force / d v is bounded by interval arithmetic, at all t and v and all x between the walls (docs/force.md).
+        The areas grow neither in flight nor at an impact. The value is None if there is no proof, and if numbers are
+        traced. It is never False. If it is True, the product of the multipliers is at most 1 and there are no
+        Neimark-Sacker points. Areas that stay constant, without damping and with R = 1, satisfy the condition.
+
+        Notes
+        -----
+        Scenes with spring and damper are always dissipative. For a `Force` interval arithmetic bounds d force / d v for
+        all t and v and for all x between the walls (docs/force.md).
         """
         return areas_never_grow(self)
 
     @check.raise_scene_errors
     def replace(self, **changes: Real[ArrayLike, "..."]) -> "Scene":
-        """The same scene with other values: `scene.replace(**{"amplitude": 3.0, "right.restitution": 0.5})`.
+        """Return a copy of the scene with other parameter values.
 
-        Naming a wall's restitution, or damping, gives that wall its own; so does naming the hardness, which is changed
-        before the others. Raises SceneError, as the new scene is checked like any other.
+        A value for the restitution or the damping of a wall gives the wall its own. The hardness changes before the
+        other parameters.
+
+        Parameters
+        ----------
+        **changes : array_like
+            New values by name, for example ``scene.replace(**{"amplitude": 3.0, "right.restitution": 0.5})``.
+
+        Returns
+        -------
+        Scene
+            The new scene, checked like any other.
+
+        Raises
+        ------
+        SceneError
+            If a name is not a parameter of the scene, or a value breaks its rule.
         """
         return _make_checked(vars(replace_unchecked(self, changes)), self.dtype)
 
 
 _LEAF_NAMES = [entry.name for entry in fields(Scene) if entry.name != "scales"]
-jax.tree_util.register_dataclass(Scene, _LEAF_NAMES, [], ("scales",))  # so no scales make another program
+jax.tree_util.register_dataclass(Scene, _LEAF_NAMES, [], ("scales",))  # scales are no leaf: they cause no recompilation
 
 Walls = Sequence[Wall | Real[ArrayLike, "..."] | None] | Real[Array, " walls"]  # left and right
 
@@ -168,19 +257,56 @@ def make_scene(
     force: Force | None = None,
     drive: Sequence[Motion | tuple[Real[ArrayLike, "..."], int, Real[ArrayLike, "..."]]] = (),
 ) -> Scene:
-    """A checked scene.
+    """Make a checked scene from nondimensional numbers.
 
-    amplitude A, frequency omega > 0, damping gamma >= 0 (1 is critical), restitution 0 <= R <= 1: numbers or arrays
-    that broadcast together as a batch; a list is refused; R may be left out where each rigid wall has its own. walls:
-    (left, right), each a position, None (no wall there) or a `Wall`, which may have a restitution of its own; or an
-    array of two positions. force: a `Force` in place of the spring and the damper, None for these; beside one there is
-    no damping. drive: terms that are added to A cos(omega t), each (amplitude, harmonic, phase) or a `Motion`;
-    (amplitude, 0, 0.0) is a constant force. Units: lengths in the unit of the walls, time in 1/w0, w0 the undamped
-    natural frequency (paper, section 1). dtype: None is float64 and needs jax's jax_enable_x64; jnp.float32 asks for
-    single precision.
+    Parameters
+    ----------
+    amplitude : array_like
+        Amplitude A of the drive, in lengths of the scene.
+    frequency : array_like
+        Frequency omega > 0 of the drive, in units of the undamped natural frequency w0.
+    damping : array_like, optional
+        Damping ratio gamma >= 0, 1 being critical. Must be left out if `force` is given.
+    restitution : array_like, optional
+        Coefficient of restitution R from 0 to 1. May be left out if each rigid wall has its own.
+    walls : tuple of (array_like, Wall or None), optional
+        Left and right wall, each a position, None (no wall) or a `Wall`, or an array of two positions. Must be given.
+    dtype : dtype, optional
+        Either float64 (default, needs ``jax_enable_x64``) or float32.
+    force : Force, optional
+        User-defined force in place of the spring and the damper.
+    drive : sequence of Motion or tuple, optional
+        Further terms of the drive, each a `Motion` or ``(amplitude, harmonic, phase)``. The term ``(amplitude, 0,
+        0.0)`` is a constant force. At most 32 terms.
 
-    Raises SceneError, which names the argument, the rule and the first offending value. Under tracing only types and
-    shapes are checked.
+    Returns
+    -------
+    Scene
+        The scene.
+
+    Raises
+    ------
+    SceneError
+        If an argument breaks its rule. The message names the argument, the rule and the first offending value. Under
+        tracing only types and shapes are checked.
+
+    See Also
+    --------
+    scene_from_physical : Make a scene from SI quantities.
+
+    Notes
+    -----
+    Lengths are in the unit of the wall positions. Time is in 1/w0, w0 being the undamped natural frequency (paper,
+    section 1). Numbers or arrays broadcast together to a batch of scenes. Lists are refused.
+
+    Examples
+    --------
+    >>> scene = jv.make_scene(2.0, 2.1, 0.05, 0.7, walls=(-1.0, 1.0))
+    >>> scene.names[:4]
+    ('amplitude', 'frequency', 'damping', 'restitution')
+    >>> one_wall = jv.make_scene(np.linspace(1.0, 2.0, 5), 2.1, 0.05, 0.7, walls=(None, 1.0))
+    >>> one_wall.shape, list(one_wall.walls)
+    ((5,), ['right'])
     """
     wall_fields: dict[str, Any] = dict(zip(SIDES, check.wall_pair(walls), strict=True))
     for side, wall in wall_fields.items():
@@ -192,19 +318,37 @@ def make_scene(
 
 
 def resolve_restitution(restitution, walls):
-    """The scene's R as given, or 1 where it is left out and no wall would have it. Raises SceneError."""
+    """Return the scene's R, or 1 if it is left out and no wall needs it; raise SceneError if a wall needs it."""
     if restitution is not None:
         return restitution
     has_value = (
         wall is None or (isinstance(wall, Wall) and (wall.soft or wall.restitution is not None)) for wall in walls
     )
     if not all(has_value):
-        raise check.SceneError("restitution", "must be given, or one of its own for each rigid wall", None)
+        raise check.SceneError("restitution", "must be given, unless each rigid wall has its own", None)
     return 1.0
 
 
 def replace_unchecked(scene, changes):
-    """The scene with other values put in by name, not yet checked beyond the names."""
+    """Return a copy of the scene with other parameter values, without a check of the values.
+
+    Parameters
+    ----------
+    scene : Scene
+        The scene.
+    changes : dict of str to array_like
+        New values by name. The hardness changes first.
+
+    Returns
+    -------
+    Scene
+        The new scene.
+
+    Raises
+    ------
+    ArgumentError
+        If a name is not a parameter of the scene.
+    """
     for name, value in sorted(changes.items(), key=lambda change: change[0] != "hardness"):
         check.require_parameter(name, scene.names, value)
         scene = _replace_hardness(scene, value) if name == "hardness" else _set_leaf(scene, name.split("."), value)
@@ -212,6 +356,7 @@ def replace_unchecked(scene, changes):
 
 
 def _replace_hardness(scene, value):
+    """Return the scene with all soft walls scaled to a hardness."""
     if not check.is_traced(value):
         value = check.scene_quantity("hardness", value, np.float64)
     log_factor, walls = value - scene.parameter("hardness"), {}
@@ -223,20 +368,41 @@ def _replace_hardness(scene, value):
 
 
 def harden_wall(stiffness, damping, log_factor):
-    """(k2, gamma2) of a wall 10^harder times as stiff that has the same z, and with it the same R_eff."""
+    """Return stiffness and damping of a soft wall after a change of its hardness.
+
+    The wall keeps its share z of critical damping, and with it its effective restitution.
+
+    Parameters
+    ----------
+    stiffness : array_like
+        Stiffness k2 of the wall.
+    damping : array_like
+        Damping gamma2 of the wall.
+    log_factor : array_like
+        Decimal logarithm of the factor of the stiffness.
+
+    Returns
+    -------
+    stiffness : Array
+        New stiffness.
+    damping : Array
+        New damping.
+    """
     xp = jnp if check.is_traced(stiffness, damping, log_factor) else np
-    with np.errstate(over="ignore", under="ignore"):  # a wall's own rules refuse what comes of it
+    with np.errstate(over="ignore", under="ignore"):  # the rules for a wall refuse the result
         new_stiffness = stiffness * 10.0**log_factor
         return new_stiffness, damping * xp.sqrt((1.0 + new_stiffness) / (1.0 + stiffness))
 
 
 def _child_node(node, name):
+    """Return the child of a node of the scene's tree by its name."""
     if isinstance(node, tuple):
         return node[int(name)]
     return node.numbers[name] if isinstance(node, Force | Push) else getattr(node, name)
 
 
 def _set_leaf(node, path, value):
+    """Return a node of the scene's tree with one leaf replaced."""
     head, *subpath = path
     if isinstance(node, tuple):
         return tuple(_set_leaf(child, subpath, value) if k == int(head) else child for k, child in enumerate(node))
@@ -246,21 +412,53 @@ def _set_leaf(node, path, value):
 
 
 def _make_checked(field_values, dtype):
+    """Return a checked scene of JAX arrays from its fields."""
     return map_numbers(jnp.asarray, _check_sound(_scene_from_fields(field_values, check.float_type(dtype))))
 
 
 def map_numbers(function, scene):
-    """The scene with a function of each of its numbers, its scales as they were."""
+    """Apply a function to all numbers of a scene and keep its scales.
+
+    Parameters
+    ----------
+    function : callable
+        Function of one array.
+    scene : Scene
+        The scene.
+
+    Returns
+    -------
+    Scene
+        The new scene.
+    """
     return replace(jax.tree.map(function, scene), scales=scene.scales)
 
 
 def validate_scene(scene, dtype):
-    """The scene once it breaks no rule, its numbers NumPy arrays of this type (tracers where they are traced)."""
+    """Check a scene and return it with NumPy arrays of one type (tracers stay tracers).
+
+    Parameters
+    ----------
+    scene : Scene
+        Scene with unchecked numbers.
+    dtype : dtype
+        Floating-point type.
+
+    Returns
+    -------
+    Scene
+        The checked scene.
+
+    Raises
+    ------
+    ArgumentError
+        If the scene breaks a rule.
+    """
     return _check_sound(_scene_from_fields(vars(scene), dtype))
 
 
 def _check_sound(scene):
-    """The scene itself, once it breaks no rule."""
+    """Return the scene itself if it breaks no rule."""
     check_scene(scene)
     if scene.force is not None:
         check_force_values(scene)
@@ -268,7 +466,7 @@ def _check_sound(scene):
 
 
 def _scene_from_fields(field_values, dtype):
-    """The scene of {field: value}, every number an array of this type, refused where it is no finite real number."""
+    """Return the scene of ``{field: value}`` with checked arrays of one type."""
 
     def to_array(key, value):
         return check.scene_quantity(key, value, dtype)
@@ -315,7 +513,23 @@ def _scene_from_fields(field_values, dtype):
 
 
 def drive_terms(drive):
-    """(amplitude, harmonic, phase) of the further terms of a drive, not yet checked."""
+    """Iterate over the further terms of a drive, not yet checked.
+
+    Parameters
+    ----------
+    drive : sequence of Motion or tuple
+        Terms of the drive, as in `make_scene`.
+
+    Yields
+    ------
+    tuple
+        Amplitude, harmonic and phase of a term.
+
+    Raises
+    ------
+    SceneError
+        If `drive` is not a list of terms, or has more than 32.
+    """
     if not isinstance(drive, tuple | list):
         raise check.SceneError("drive", "must be a list of terms, each (amplitude, harmonic, phase) or a Motion", drive)
     if len(drive) > MAX_DRIVE_TERMS:
@@ -330,8 +544,22 @@ def drive_terms(drive):
 
 
 def wall_positions(scene, phase):
-    """Where the walls of a known scene are at a phase of the drive, NumPy's: (left, right), infinite where there is
-    none."""
+    """Return the positions of the walls of a known scene at a phase of the drive.
+
+    Parameters
+    ----------
+    scene : Scene
+        Scene without traced numbers.
+    phase : array_like
+        Phase of the drive, in rad.
+
+    Returns
+    -------
+    left : ndarray
+        Position of the left wall, -inf without one.
+    right : ndarray
+        Position of the right wall, inf without one.
+    """
     positions = [-np.inf, np.inf]
     for k, side in enumerate(SIDES):
         if (wall := getattr(scene, side)) is not None:
@@ -344,7 +572,24 @@ def wall_positions(scene, phase):
 
 
 def rigid_wall_positions(scene, phase):
-    """As `wall_positions`, of rigid walls alone: past a soft one a mass is within it."""
+    """Return the positions of the rigid walls of a known scene at a phase of the drive.
+
+    Soft walls count as absent, because a mass may be inside them.
+
+    Parameters
+    ----------
+    scene : Scene
+        Scene without traced numbers.
+    phase : array_like
+        Phase of the drive, in rad.
+
+    Returns
+    -------
+    left : ndarray
+        Position of the left wall, -inf without a rigid one.
+    right : ndarray
+        Position of the right wall, inf without a rigid one.
+    """
     positions = wall_positions(scene, phase)
     entries = zip(SIDES, positions, (-np.inf, np.inf), strict=True)
     return tuple(no_wall if side in scene.soft_sides else position for side, position, no_wall in entries)

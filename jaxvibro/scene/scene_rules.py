@@ -1,4 +1,4 @@
-"""The rules for the numbers of a scene, by name, and for its walls together."""
+"""Check the numbers of a scene by name, and its walls together."""
 
 import jax
 
@@ -22,11 +22,11 @@ RULES = {
     "stiffness": POSITIVE,
     "length": POSITIVE,
 }
-PATH_KEYS = ("name", "key", "idx")  # of a dataclass, a dict, a tuple
+PATH_KEYS = ("name", "key", "idx")  # attributes of the path entries of a dataclass, a dict, a tuple
 
 
 def check_scene(scene):
-    """The scene itself, once it breaks no rule: shapes always, values where they are known."""
+    """Return the scene itself if it breaks no rule; values are checked if they are known."""
     leaves = [(leaf_name(path), leaf) for path, leaf in jax.tree_util.tree_leaves_with_path(scene)]
     check.require_broadcast(leaves)
     for key, leaf in leaves:
@@ -37,19 +37,19 @@ def check_scene(scene):
 
 
 def check_value(key, value):
-    """Refuse a known value that breaks the rule of its key; without a rule any real number will do."""
+    """Check a known value against the rule of its key, if there is one."""
     if key in RULES and not check.is_traced(value):
         rule, holds = RULES[key]
         check.require(key, rule, value, holds(value))
 
 
 def leaf_name(path):
-    """The dotted name of a leaf from its path in the tree."""
+    """Return the dotted name of a leaf from its path in the tree."""
     return ".".join(str(next(getattr(step, key) for key in PATH_KEYS if hasattr(step, key))) for step in path)
 
 
 def require_walls_apart(left, right):
-    """Refuse walls out of order, and walls that touch or cross at some phase of their motion."""
+    """Check that the walls are in order, and that they neither touch nor cross in their motion."""
     if check.is_traced(left.position, right.position):
         return
     rule = "must lie to the right of left.position"
@@ -60,5 +60,8 @@ def require_walls_apart(left, right):
         gap = minimum_gap(left, right)
         side = "left" if right.motion is None else "right"
         check.require(
-            f"{side}.motion", "walls may not touch or cross as they move: the least gap must exceed 0", gap, gap > 0
+            f"{side}.motion",
+            "walls must not touch or cross in their motion: the smallest gap must exceed 0",
+            gap,
+            gap > 0,
         )

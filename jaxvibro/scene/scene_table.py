@@ -1,4 +1,4 @@
-"""[scene]: the table that describes a scene, in a scene file and in all that is saved."""
+"""Define the table [scene] that describes a scene, in a scene file and in all saved data."""
 
 from dataclasses import replace
 
@@ -18,30 +18,30 @@ NUMBER_KEYS = ("amplitude", "frequency", "damping", "restitution")
 
 
 class Table(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
-    """A table in which every key has its meaning and no other key may stand."""
+    """Table without unknown keys."""
 
 
 class MotionTable(Table, frozen=True):
-    """[scene.left.motion], or one of [[scene.drive]]: a `Motion`."""
+    """Table [scene.left.motion], or one of [[scene.drive]]: a `Motion`."""
 
     amplitude: float
     phase: float = 0.0
     harmonic: int = 1
 
     def motion(self):
-        """The `Motion` described, not yet checked."""
+        """Return the `Motion`, not yet checked."""
         return Motion(self.amplitude, self.phase, self.harmonic)
 
 
 class PushTable(Table, frozen=True):
-    """[scene.left.law]: a `Push` with one of our names, and its numbers."""
+    """Table [scene.left.law]: a predefined `Push` by name, and its parameters."""
 
     name: str
     numbers: dict[str, float] = field(default_factory=dict)
 
 
 class WallTable(Table, frozen=True):
-    """[scene.left]: a `Wall`; a rigid one without restitution has the scene's, a soft one without damping too."""
+    """Table [scene.left]: a `Wall`, which takes a missing restitution or damping from the scene."""
 
     position: float
     restitution: float | None = None
@@ -51,14 +51,14 @@ class WallTable(Table, frozen=True):
     law: PushTable | None = None
 
     def wall(self):
-        """The `Wall` described, not yet checked."""
+        """Return the `Wall`, not yet checked."""
         motion = self.motion and self.motion.motion()
         law = self.law and Push(self.law.name, self.law.numbers)
         return Wall(self.position, self.restitution, self.stiffness, self.damping, motion, law)
 
 
 class ForceTable(Table, frozen=True):
-    """[scene.force]: a `Force` with one of our names, and its numbers."""
+    """Table [scene.force]: a predefined `Force` by name, and its parameters."""
 
     name: str
     numbers: dict[str, float] = field(default_factory=dict)
@@ -66,12 +66,12 @@ class ForceTable(Table, frozen=True):
     solver: str | None = None
 
     def force(self):
-        """The `Force` described, not yet checked."""
+        """Return the `Force`, not yet checked."""
         return Force(self.name, self.numbers, self.tolerance, self.solver)
 
 
 class ScalesTable(Table, frozen=True):
-    """[scene.scales]: `Scales`, mass in kg, stiffness in N/m, length in m."""
+    """Table [scene.scales]: `Scales` with mass in kg, stiffness in N/m and length in m."""
 
     mass: float
     stiffness: float
@@ -79,8 +79,7 @@ class ScalesTable(Table, frozen=True):
 
 
 class SceneTable(Table, frozen=True, kw_only=True):
-    """[scene]: the arguments of `make_scene`; a wall without a table is not there. scales: what its numbers are
-    measured in, where that is to be told."""
+    """Table [scene]: the arguments of `make_scene` and the optional `Scales`; a side without a table has no wall."""
 
     amplitude: float
     frequency: float
@@ -93,7 +92,23 @@ class SceneTable(Table, frozen=True, kw_only=True):
     scales: ScalesTable | None = None
 
     def make(self, dtype=None):
-        """The scene described, made by `make_scene`: ArgumentError where it breaks a rule."""
+        """Make the scene of the table.
+
+        Parameters
+        ----------
+        dtype : dtype, optional
+            Floating-point type, as in `make_scene`.
+
+        Returns
+        -------
+        Scene
+            The scene.
+
+        Raises
+        ------
+        ArgumentError
+            If it breaks a rule.
+        """
         walls = tuple(table and table.wall() for table in (self.left, self.right))
         force = self.force and self.force.force()
         drive = [term.motion() for term in self.drive]
@@ -109,9 +124,25 @@ def _make_scales(table):
 
 
 def make_scene_table(scene):
-    """The `SceneTable` that describes one scene. Raises ArgumentError for a batch, and for a force without a name."""
+    """Return the table of a single scene.
+
+    Parameters
+    ----------
+    scene : Scene
+        The scene.
+
+    Returns
+    -------
+    SceneTable
+        Its table.
+
+    Raises
+    ------
+    ArgumentError
+        If the scene is a batch, or its force or a contact law is not predefined.
+    """
     if scene.shape:
-        raise check.ArgumentError("scene", "only a single scene can be written, not a batch", f"shape {scene.shape}")
+        raise check.ArgumentError("scene", "must be a single scene to be saved, not a batch", f"shape {scene.shape}")
 
     def motion_table(motion):
         return MotionTable(float(motion.amplitude), float(motion.phase), motion.harmonic)
@@ -132,12 +163,39 @@ def make_scene_table(scene):
 
 
 def scene_toml(scene):
-    """One scene as the TOML of its table. Raises ArgumentError as `make_scene_table`."""
+    """Return the TOML text of the table of a single scene.
+
+    Parameters
+    ----------
+    scene : Scene
+        The scene.
+
+    Returns
+    -------
+    str
+        The text.
+
+    Raises
+    ------
+    ArgumentError
+        If the scene is a batch, or its force or a contact law is not predefined.
+    """
     return msgspec.toml.encode(make_scene_table(scene)).decode()
 
 
 def scene_toml_or_empty(scene):
-    """The same, "" of a scene that has a force without a name."""
+    """Return the TOML text of the table of a single scene, or "" if its force or a contact law is not predefined.
+
+    Parameters
+    ----------
+    scene : Scene
+        The scene.
+
+    Returns
+    -------
+    str
+        The text.
+    """
     is_named = registered_name(scene.force.function) if scene.force else True
     laws = (wall.law for wall in scene.walls.values() if wall.law)
     return scene_toml(scene) if is_named and all(registered_push_name(law.function) for law in laws) else ""
@@ -148,7 +206,7 @@ def _push_table(law):
         return None
     name = registered_push_name(law.function)
     if name is None:
-        rule = f"must be one of ours ({', '.join(NAMED_PUSHES)}) to be written"
+        rule = f"must be predefined ({', '.join(NAMED_PUSHES)}) to be saved"
         raise check.ArgumentError("law.function", rule, law.function)
     return PushTable(name, {key: float(value) for key, value in law.numbers.items()})
 
@@ -158,11 +216,11 @@ def _force_table(force):
         return None
     name = registered_name(force.function)
     if name is None:
-        rule = f"must be one of ours ({', '.join(NAMED_FORCES)}) to be written"
+        rule = f"must be predefined ({', '.join(NAMED_FORCES)}) to be saved"
         raise check.ArgumentError("force.function", rule, force.function)
     solver = force.solver and solver_name(force.solver)
     if force.solver is not None and solver is None:
-        rule = "must be one that diffrax makes by its name alone to be written"
+        rule = "must be a solver that diffrax makes from its name alone to be saved"
         raise check.ArgumentError("force.solver", rule, force.solver)
     numbers = {key: float(value) for key, value in force.numbers.items()}
     return ForceTable(name, numbers, force.tolerance, solver)

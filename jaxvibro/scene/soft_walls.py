@@ -1,8 +1,11 @@
-"""With what part of its speed a mass leaves a soft wall (paper, section 4): z is the wall's share of critical damping.
+"""Relate stiffness and damping of a soft wall to its effective restitution (paper, section 4).
+
+The effective restitution is the ratio of the speeds at exit and at entry, z being the share of critical damping:
 
     R_eff = exp(-pi z / sqrt(1 - z^2)),  z = gamma2 / sqrt(1 + k2)
 
-as y'' + 2 gamma2 y' + (1 + k2) y = 0 from y = 0 is back there after half a swing, pi / sqrt(1 + k2 - gamma2^2).
+A mass with y'' + 2 gamma2 y' + (1 + k2) y = 0 that starts at y = 0 is back there after half a period of its free
+oscillation, pi / sqrt(1 + k2 - gamma2^2).
 """
 
 from dataclasses import replace
@@ -23,10 +26,34 @@ from .scene_rules import check_value
 def effective_restitution(
     stiffness: Real[ArrayLike, "..."], damping: Real[ArrayLike, "..."]
 ) -> Float[Array, "..."] | np.floating:
-    """R_eff of a soft wall: the speed at which a mass leaves it over that at which it came, where nothing else pulls.
+    """Compute the effective restitution of a soft wall: exit speed over entry speed without other forces.
 
-    stiffness k2 > 0, damping gamma2 >= 0, as of a `Wall`: numbers or arrays that broadcast. From critical damping on
-    (z >= 1) the mass never comes back by itself: 0. Raises ArgumentError for a number that breaks its rule.
+    Parameters
+    ----------
+    stiffness : array_like
+        Stiffness k2 > 0 of the wall.
+    damping : array_like
+        Damping gamma2 >= 0 of the wall. Broadcasts with `stiffness`.
+
+    Returns
+    -------
+    Array
+        ``R_eff = exp(-pi z / sqrt(1 - z^2))`` with ``z = gamma2 / sqrt(1 + k2)``. It is 0 from critical damping on
+        (z >= 1), because the mass does not return by itself.
+
+    Raises
+    ------
+    ArgumentError
+        If a number breaks its rule.
+
+    See Also
+    --------
+    contact_damping : Compute the damping for a given effective restitution.
+
+    Examples
+    --------
+    >>> round(float(jv.effective_restitution(400.0, 3.0)), 6)
+    0.621249
     """
     xp, k2, gamma2 = _check_numbers(stiffness=stiffness, damping=damping)
     squared_frequency = 1.0 + k2 - gamma2 * gamma2
@@ -39,12 +66,35 @@ def effective_restitution(
 def contact_damping(
     stiffness: Real[ArrayLike, "..."], restitution: Real[ArrayLike, "..."]
 ) -> Float[Array, "..."] | np.floating:
-    """The damping gamma2 with which a soft wall has this effective restitution.
+    """Compute the damping of a soft wall that has a given effective restitution.
 
-        gamma2 = z sqrt(1 + k2),  z = abs(ln R) / sqrt(pi^2 + ln(R)^2)
+    Parameters
+    ----------
+    stiffness : array_like
+        Stiffness k2 > 0 of the wall.
+    restitution : array_like
+        Effective restitution R from 0 to 1. Broadcasts with `stiffness`.
 
-    stiffness k2 > 0, 0 <= restitution R <= 1: numbers or arrays that broadcast. R = 0 takes critical damping, z = 1,
-    the least that has it. Raises ArgumentError for a number that breaks its rule.
+    Returns
+    -------
+    Array
+        ``gamma2 = z sqrt(1 + k2)`` with ``z = |ln R| / sqrt(pi^2 + ln(R)^2)``. For R = 0 it is the critical damping,
+        z = 1, the smallest with this restitution.
+
+    Raises
+    ------
+    ArgumentError
+        If a number breaks its rule.
+
+    See Also
+    --------
+    effective_restitution : Compute the effective restitution for a given damping.
+
+    Examples
+    --------
+    >>> damping = jv.contact_damping(400.0, 0.7)
+    >>> round(float(jv.effective_restitution(400.0, damping)), 6)
+    0.7
     """
     xp, k2, r = _check_numbers(stiffness=stiffness, restitution=restitution)
     is_positive = r > 0
@@ -55,13 +105,38 @@ def contact_damping(
 @check.raise_scene_errors
 @check.check_types
 def soften(scene: Scene, stiffness: Real[ArrayLike, "..."]) -> Scene:
-    """The scene with each rigid wall replaced by a soft one that gives back the same part of the speed.
+    """Replace each rigid wall by a soft one with the same effective restitution.
 
-    stiffness k2 > 0, a number or an array that broadcasts with the scene; each wall's damping is the `contact_damping`
-    of its restitution, so that the motions tend to those of the rigid scene like k2^(-1/2). Soft walls stay as they
-    are; `scene.replace(hardness=...)` changes the stiffness of all of them afterwards.
+    Soft walls stay unchanged. Change the stiffness of all soft walls afterwards with ``scene.replace(hardness=...)``.
 
-    Raises SceneError for a stiffness that breaks its rule, and where no wall is rigid.
+    Parameters
+    ----------
+    scene : Scene
+        Scene with at least one rigid wall.
+    stiffness : array_like
+        Stiffness k2 > 0 of the new walls. Broadcasts with the scene.
+
+    Returns
+    -------
+    Scene
+        Scene with soft walls. The damping of each is the `contact_damping` of its restitution.
+
+    Raises
+    ------
+    SceneError
+        If the stiffness breaks its rule, or no wall is rigid.
+
+    Notes
+    -----
+    The motions tend to those of the rigid scene like ``k2^(-1/2)``.
+
+    Examples
+    --------
+    >>> soft = jv.soften(scene, 1e4)
+    >>> soft.soft_sides
+    ('left', 'right')
+    >>> round(float(soft.parameter("hardness")), 6)
+    4.0
     """
     rigid_walls = {side: wall for side, wall in scene.walls.items() if not wall.soft}
     if not rigid_walls:
@@ -75,7 +150,7 @@ def soften(scene: Scene, stiffness: Real[ArrayLike, "..."]) -> Scene:
 
 
 def _check_numbers(**arguments):
-    """(jnp where a number is traced, else np; the numbers), checked."""
+    """Return jnp if a number is traced, else np, and the checked numbers."""
     numbers = []
     for key, value in arguments.items():
         if not check.is_traced(value):

@@ -1,4 +1,4 @@
-"""A state, and what a strobe says of the impacts on its way."""
+"""Define the state of the mass and the record of the impacts of a strobe."""
 
 from dataclasses import dataclass
 
@@ -15,10 +15,26 @@ from .scene import Scene, rigid_wall_positions
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class State:
-    """A state at a phase of the drive: x, v (lengths of the scene, lengths per t), phase (rad), contact.
+    """State of the mass at a phase of the drive.
 
-    contact: 0 free, -1 or +1 has landed on the left or right wall and leaves it, -2 or +2 rests on it, -3 or +3 is
-    within it, a soft one. A free state that is beyond a soft wall is within it too.
+    Parameters
+    ----------
+    x : array_like
+        Position, in lengths of the scene.
+    v : array_like
+        Velocity, in lengths of the scene per unit of time 1/w0.
+    phase : array_like, optional
+        Phase of the drive, in rad.
+    contact : array_like, optional
+        Contact with a wall, negative for the left one and positive for the right one: 0 free, 1 leaving a rigid wall
+        after an impact, 2 sticking, 3 inside a soft wall. A free state beyond a soft wall is inside it as well.
+
+    Examples
+    --------
+    >>> state = jv.State(x=0.9, v=-1.1)
+    >>> after, impacts = jv.strobe(scene, state)[:2]
+    >>> int(impacts.count) > 0
+    True
     """
 
     x: Real[ArrayLike, "..."]
@@ -30,20 +46,47 @@ class State:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class Impacts:
-    """The impacts of a strobe, in order; slots are the last axis.
+    """Impacts of a strobe in their order; the last axis holds the slots.
 
-    Status FULL: some impacts are not recorded, because there were more than slots or because the mass came to rest by
-    complete chatter (see below). The state, the count and the least values are right.
+    Attributes
+    ----------
+    time : Array of shape (..., slots)
+        Time since the start of the strobe, in 1/w0. An empty slot is inf.
+    side : Array of shape (..., slots)
+        Wall: -1 left, 1 right, 0 for an empty slot.
+    speed : Array of shape (..., slots)
+        Impact speed relative to the wall, ``|y- - v_b|``. An empty slot is 0.
+    count : Array of shape (...)
+        Number of all impacts, recorded or not.
+    least_speed : Array of shape (...)
+        Smallest impact speed, inf without impacts.
+    least_clearance : Array of shape (...) or None
+        Smallest distance to a wall at a turning point of x - x_b towards it, inf without one. None if the strobe does
+        not compute it.
+    status : Array of shape (...)
+        0 OK, 1 FULL, 2 CAP (1,000 impacts or a million steps in a period), 3 INVALID (an invalid scene, or a start
+        beyond a wall), 4 NONFINITE (a number that is not finite, or lengths outside 1e-123 to 1e123). From CAP on the
+        state is nan.
 
-    time: since the strobe's start, in t (inf: empty); side: -1 left, +1 right, 0 empty; speed: abs(y- - v_b), 0 empty;
-    count: of all impacts; least_speed: of them, inf if none; least_clearance: the smallest distance to a wall at a
-    turning point of x - x_b towards it, inf if none, None where it was not asked for; status: 0 OK, 1 FULL, 2 CAP
-    (1,000 impacts or a million steps in a period), 3 INVALID (a bad scene, or a start beyond a wall), 4 NONFINITE (a
-    number that is not finite, or lengths beyond 1e-123 to 1e123); from CAP on the state is nan.
+    See Also
+    --------
+    strobe : Compute the stroboscopic map and its impacts.
 
-    A mass whose hops certainly all end, infinitely many in a finite time, is put to rest on its wall: complete chatter.
-    The hops up to there are recorded and counted, least_speed is 0, the status FULL, however many slots there are. How
-    many hops that is depends on the time left in the call: `simulate` and `sample`, which stop more often, see more.
+    Notes
+    -----
+    With status FULL some impacts are not recorded: there are more impacts than slots, or the mass sticks after complete
+    chatter. The state, the count and the least values are right.
+
+    Complete chatter is an infinite sequence of bounces in a finite time. A mass whose bounces certainly all end in this
+    way sticks to its wall. The bounces up to the time of this decision are recorded and counted, `least_speed` is 0 and
+    the status is FULL for any number of slots. The number of these bounces depends on the time left in the call:
+    `simulate` and `sample`, which stop more often, record more.
+
+    Examples
+    --------
+    >>> _, impacts = jv.strobe(scene, state)[:2]
+    >>> int(impacts.status), impacts.time.shape == impacts.speed.shape
+    (0, True)
     """
 
     time: Float[Array, "*lanes slots"]
@@ -56,8 +99,25 @@ class Impacts:
 
 
 def state_arrays(scene, state):
-    """The state with every number an array of the scene's type, NumPy's but where it is traced; refused where it is
-    none, or fits no batch."""
+    """Convert a state to arrays of the scene's type.
+
+    Parameters
+    ----------
+    scene : Scene
+        The scene.
+    state : State
+        The state.
+
+    Returns
+    -------
+    State
+        State of NumPy arrays (tracers stay tracers).
+
+    Raises
+    ------
+    ArgumentError
+        If an argument has the wrong class, a number is not real, or the shapes do not broadcast.
+    """
     for key, argument, expected_class in (("scene", scene, Scene), ("state", state, State)):
         if not isinstance(argument, expected_class):
             raise check.ArgumentError(key, f"must be a {expected_class.__name__}", argument)
@@ -72,9 +132,23 @@ def state_arrays(scene, state):
 
 
 def check_start(scene, state, when_text="at its phase"):
-    """Refuse a known start that is not finite, or is free and beyond a rigid wall, before anything is compiled.
+    """Check that a known start is finite and between the rigid walls, before anything compiles.
 
-    One in contact with a wall is that wall's. Raises ArgumentError.
+    The position of a state in contact is not checked.
+
+    Parameters
+    ----------
+    scene : Scene
+        The scene.
+    state : State
+        Initial state without traced numbers.
+    when_text : str, optional
+        End of the rule in the message.
+
+    Raises
+    ------
+    ArgumentError
+        If a number is not finite, or the mass is free and beyond a rigid wall.
     """
     for key in ("x", "v", "phase", "contact"):
         value = np.asarray(getattr(state, key))

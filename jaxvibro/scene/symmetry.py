@@ -1,4 +1,4 @@
-"""Whether a scene is its own mirror image: (x, v, phase) -> (-x, -v, phase + pi), the walls exchanged."""
+"""Test and enforce the symmetry of a scene, (x, v, phase) -> (-x, -v, phase + pi) with the walls exchanged."""
 
 from dataclasses import replace
 
@@ -10,10 +10,18 @@ from .scene import replace_unchecked
 
 
 def is_symmetric(scene):
-    """Whether the mirror image of every motion of a single scene is a motion of it.
+    """Return True if the mirror image of every motion of a single scene is a motion of it.
 
-    So it is where the walls lie opposite, are of one kind with equal numbers, and move oppositely half a period apart;
-    and without walls. A force of the user's own is to be odd, and so are the harmonics of the drive.
+    Parameters
+    ----------
+    scene : Scene
+        Single scene.
+
+    Returns
+    -------
+    bool
+        True if the walls are opposite, of one kind with equal parameters, and move oppositely half a period apart, or
+        if there are no walls. A user-defined force must be odd, and the drive must have odd harmonics only.
     """
     if scene.force is not None and not is_odd(scene):
         return False
@@ -44,22 +52,44 @@ def is_symmetric(scene):
 
 
 def stays_symmetric(scene, *names):
-    """Whether a scene is symmetric, and stays so whatever the parameters of these names are."""
+    """Return True if a scene is symmetric for all values of some parameters.
+
+    Parameters
+    ----------
+    scene : Scene
+        Single scene.
+    *names : str
+        Names of the parameters.
+
+    Returns
+    -------
+    bool
+        True if the scene is symmetric and stays so.
+    """
     shifted_values = {name: float(scene.parameter(name)) * 0.99 + 0.001 for name in names}
     return is_symmetric(scene) and is_symmetric(replace_unchecked(scene, shifted_values))
 
 
 def _motion_phasor(motion):
+    """Return the harmonic and the complex amplitude of a wall motion."""
     if motion is None:
         return 1, 0.0
     return motion.harmonic, complex(motion.amplitude * np.exp(1j * float(motion.phase)))
 
 
 def symmetrise_scene(scene):
-    """The scene whose walls are the means of its walls and of their mirror images, itself where it is symmetric.
+    """Return the symmetric scene whose walls are the means of the walls and their mirror images.
 
-    Both walls are of one kind; each gets its own numbers. Smooth in all of them, except where walls cease to swing. Of
-    the drive the even harmonics are left out.
+    Parameters
+    ----------
+    scene : Scene
+        Scene with two walls of one kind.
+
+    Returns
+    -------
+    Scene
+        Symmetric scene; the scene itself if it is symmetric. Each wall has its own parameters. The drive has no even
+        harmonics. The result is smooth in all parameters except where walls cease to move.
     """
     left, right = scene.left, scene.right
     for name in left.own:
@@ -74,8 +104,10 @@ def symmetrise_scene(scene):
 
 
 def _opposite_motions(left, right):
-    """The motions of two walls with which they swing oppositely, half a period apart: the means; none where one has
-    none, or another harmonic: then a symmetric scene has no swing."""
+    """Return the mean motions of two walls, opposite and half a period apart.
+
+    There is none if one wall has none, or their harmonics differ: the walls of a symmetric scene are then at rest.
+    """
     if left is None or right is None or left.harmonic != right.harmonic:
         return None, None
     phase_difference, sign = left.phase - right.phase, -((-1.0) ** right.harmonic)

@@ -1,4 +1,4 @@
-"""Values in a physical unit where the scene's own are due, in scenes with scales: refused, or asked about."""
+"""Find values in a physical unit where the scene's unit is due, in scenes with scales."""
 
 import warnings
 
@@ -6,14 +6,15 @@ import numpy as np
 
 from . import check
 
-CERTAIN_FACTOR = 4.0  # times the scene's value: values all as far away, on a scene's physical value, are in its unit
-RANGE_FACTOR = 2.0  # a few values may miss the scene's physical one by such a factor
-UNIT_FACTOR = 2.0  # a physical unit that is nearer to the scene's is not told from it
-FREQUENCY_FACTOR = 10.0  # times the scene's frequency: a sweep that begins so far is asked about
+# Values that all differ by this factor from the scene's value, and match its physical value, are in the physical unit.
+CERTAIN_FACTOR = 4.0
+RANGE_FACTOR = 2.0  # largest factor between the values and the scene's physical value
+UNIT_FACTOR = 2.0  # a physical unit nearer to the scene's unit cannot be distinguished from it
+FREQUENCY_FACTOR = 10.0  # ratio of the lowest value to the scene's frequency that causes a warning
 
 
 def physical_units(scales, name):
-    """[(unit, how much of it one of the scene's units is)] of a scene's parameter; none of numbers without a unit."""
+    """Return ``[(unit, size of the scene's unit in it)]`` for a parameter, empty without a unit."""
     natural_frequency, length = scales.natural_frequency, scales.length
     quantity = "position" if name.endswith("motion.amplitude") else name.rpartition(".")[2]
     if name.startswith("force.") or ".law." in name:
@@ -29,7 +30,20 @@ def physical_units(scales, name):
 
 
 def value_text(scene, name):
-    """The scene's value of a parameter as a message tells it, "2.1" or with scales "2.1 (13.4 Hz)"."""
+    """Format the scene's value of a parameter, with its physical value if the scene has scales.
+
+    Parameters
+    ----------
+    scene : Scene
+        Single scene.
+    name : str
+        Name of the parameter.
+
+    Returns
+    -------
+    str
+        For example "2.1", or "2.1 in the scene's unit, 13.4 Hz".
+    """
     value = float(scene.parameter(name))
     units = [] if scene.scales is None else physical_units(scene.scales, name)
     text = f"{value:.12g}"
@@ -37,8 +51,10 @@ def value_text(scene, name):
 
 
 def find_unit_mistake(scene, name, lower, upper):
-    """(unit, size) of the physical unit in which values from low to high are about the scene's; None where there is
-    none, or where the scene's own number is among them."""
+    """Return (unit, size) of the physical unit in which an interval is near the scene's value.
+
+    None if there is no such unit, or if the scene's value itself is in the interval.
+    """
     if scene.scales is None or scene.shape:
         return None
     value = float(scene.parameter(name))
@@ -55,15 +71,49 @@ def find_unit_mistake(scene, name, lower, upper):
 
 
 def unit_hint(scene, name, lower, upper):
-    """The end of a rule that values break as they are in a physical unit; "" where they are not."""
+    """Return the end of a rule that asks about a physical unit.
+
+    Parameters
+    ----------
+    scene : Scene
+        Single scene.
+    name : str
+        Name of the parameter.
+    lower, upper : float
+        Interval of the values.
+
+    Returns
+    -------
+    str
+        The hint, "" if the values are not near the scene's value in a physical unit.
+    """
     mistake = find_unit_mistake(scene, name, lower, upper)
     return "" if mistake is None else f" (are these in {mistake[0]}? divide them by {mistake[1]:.6g})"
 
 
 def require_scene_units(key, scene, name, values):
-    """Refuse values of a parameter that can only be meant in a physical unit, and ask about those that may be.
+    """Check that values of a parameter are in the scene's unit.
 
-    Raises ArgumentError. Warns where values may be meant so.
+    Parameters
+    ----------
+    key : str
+        Argument, for the message.
+    scene : Scene
+        The scene; without scales, or for a batch, nothing is checked.
+    name : str
+        Name of the parameter.
+    values : array_like
+        The values.
+
+    Raises
+    ------
+    ArgumentError
+        If the values are certainly in a physical unit.
+
+    Warns
+    -----
+    UserWarning
+        If the values may be in a physical unit.
     """
     values = np.asarray(values)
     if not values.size or scene.scales is None or scene.shape:

@@ -1,4 +1,4 @@
-"""A wall of a scene, and how it moves."""
+"""Define the walls of a scene and their motion."""
 
 from dataclasses import dataclass, field
 
@@ -11,11 +11,26 @@ from .push import Push
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """amplitude cos(harmonic omega t + phase), t being the drive's own: a wall's motion about its mean position, or a
-    term of the drive.
+    """Harmonic motion of a wall about its mean position, or a term of the drive.
 
-    amplitude: length, any finite real number; phase: radians; harmonic: a whole number, static under transformations,
-    from 1 on, of the drive from 0 on: 0 with phase 0 is a constant force.
+    The motion is ``amplitude cos(harmonic omega t + phase)`` with the frequency omega and the time t of the drive.
+
+    Parameters
+    ----------
+    amplitude : array_like
+        Amplitude, in lengths of the scene. Any finite real number.
+    phase : array_like, optional
+        Phase, in rad.
+    harmonic : int, optional
+        Harmonic of the drive frequency, static under transformations. At least 1 for a wall and at least 0 for the
+        drive; harmonic 0 with phase 0 is a constant force.
+
+    Examples
+    --------
+    >>> moving = jv.Wall(1.0, motion=jv.Motion(amplitude=0.1, phase=0.5))
+    >>> scene = jv.make_scene(2.0, 2.1, 0.05, 0.7, walls=(-1.0, moving))
+    >>> round(float(scene.parameter("right.motion.amplitude")), 6)
+    0.1
     """
 
     amplitude: Real[ArrayLike, "..."]
@@ -26,14 +41,35 @@ class Motion:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class Wall:
-    """A wall: its mean position, what it does to the mass, its motion (None stands still).
+    """Wall of a scene, rigid or soft.
 
-    law: a `Push`, in place of stiffness and damping; beside a `Force` alone.
+    Parameters
+    ----------
+    position : array_like
+        Mean position, in lengths of the scene.
+    restitution : array_like, optional
+        Coefficient of restitution R of a rigid wall. None takes the scene's.
+    stiffness : array_like, optional
+        Stiffness k2 > 0 of a soft wall, in units of the spring's. It takes the place of the restitution.
+    damping : array_like, optional
+        Damping gamma2 >= 0 of a soft wall. None takes the scene's.
+    motion : Motion, optional
+        Motion of the wall. None is a wall at rest.
+    law : Push, optional
+        Contact law of a soft wall in place of stiffness and damping. Needs a scene with a `Force`.
 
-    A rigid wall has a restitution (None takes the scene's). A soft one has a stiffness k2 > 0 in its place, and a
-    damping gamma2 >= 0 (None takes the scene's): beyond it x'' + 2 gamma2 x' + k2 (x - x_b) + x = A cos(omega t), until
-    x is back at x_b (paper, (39)). Beside a `Force`, which stays beyond it, its damping is its own and comes on top:
-    x'' + 2 gamma2 x' + k2 (x - x_b) = force + A cos(omega t).
+    Notes
+    -----
+    Inside a soft wall at x_b the mass obeys ``x'' + 2 gamma2 x' + k2 (x - x_b) + x = A cos(omega t)`` until x is back
+    at x_b (paper, (39)). In a scene with a `Force` the force continues inside the wall and the damping of the wall,
+    which must be given, is added to it: ``x'' + 2 gamma2 x' + k2 (x - x_b) = force + A cos(omega t)``.
+
+    Examples
+    --------
+    >>> walls = jv.Wall(-1.0, restitution=0.6), jv.Wall(1.0, stiffness=400.0, damping=3.0)
+    >>> scene = jv.make_scene(2.0, 2.1, 0.05, walls=walls)
+    >>> scene.soft_sides, scene.right.own
+    (('right',), ('stiffness', 'damping'))
     """
 
     position: Real[ArrayLike, "..."]
@@ -45,19 +81,19 @@ class Wall:
 
     @property
     def soft(self) -> bool:
-        """Whether the wall gives way."""
+        """True if the wall is soft."""
         return self.stiffness is not None or self.law is not None
 
     @property
     def own(self) -> tuple[str, ...]:
-        """The names of the numbers that say what it does."""
+        """Names of the parameters of the contact: restitution, stiffness and damping, or those of the law."""
         if self.law is not None:
             return tuple(f"law.{name}" for name in self.law.numbers)
         return ("stiffness", "damping") if self.soft else ("restitution",)
 
     @property
     def taken(self) -> tuple[str, ...]:
-        """The names of what it takes from the scene."""
+        """Names of the parameters that the wall takes from the scene."""
         if self.law is not None:
             return ()
         name = "damping" if self.soft else "restitution"

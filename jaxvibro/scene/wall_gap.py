@@ -1,18 +1,18 @@
-"""The least distance between two walls over a drive cycle: moving walls may neither touch nor cross."""
+"""Compute the smallest distance between two walls over a drive cycle, to check that they neither touch nor cross."""
 
 from math import gcd
 
 import numpy as np
 
-MAX_BATCH_POINTS = 1 << 20  # bounds the memory of one search: 8 MB an array
+MAX_BATCH_POINTS = 1 << 20  # bounds the memory of one search: 8 MB per array
 
 
 def minimum_gap(left, right):
-    """How near two walls come over the cycle: one number a scene of the batch, float64, in the walls' unit.
+    """Return the smallest distance of two known walls over the cycle, per scene of the batch.
 
-    Its sign is certain: above 0 they never touch. It is the least gap itself, except where the walls' harmonics differ:
-    there it is a bound that shows the gap to stay open, or the least value that a search met.
-    left, right: `Wall`s whose numbers are known.
+    The result is float64, in the unit of the positions. Its sign is certain: above 0 the walls never touch. It is the
+    exact minimum unless the harmonics of the walls differ. Then it is a lower bound that proves the gap to stay open,
+    or the smallest value in a search.
     """
     (left_cos, left_sin, left_harmonic), (right_cos, right_sin, right_harmonic) = (
         _motion_components(left),
@@ -30,7 +30,7 @@ def minimum_gap(left, right):
 
 
 def _motion_components(wall):
-    """B cos p, B sin p and m of a wall's motion B cos(m theta + p)."""
+    """Return B cos p, B sin p and m of a wall's motion B cos(m theta + p)."""
     if wall.motion is None:
         return np.float64(0.0), np.float64(0.0), 1
     amplitude, phase = np.float64(wall.motion.amplitude), np.float64(wall.motion.phase)
@@ -38,7 +38,7 @@ def _motion_components(wall):
 
 
 def _search_doubtful(gap, waves, left_harmonic, right_harmonic):
-    """The gaps with those that the sum of the amplitudes leaves in doubt replaced by what a search finds."""
+    """Replace the bounds that the sum of the amplitudes leaves undecided by results of a search."""
     flat_gaps = np.array(gap).ravel()
     doubtful_lanes = np.flatnonzero(flat_gaps <= 0)
     block_size = max(1, MAX_BATCH_POINTS // (8 * max(left_harmonic, right_harmonic)))
@@ -49,10 +49,10 @@ def _search_doubtful(gap, waves, left_harmonic, right_harmonic):
 
 
 def _branch_and_bound(waves, left_harmonic, right_harmonic):
-    """The least gap met in each lane, 0 at most where the walls touch.
+    """Return the smallest gap in each lane, at most 0 where the walls touch.
 
-    Branch and bound: within h of c a gap f is at least f(c) - h abs f'(c) - h^2 max abs f'' / 2. Where that is above 0
-    an interval is done, else it is halved; one in which f can vary by rounding alone counts as a touch.
+    Branch and bound: within h of c a gap f is at least f(c) - h |f'(c)| - h^2 max |f''| / 2. An interval is finished if
+    this bound is above 0, else it is halved. An interval in which f varies by rounding alone counts as a contact.
     """
     amplitudes = np.hypot(waves[1], waves[2]), np.hypot(waves[3], waves[4])
     max_curvature = amplitudes[0] * left_harmonic**2 + amplitudes[1] * right_harmonic**2
@@ -76,6 +76,7 @@ def _branch_and_bound(waves, left_harmonic, right_harmonic):
 
 
 def _gap_and_slope(waves, theta, left_harmonic, right_harmonic):
+    """Return the gap and its derivative with respect to theta."""
     mean_gap, left_cos, left_sin, right_cos, right_sin = waves
     left_angle, right_angle = left_harmonic * theta, right_harmonic * theta
     gap = (

@@ -1,6 +1,6 @@
-"""Studies of very many cells: where what has been computed is kept, and who computes it.
+"""Run and store studies of many cells, chunk by chunk.
 
-In: a study, cut into chunks of which each is a pure function of its number. Out: all of them as one xarray.Dataset, in
-memory or in a Zarr store that a later run goes on with; worked out by threads of this process or by a Dask cluster.
+In: a study, cut into chunks, each of which is a pure function of its number. Out: all chunks as one xarray.Dataset, in
+memory or in a Zarr store from which a later run resumes. Threads of this process or a Dask cluster compute the chunks.
 Start with `study`; `filling` does the work.
 """

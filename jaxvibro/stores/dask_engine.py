@@ -1,4 +1,4 @@
-"""Chunks worked out by a Dask cluster, one that is there or one of this machine's own; workers may come and go."""
+"""Execution engine on a Dask cluster, existing or started on this machine; workers may join and leave."""
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
@@ -19,15 +19,15 @@ from ..scene import check
 from .engines import n_usable_cores
 
 Result = TypeVar("Result")
-CHUNKS_PER_THREAD = 2  # chunks of a worker's thread that are handed out before the first is back
-MAX_WORKER_LOSSES = 5  # times that a chunk's workers may be lost, each as many of them as the cluster allows
-MIN_IN_FLIGHT = 64  # chunks that are handed out while no worker is known
+CHUNKS_PER_THREAD = 2  # chunks submitted for each thread of a worker
+MAX_WORKER_LOSSES = 5  # times that the cluster may give up a chunk because its workers were lost
+MIN_IN_FLIGHT = 64  # chunks submitted while no worker is known
 CONNECT_TIMEOUT, STARTUP_TIMEOUT = (
     30.0,
     600.0,
-)  # seconds for a scheduler to answer, and beside workers of its own that all load
-# A worker that waits takes 0.5 % of a core with these: what it samples and counts, which nobody sees, took 6. One that
-# takes a lost one's place is waited for: it may load for long, and was given up after 15 s.
+)  # timeout of a scheduler, s; longer for one whose workers are starting on this machine
+# An idle worker takes 0.5 % of a core with these settings, and 6 % with the default profiling and monitoring. The
+# replacement of a lost worker may take long to start; the default timeout is 15 s.
 DASK_SETTINGS = {
     "distributed.worker.profile.enabled": False,
     "distributed.admin.tick.interval": "1s",
@@ -37,20 +37,45 @@ DASK_SETTINGS = {
 SHARED_JAX_SETTINGS = (
     "jax_compilation_cache_dir",
     "jax_persistent_cache_min_compile_time_secs",
-)  # settings that workers share
+)  # settings passed to the workers
 
 
 @dataclass(frozen=True)
 class DaskEngine:
-    """Works chunks out on a Dask cluster, whose workers can reach the store's folder by the same path.
+    """Execution engine that computes chunks on a Dask cluster.
 
-    address: of a scheduler, as "tcp://host:8786"; None: a cluster of this machine is started, and stopped at the end.
-    workers: processes of that, None for one a core that may be used. Workers may be lost and new ones come: a chunk
-    whose worker was lost is handed out again. What is sent to them is pickled, as Dask does: trust the cluster.
+    The workers must reach the folder of the store by the same path. A chunk whose worker was lost is submitted again.
 
-    A script that starts a cluster of its own does so below `if __name__ == "__main__":`. Needs
-    `pip install jaxvibro[cluster]`. Raises ArgumentError for numbers that cannot be; OSError where no scheduler
-    answers, where it is lost, and where a chunk ends each worker that it is given to.
+    Parameters
+    ----------
+    address : str, optional
+        Address of a scheduler, for example ``"tcp://host:8786"``. None starts a cluster on this machine, which is
+        stopped at the end.
+    workers : int, optional
+        Number of processes of that cluster. None takes one for each usable core.
+
+    Raises
+    ------
+    ArgumentError
+        If an argument is invalid.
+    OSError
+        During a computation, if no scheduler answers, the scheduler is lost, or a chunk ends every worker that computes
+        it.
+
+    See Also
+    --------
+    LocalEngine : Engine that computes chunks with threads of this process.
+
+    Notes
+    -----
+    Needs ``pip install jaxvibro[cluster]``. A script that starts a cluster of its own must do so below
+    ``if __name__ == "__main__":``. Data sent to the workers are pickled, as in Dask: use a cluster that you trust.
+
+    Examples
+    --------
+    >>> store = jv.Store("map.zarr", jv.DaskEngine(workers=2))
+    >>> store.engine
+    DaskEngine(address=None, workers=2)
     """
 
     address: str | None = None
@@ -58,14 +83,29 @@ class DaskEngine:
 
     def __post_init__(self) -> None:
         if self.address is not None and not (isinstance(self.address, str) and self.address):
-            raise check.ArgumentError("address", 'must be of a scheduler, as "tcp://host:8786", or None', self.address)
+            raise check.ArgumentError(
+                "address", 'must be the address of a scheduler, for example "tcp://host:8786", or None', self.address
+            )
         if self.workers is not None:
             check.whole_number("workers", self.workers, 1)
             if self.address is not None:
-                raise check.ArgumentError("workers", "must not be given for a cluster that is there", self.workers)
+                raise check.ArgumentError("workers", "must be None if the address of a cluster is given", self.workers)
 
     def each(self, work: Callable[[int], Result], numbers: Iterable[int]) -> Iterator[Result]:
-        """What work(number) returns for each of some numbers, as it comes in."""
+        """Yield the results of a function of chunk numbers, as they are completed.
+
+        Parameters
+        ----------
+        work : callable
+            Function of a chunk number.
+        numbers : iterable of int
+            Chunk numbers.
+
+        Yields
+        ------
+        object
+            Result of `work` for one of the numbers, in order of completion.
+        """
         payload = cloudpickle.dumps(work), jax.config.read("jax_enable_x64")
         pending_numbers, worker_losses = iter(numbers), Counter[int]()
         with ExitStack() as stack:
@@ -73,6 +113,7 @@ class DaskEngine:
             futures, number_of_key = as_completed(loop=client.loop), dict[str, int]()
 
             def submit_chunks(chunk_numbers):
+                """Submit chunks to the cluster."""
                 for number in chunk_numbers:
                     future = client.submit(_compute_chunk, *payload, number, pure=False)
                     number_of_key[future.key] = number
@@ -88,15 +129,16 @@ class DaskEngine:
                     except KilledWorker:
                         worker_losses[number] += 1
                         if worker_losses[number] == MAX_WORKER_LOSSES:
-                            raise OSError(f"chunk {number} has ended each worker that it was given to") from None
+                            raise OSError(f"chunk {number} has ended every worker that computed it") from None
                         submit_chunks([number])
                     except (CancelledError, CommClosedError):
                         address = client.scheduler.address if client.scheduler else self.address
-                        message = f"the scheduler at {address} is lost; what is done is kept: run it again"
+                        message = f"the scheduler at {address} is lost; finished chunks are stored: run the study again"
                         raise OSError(message) from None
                 submit_chunks(islice(pending_numbers, max(0, _max_in_flight(client) - len(number_of_key))))
 
     def _connect(self, stack):
+        """Return a client of the scheduler, with a cluster of this machine if there is no address."""
         address, timeout = self.address, CONNECT_TIMEOUT
         if address is None:
             environment = {
@@ -118,20 +160,20 @@ class DaskEngine:
 
 
 def _gather_results(client, futures):
-    """What futures that have ended return, asked for at one go; None where one has failed."""
+    """Return the results of completed futures in one request; None if one has failed."""
     try:
         return client.gather(futures)
-    except Exception:  # each tells its own when it is asked
+    except Exception:  # each failed future raises its own error later
         return None
 
 
 def _max_in_flight(client):
-    """Chunks that are handed out at a time."""
+    """Return the number of chunks that are submitted at the same time."""
     return max(MIN_IN_FLIGHT, CHUNKS_PER_THREAD * sum(client.nthreads().values()))
 
 
 def _compute_chunk(pickled_work, use_x64, number):
-    """Runs on a worker, whose numbers are of another precision where it was not told: those that are sent, too."""
+    """Compute a chunk on a worker, in the precision of the caller; unpickled arrays need it too."""
     with jax.enable_x64(use_x64):
         return _unpickle(pickled_work, use_x64)(number)
 

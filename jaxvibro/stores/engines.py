@@ -1,7 +1,7 @@
-"""Who works a study's chunks out: an engine hands a function numbers of chunks, and gives back what it returns.
+"""Execution engines: an engine calls a function with the numbers of chunks and returns its results.
 
-The function says nothing of engines, and engines nothing of studies. Here is that of this process: a chunk is worked
-out by one thread on one device from beginning to end, so that no device waits for another's slowest lanes.
+The function does not depend on the engine, nor the engine on the study. This module has the engine of this process. One
+thread computes a chunk on one device from beginning to end, so that no device waits for the slowest lanes of another.
 """
 
 import os
@@ -18,25 +18,45 @@ import jax
 from ..scene import check
 
 Result = TypeVar("Result")
-CHUNKS_PER_THREAD = 2  # chunks of a thread that are handed out before the first is back
+CHUNKS_PER_THREAD = 2  # chunks submitted for each thread
 
 
 @runtime_checkable
 class Engine(Protocol):
-    """Works chunks out, in the precision of whoever asks for them."""
+    """Protocol of an engine, which computes chunks in the precision of its caller."""
 
     def each(self, work: Callable[[int], Result], numbers: Iterable[int]) -> Iterator[Result]:
-        """What work(number) returns for each of some numbers, as it comes in; the first error ends it, once what has
-        been begun is done."""
+        """Yield work(number) for each number, as it is completed; the first error ends it after the running chunks."""
 
 
 @dataclass(frozen=True)
 class LocalEngine:
-    """Works chunks out in this process, on all of jax's devices or that of `jax.default_device`.
+    """Execution engine that computes chunks with threads of this process.
 
-    workers: chunks at a time; None: one for each device, on a processor three for every two of its cores that may be
-    used: while some wait for Python, which one thread at a time can run, others compute.
-    devices: how many of these take part, None for all. Raises ArgumentError for numbers that cannot be.
+    It uses all devices of JAX, or that of `jax.default_device`.
+
+    Parameters
+    ----------
+    workers : int, optional
+        Number of chunks computed at the same time. None takes one for each device; on a CPU it takes three for every
+        two usable cores, since only one thread at a time can run Python while the others compute.
+    devices : int, optional
+        Number of devices. None takes all of them.
+
+    Raises
+    ------
+    ArgumentError
+        If a number is invalid.
+
+    See Also
+    --------
+    DaskEngine : Engine that computes chunks on a Dask cluster.
+
+    Examples
+    --------
+    >>> store = jv.Store("map.zarr", jv.LocalEngine(workers=2))
+    >>> store.engine
+    LocalEngine(workers=2, devices=None)
     """
 
     workers: int | None = None
@@ -48,7 +68,20 @@ class LocalEngine:
                 check.whole_number(name, getattr(self, name), 1)
 
     def each(self, work: Callable[[int], Result], numbers: Iterable[int]) -> Iterator[Result]:
-        """What work(number) returns for each of some numbers, as it comes in."""
+        """Yield the results of a function of chunk numbers, as they are completed.
+
+        Parameters
+        ----------
+        work : callable
+            Function of a chunk number.
+        numbers : iterable of int
+            Chunk numbers.
+
+        Yields
+        ------
+        object
+            Result of `work` for one of the numbers, in order of completion.
+        """
         default, use_x64 = default_device(), jax.config.read("jax_enable_x64")
         devices = [default] if isinstance(default, jax.Device) else jax.local_devices(backend=default)[: self.devices]
         workers = self.workers or max(len(devices), 3 * n_usable_cores() // 2 if devices[0].platform == "cpu" else 1)
@@ -57,6 +90,7 @@ class LocalEngine:
             free_devices.put(device if len(devices) > 1 else default)
 
         def on_device(number):
+            """Run one chunk on a free device."""
             device = free_devices.get()
             try:
                 with jax.enable_x64(use_x64), nullcontext() if device is None else jax.default_device(device):
@@ -71,14 +105,16 @@ class LocalEngine:
 
 
 class SerialPool:
-    """In place of a pool of threads: what holds in this thread alone, as the precision that is asked for, holds."""
+    """Replacement of a thread pool that runs in this thread, so that thread-local settings such as precision hold."""
 
     map = staticmethod(map)
 
 
 def run_in_flight(submit, numbers, max_in_flight):
-    """The results of begin(number), a future each, as they come in, so many at a time; the first error cancels the
-    rest."""
+    """Yield the results of the futures submit(number) as they are completed, with at most `max_in_flight` running.
+
+    The first error cancels the rest.
+    """
     pending_numbers, running = iter(numbers), set()
     try:
         running.update(submit(number) for number in islice(pending_numbers, max_in_flight))
@@ -93,10 +129,16 @@ def run_in_flight(submit, numbers, max_in_flight):
 
 
 def default_device():
-    """That of `jax.default_device`, or the name of its kind; None where jax may choose."""
+    """Return the device of `jax.default_device`, or the name of its platform; None if JAX may choose."""
     return jax.config.jax_default_device
 
 
 def n_usable_cores():
-    """How many of the machine's cores this process may use."""
+    """Return the number of cores that this process may use.
+
+    Returns
+    -------
+    int
+        Number of cores.
+    """
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

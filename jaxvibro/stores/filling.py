@@ -1,4 +1,4 @@
-"""A study done: what is missing of it is worked out by an engine, and all of it given back as an xarray.Dataset."""
+"""Complete a study: compute its missing chunks with an engine and return all of it as an xarray.Dataset."""
 
 import time
 from collections.abc import Callable
@@ -15,13 +15,33 @@ from ..scene import check
 from .engines import Engine, LocalEngine
 from .study import Study, blank_columns, study_bytes
 
-MAX_BYTES = 4 << 30  # of a study that is kept in memory alone
+MAX_BYTES = 4 << 30  # largest size of a study that is kept in memory
 GOLDEN_RATIO = (5.0**0.5 - 1.0) / 2.0
 
 
 class Progress(NamedTuple):
-    """How far a study is: cells done, cells in all, cells done that are undecided, cells a second in this run, seconds
-    that are left at that rate (nan before the first)."""
+    """Progress of a study.
+
+    Attributes
+    ----------
+    done : int
+        Number of cells done.
+    total : int
+        Number of cells.
+    undecided : int
+        Number of cells that are done and undecided.
+    rate : float
+        Cells per second in this run.
+    remaining : float
+        Remaining time at this rate, in s; nan before the first chunk.
+
+    Examples
+    --------
+    >>> reports = []
+    >>> data = jv.map_parameters(scene, {"amplitude": [1.5, 2.0]}, quantities="label", progress=reports.append)
+    >>> reports[-1].done, reports[-1].total, reports[-1].undecided
+    (2, 2, 0)
+    """
 
     done: int
     total: int
@@ -32,27 +52,27 @@ class Progress(NamedTuple):
 
 @runtime_checkable
 class OpenStore(Protocol):
-    """A store that is open for a study."""
+    """Protocol of a store that is open for a study."""
 
     @property
     def frame(self) -> xr.Dataset: ...
 
     def undecided_counts(self) -> dict[int, int]:
-        """{number: undecided cells} of the chunks that are done."""
+        """Return {number: undecided cells} of the chunks that are done."""
 
     def undecided_count(self, number: int) -> int | None:
-        """Undecided cells of a chunk that is done, None of another."""
+        """Return the number of undecided cells of a chunk that is done, None for another."""
 
     def put(self, number: int, parts: dict[str, np.ndarray], n_undecided: int) -> None:
-        """Keeps a chunk, once."""
+        """Store a chunk."""
 
     def data(self) -> xr.Dataset:
-        """The frame, and the columns of all cells."""
+        """Return the frame and the columns of all cells."""
 
 
 @runtime_checkable
 class Store(Protocol):
-    """Where a study can be kept; `open` refuses another one's."""
+    """Protocol of a place that keeps a study; `open` refuses another study's place."""
 
     @property
     def engine(self) -> Engine: ...
@@ -60,7 +80,7 @@ class Store(Protocol):
 
 
 class InMemory:
-    """A study that is kept in memory."""
+    """Study that is kept in memory."""
 
     def __init__(self, study: Study) -> None:
         size = study_bytes(study)
@@ -75,20 +95,25 @@ class InMemory:
 
     @property
     def frame(self) -> xr.Dataset:
+        """Frame of the study."""
         return self.study.frame
 
     def undecided_counts(self) -> dict[int, int]:
+        """Return {number: undecided cells} of the chunks that are done."""
         return self.count_of_chunk
 
     def undecided_count(self, number: int) -> int | None:
+        """Return the number of undecided cells of a chunk that is done, None for another."""
         return self.count_of_chunk.get(number)
 
     def put(self, number: int, parts: dict[str, np.ndarray], n_undecided: int) -> None:
+        """Store a chunk."""
         for name, part in parts.items():
             self.columns[name][self.study.grid.chunk_slices(number)] = part
         self.count_of_chunk[number] = n_undecided
 
     def data(self) -> xr.Dataset:
+        """Return the frame and the columns of all cells."""
         variables = {
             name: ((*self.study.grid.sizes, *column.more), self.columns[name], dict(column.attrs))
             for name, column in self.study.columns.items()
@@ -98,17 +123,23 @@ class InMemory:
 
 @dataclass(frozen=True)
 class ChunkTask:
-    """What an engine calls: chunk number -> how many of its cells are undecided, once it is kept.
+    """Function that an engine calls: computes and stores a chunk.
 
-    store: a store open for the study, which may be sent to another process.
+    Parameters
+    ----------
+    study : Study
+        Study.
+    store : OpenStore
+        Store that is open for the study. It may be sent to another process.
     """
 
     study: Study
     store: OpenStore
 
     def __call__(self, number: int) -> tuple[int, int]:
+        """Compute and store a chunk unless it is done; return (number, undecided cells)."""
         known_count = self.store.undecided_count(number)
-        if known_count is not None:  # a worker that was lost had done it
+        if known_count is not None:  # done by a worker that was lost afterwards
             return number, known_count
         parts, n_undecided = self.study.compute(number, self.store.frame)
         self.store.put(number, parts, n_undecided)
@@ -116,20 +147,40 @@ class ChunkTask:
 
 
 def spread_chunks(n_chunks: int) -> list[int]:
-    """All numbers of chunks, in an order whose beginnings are spread evenly over the grid: what is done is a sample of
-    it, whose rate tells the time left, and the last ones are not all from where cells take longest."""
+    """Return the numbers of all chunks in an order that samples the grid evenly.
+
+    The first chunks are a sample of the grid, whose rate predicts the remaining time, and the last ones are not all
+    from the slowest region.
+    """
     return np.argsort(np.arange(n_chunks) * GOLDEN_RATIO % 1.0).tolist()
 
 
 def complete_study(
     study: Study, store: Store | None, progress: Callable[[Progress], object] | None, limits: Limits = UNLIMITED
 ) -> xr.Dataset:
-    """All of a study: what a store has of it already is not done again.
+    """Complete a study, without recomputing the chunks that its store already has.
 
-    store: None for memory alone. limits: no chunk is begun once their time is used up; the cells of the others are then
-    blank, and the attribute `stopped` says why. No chunk's bits depend on timing, and a later run goes on.
+    Parameters
+    ----------
+    study : Study
+        Study.
+    store : Store or None
+        Store. None keeps the study in memory.
+    progress : callable or None
+        Called with a `Progress` after each chunk.
+    limits : Limits, optional
+        Time limit, after which no chunk is started. The other cells are then blank, and the attribute ``stopped`` gives
+        the reason.
 
-    Raises what the store's `open` raises, and ArgumentError for what is too large for memory.
+    Returns
+    -------
+    xarray.Dataset
+        Frame and columns of all cells. The bits of a chunk do not depend on timing, and a later run resumes.
+
+    Raises
+    ------
+    ArgumentError
+        If the study is too large for memory, or the store refuses it.
     """
     open_store, engine = (InMemory(study), LocalEngine()) if store is None else (store.open(study), store.engine)
     grid, done_chunks = study.grid, dict(open_store.undecided_counts())
@@ -139,6 +190,7 @@ def complete_study(
     chunk_queue = takewhile(lambda number: not limits.expired, missing_chunks)
 
     def report():
+        """Report the progress."""
         if progress is not None:
             rate = (n_done - n_done_before) / max(time.monotonic() - start_time, 1e-9)
             progress(Progress(n_done, n_cells, n_undecided, rate, (n_cells - n_done) / rate if rate else float("nan")))

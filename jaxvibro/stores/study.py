@@ -1,4 +1,4 @@
-"""What a study of very many cells is: a grid cut into chunks, each a pure function of its number."""
+"""Define a study of many cells: a grid cut into chunks, each a pure function of its number."""
 
 import hashlib
 import math
@@ -9,8 +9,19 @@ import numpy as np
 
 
 class Column(NamedTuple):
-    """What is worked out for each cell. dtype: of its numbers; blank: that of a cell not yet done; more: the names and
-    sizes of the dimensions that it has besides the grid's; attrs: as of an xarray variable."""
+    """Quantity that is computed for each cell.
+
+    Parameters
+    ----------
+    dtype : dtype
+        Type of its numbers.
+    blank : float
+        Value of a cell that is not done.
+    attrs : mapping
+        Attributes of the xarray variable.
+    more : mapping of str to int, optional
+        Names and sizes of its dimensions besides those of the grid.
+    """
 
     dtype: np.dtype
     blank: float
@@ -19,10 +30,16 @@ class Column(NamedTuple):
 
 
 class Grid(NamedTuple):
-    """The cells. sizes: {dimension: cells along it}; chunk_shape: how many of them along each a chunk has, fewer at an
-    end.
+    """Grid of cells, cut into chunks.
 
     Chunks are numbered row by row, the last dimension fastest.
+
+    Parameters
+    ----------
+    sizes : mapping of str to int
+        Number of cells along each dimension.
+    chunk_shape : tuple of int
+        Number of cells of a chunk along each dimension; the last chunk may be smaller.
     """
 
     sizes: Mapping[str, int]
@@ -30,21 +47,21 @@ class Grid(NamedTuple):
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Cells along each dimension."""
+        """Number of cells along each dimension."""
         return tuple(self.sizes.values())
 
     @property
     def chunk_counts(self) -> tuple[int, ...]:
-        """Chunks along each dimension."""
+        """Number of chunks along each dimension."""
         return tuple(-(-size // chunk_size) for size, chunk_size in zip(self.shape, self.chunk_shape, strict=True))
 
     @property
     def n_chunks(self) -> int:
-        """How many there are."""
+        """Number of chunks."""
         return math.prod(self.chunk_counts)
 
     def chunk_slices(self, number: int) -> tuple[slice, ...]:
-        """Which cells a chunk has, along each dimension."""
+        """Return the slices of a chunk's cells along each dimension."""
         indices = np.unravel_index(number, self.chunk_counts)
         axes = zip(indices, self.chunk_shape, self.shape, strict=True)
         return tuple(
@@ -52,17 +69,25 @@ class Grid(NamedTuple):
         )
 
     def n_cells(self, number: int) -> int:
-        """How many cells a chunk has."""
+        """Return the number of cells of a chunk."""
         return math.prod(axis_slice.stop - axis_slice.start for axis_slice in self.chunk_slices(number))
 
 
 @runtime_checkable
 class Study(Protocol):
-    """A study: a frozen record that can be sent to another process.
+    """Protocol of a study: a frozen record that can be sent to another process.
 
-    grid: the cells; columns: what each of them gets; identity: texts that tell this study from any other, the scene
-    among them; frame: what is known before, an xarray.Dataset: coordinates, attributes, and variables without a
-    dimension of the grid, all that a chunk needs and that is not computed to the same bits twice.
+    Attributes
+    ----------
+    grid : Grid
+        Cells.
+    columns : mapping of str to Column
+        Quantities of each cell.
+    identity : mapping of str to str
+        Texts that identify the study, the scene among them.
+    frame : xarray.Dataset
+        Data known before the computation: coordinates, attributes, and variables without a dimension of the grid. It
+        includes everything that a chunk needs and that is not reproducible bit by bit.
     """
 
     @property
@@ -75,17 +100,28 @@ class Study(Protocol):
     def frame(self) -> Any: ...
 
     def compute(self, number: int, frame: Any) -> tuple[dict[str, np.ndarray], int]:
-        """(what each cell of a chunk gets, how many of them are undecided): the same bits each time it is asked."""
+        """Return (columns of a chunk, number of undecided cells): the same bits at each call."""
 
 
 def fingerprint_axis(values: np.ndarray) -> str:
-    """Numbers as a text that tells them from others: how many there are, the ends, a digest."""
+    """Return a text that identifies an array: number of values, first and last value, and a digest.
+
+    Parameters
+    ----------
+    values : ndarray
+        Array.
+
+    Returns
+    -------
+    str
+        Text.
+    """
     ends = f"{values.flat[0].item()!r} to {values.flat[-1].item()!r}" if values.size else "none"
     return f"{values.size}, {ends}, {hashlib.sha256(values.tobytes()).hexdigest()[:16]}"
 
 
 def study_bytes(study: Study) -> int:
-    """Of all columns together."""
+    """Return the size in bytes of all columns together."""
     n_cells = math.prod(study.grid.shape)
     return sum(
         n_cells * math.prod(column.more.values()) * np.dtype(column.dtype).itemsize for column in study.columns.values()
@@ -93,7 +129,20 @@ def study_bytes(study: Study) -> int:
 
 
 def blank_columns(columns: Mapping[str, Column], shape: tuple[int, ...]) -> dict[str, np.ndarray]:
-    """The columns of so many cells of which none is done."""
+    """Return the columns of cells of which none is done.
+
+    Parameters
+    ----------
+    columns : mapping of str to Column
+        Columns of the study.
+    shape : tuple of int
+        Shape of the cells.
+
+    Returns
+    -------
+    dict of str to ndarray
+        Blank columns.
+    """
     return {
         name: np.full((*shape, *column.more.values()), column.blank, column.dtype) for name, column in columns.items()
     }

@@ -1,13 +1,13 @@
-"""Studies kept in a folder, a Zarr store (format 3) that xarray opens: killed at any moment, the next run goes on.
+"""Store studies in a folder, a Zarr store (format 3) that xarray opens, from which the next run resumes.
 
-Each chunk is written by one worker, its files beside their places and renamed into them; then the chunk's entry in
-`done`, which is a digest of these files: it says that the chunk is there, and whether it is what was written. A chunk
-of blanks has no files, so that files alone would tell nothing. The store is made beside its place too, whole or not at
-all, and seals what does not change in it.
+A run may be killed at any moment. Each chunk is written by one worker, its files beside their places and renamed into
+them. Then follows the chunk's entry in `done`, a digest of these files, which shows that the chunk is complete and
+unchanged. A chunk of blanks has no files, so files alone would not show this. The store itself is also made beside its
+place, complete or not at all, and a checksum covers its constant files.
 
-Processes may share a store. Of those that create it at once the first to finish wins, and the others use its store once
-they have checked that it is of the same study. Whoever writes a chunk holds a shared lock on the store's metadata file,
-so that unfinished files are removed only while no chunk is being written.
+Processes may share a store. If several create it at the same time, the first to finish wins, and the others use its
+store once they have checked that it belongs to the same study. A process that writes a chunk holds a shared lock on the
+store's metadata file, so that unfinished files are removed only while no chunk is being written.
 """
 
 import errno
@@ -37,36 +37,76 @@ from .engines import Engine, LocalEngine
 from .study import Grid, Study, study_bytes
 
 FORMAT_NUMBER = 1
-DONE_ARRAY, UNDECIDED_ARRAY = "done", "undecided"  # arrays beside the columns, an entry a chunk
+DONE_ARRAY, UNDECIDED_ARRAY = "done", "undecided"  # arrays beside the columns, one entry per chunk
 NOT_DONE = 0
-CHUNK_DIMENSION = "chunk"  # their dimension
-STORE_ATTRIBUTE = "jaxvibro_store"  # the attribute that tells such a store
+CHUNK_DIMENSION = "chunk"  # dimension of these arrays
+STORE_ATTRIBUTE = "jaxvibro_store"  # attribute that identifies such a store
 CHECKSUM_ATTRIBUTE, DIGEST_ATTRIBUTE = (
     "checksum",
     "base",
-)  # attributes: of the file that holds them; of all others that do not change
-METADATA_FILE, CHUNK_FOLDER = "zarr.json", "c"  # as Zarr names an array's description, and the folder of its chunks
-PARTIAL_SUFFIX = ".partial"  # how the names of Zarr's unfinished files end
-VERSIONED_PACKAGES = ("jax", "numpy", "scipy")  # whose results are only alike to rounding from one version to another
+)  # attributes: checksum of the file that holds them, digest of all other constant files
+METADATA_FILE, CHUNK_FOLDER = "zarr.json", "c"  # Zarr's names of an array's description and of the folder of its chunks
+PARTIAL_SUFFIX = ".partial"  # suffix of Zarr's unfinished files
+VERSIONED_PACKAGES = ("jax", "numpy", "scipy")  # results may differ by rounding between versions
 
 
 @dataclass(frozen=True)
 class Store:
-    """A folder in which a study is kept as it is worked out, chunk by chunk, and the engine that does so.
+    """Folder that keeps a study chunk by chunk, with the engine that computes the chunks.
 
-    path: of a Zarr store (format 3), made where it is missing; where it is there already, what it lacks is added, and
-    a store of another study is refused. engine: `LocalEngine` (all devices of this process) or `DaskEngine`. The bits
-    of a store are the same whichever engine, however many workers, and however often it was killed. A chunk that is
-    not what was written is told, and done anew.
+    Parameters
+    ----------
+    path : path_like
+        Folder of a Zarr store (format 3). It is created if it is missing. If it exists, the missing chunks are added; a
+        store of another study is refused.
+    engine : LocalEngine or DaskEngine, optional
+        Execution engine.
 
-    `load_store` reads it, half done too, and so does xarray: `xarray.open_zarr(path, consolidated=False)`.
+    See Also
+    --------
+    load_store : Load the results of a store.
+
+    Notes
+    -----
+    The bits of a store do not depend on the engine, on the number of workers, or on interruptions. A damaged chunk is
+    reported and recomputed. A partial store can be loaded with `load_store`, or opened with
+    ``xarray.open_zarr(path, consolidated=False)``.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     store = jv.Store(f"{folder}/map.zarr")
+    ...     data = jv.map_parameters(scene, {"amplitude": [1.5, 2.0]}, quantities="label", store=store)
+    >>> data["label"].values.tolist()
+    [1000000, 1001001]
     """
 
     path: str | PathLike[str]
     engine: Engine = field(default_factory=LocalEngine)
 
     def open(self, study: Study) -> "OpenStore":
-        """The store, open for a study; made where it is not there. Raises ArgumentError and OSError."""
+        """Open the store for a study, and create it if it is missing.
+
+        Damaged chunks are reported by a warning and marked as not done.
+
+        Parameters
+        ----------
+        study : Study
+            Study.
+
+        Returns
+        -------
+        OpenStore
+            Store that is open for the study.
+
+        Raises
+        ------
+        ArgumentError
+            If the folder is not a store of this study, is damaged, or was begun with other versions.
+        OSError
+            If the folder cannot be created or read.
+        """
         path = Path(self.path)
         remove_abandoned(path)
         if not os.path.lexists(path):
@@ -75,14 +115,20 @@ class Store:
         store.require_study(study)
         store.remove_unfinished()
         for number in store.damaged_chunks():
-            warnings.warn(f"{path}: chunk {number} is not what was written, and is done anew", stacklevel=2)
+            warnings.warn(f"{path}: chunk {number} is damaged and is recomputed", stacklevel=2)
             store.mark_not_done(number)
         return store
 
 
 @dataclass(frozen=True)
 class OpenStore:
-    """A store that is there, as any process opens it. path: of the folder."""
+    """Existing store, as any process opens it.
+
+    Parameters
+    ----------
+    path : str
+        Folder.
+    """
 
     path: str
 
@@ -91,8 +137,10 @@ class OpenStore:
 
     @cached_property
     def group(self) -> zarr.Group:
-        """Of Zarr, for reading and writing. Raises ArgumentError for what is no store of ours, or no longer what was
-        written, OSError where it cannot be read."""
+        """Group of Zarr, for reading and writing.
+
+        Raises ArgumentError if the folder is not a store of jaxvibro or is damaged, OSError if it cannot be read.
+        """
         folder = Path(self.path)
         if not folder.is_dir():
             raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR), self.path)
@@ -101,19 +149,19 @@ class OpenStore:
             group = zarr.open_group(self.path, mode="r+", zarr_format=3)
             description = json.loads(str(group.attrs[STORE_ATTRIBUTE]))
             format_number, digest = description["format"], group.attrs[DIGEST_ATTRIBUTE]
-        except Exception as error:  # whatever Zarr falls over
+        except Exception as error:  # Zarr raises many kinds of error
             raise _store_error(f"must be a store of jaxvibro ({type(error).__name__})", folder) from None
         if format_number != FORMAT_NUMBER:
             raise _store_error(f"must be of format {FORMAT_NUMBER}", f"format {format_number} in {folder}")
         if not has_valid_checksum((folder / METADATA_FILE).read_bytes(), folder) or digest != _constant_files_digest(
             folder, description["columns"]
         ):
-            raise _store_error("must be as it was written, which its checksum says it is not", folder)
+            raise _store_error("must be unchanged since it was written; its checksum does not match", folder)
         return group
 
     @cached_property
     def arrays(self) -> dict[str, zarr.Array]:
-        """Those that are filled, by name."""
+        """Arrays that are filled, by name."""
         return {
             name: array
             for name, array in self.group.arrays()
@@ -122,12 +170,12 @@ class OpenStore:
 
     @cached_property
     def description(self) -> dict[str, Any]:
-        """What the store says of itself: format, identity, versions, columns, sizes, chunk."""
+        """Description in the store: format, identity, versions, columns, sizes, chunk."""
         return json.loads(str(self.group.attrs[STORE_ATTRIBUTE]))
 
     @cached_property
     def frame(self) -> xr.Dataset:
-        """The study's frame, as it was when the store was made."""
+        """Frame of the study, from the creation of the store."""
         data = self._open_dataset().drop_vars([*self.description["columns"], DONE_ARRAY, UNDECIDED_ARRAY]).load()
         data.attrs = {
             name: value
@@ -142,34 +190,33 @@ class OpenStore:
         )
 
     def require_study(self, study: Study) -> None:
-        """Refuse another study's store, and one of other versions. Raises ArgumentError."""
+        """Raise ArgumentError for the store of another study or of other versions."""
         old_description, new_description = self.description, _describe_store(study)
         for name, new_value in new_description["identity"].items():
             old_value = old_description["identity"].get(name)
             if old_value != new_value:
-                raise _store_error(
-                    f"must hold this study: {name} is another there", _first_difference(old_value, new_value)
-                )
+                raise _store_error(f"must hold this study: {name} differs", _first_difference(old_value, new_value))
         for name in ("identity", "columns", "sizes", "chunk"):
             if old_description[name] != new_description[name]:
-                raise _store_error(f"must hold this study: its {name} are others", old_description[name])
+                raise _store_error(f"must hold this study: {name} differs", old_description[name])
         self._require_versions()
 
     def _require_versions(self):
+        """Raise ArgumentError if the store was begun with other versions."""
         old_versions = self.description["versions"]
         for name, new_version in _current_versions().items():
             if old_versions.get(name) != new_version:
-                rule = "must be gone on with by the versions that began it, whose bits it has"
-                raise _store_error(rule, f"{name} {old_versions.get(name)}, here {new_version}")
+                rule = "must be resumed with the versions that began it, since results differ by rounding"
+                raise _store_error(rule, f"{name} {old_versions.get(name)}, now {new_version}")
 
     def remove_unfinished(self) -> None:
-        """Remove what a killed worker left unfinished, unless another process is writing a chunk at this moment."""
+        """Remove the unfinished files of killed workers, unless another process is writing a chunk."""
         with exclusive_lock(Path(self.path, METADATA_FILE)) as has_lock:
             for partial_file in Path(self.path).rglob(f"*{PARTIAL_SUFFIX}") if has_lock else ():
                 partial_file.unlink(missing_ok=True)
 
     def undecided_counts(self) -> dict[int, int]:
-        """{number: undecided cells} of the chunks that are done."""
+        """Return {number: undecided cells} of the chunks that are done."""
         done_numbers, counts = (
             np.flatnonzero(self._read_entries(DONE_ARRAY) != NOT_DONE),
             self._read_entries(UNDECIDED_ARRAY),
@@ -177,31 +224,32 @@ class OpenStore:
         return {number: int(counts[number]) for number in done_numbers.tolist()}
 
     def _read_entries(self, name):
-        """An array with an entry a chunk, looked for where there is a file; what cannot be read is not there either."""
+        """Return an array with one entry per chunk, read where a file exists; unreadable entries count as missing."""
         array, folder = self.arrays[name], Path(self.path, name, CHUNK_FOLDER)
         entries = np.full(array.shape, NOT_DONE, array.dtype)
         file_numbers = [int(file) for file in os.listdir(folder) if file.isdecimal()] if folder.is_dir() else []
         readable_numbers = sorted(number for number in file_numbers if number < len(entries))
         try:
             entries[readable_numbers] = array.get_orthogonal_selection(readable_numbers) if readable_numbers else []
-        except Exception:  # a damaged file, whatever Zarr's codecs fall over
+        except Exception:  # a damaged file; Zarr's codecs raise many kinds of error
             entries[readable_numbers] = [self._read_entry(name, number) for number in readable_numbers]
         return entries
 
     def _read_entry(self, name, number):
+        """Return the entry of one chunk; an unreadable one counts as missing."""
         try:
             return np.asarray(self.arrays[name][number : number + 1])[0]
         except Exception:  # as above
             return NOT_DONE
 
     def undecided_count(self, number: int) -> int | None:
-        """Undecided cells of a chunk that is done, None of another."""
+        """Return the number of undecided cells of a chunk that is done, None for another."""
         return (
             int(self._read_entry(UNDECIDED_ARRAY, number)) if self._read_entry(DONE_ARRAY, number) != NOT_DONE else None
         )
 
     def put(self, number: int, parts: dict[str, np.ndarray], n_undecided: int) -> None:
-        """Keeps a chunk; its entry in `done` is written last. Raises ArgumentError in a process of other versions."""
+        """Store a chunk; its entry in `done` is written last. Raises ArgumentError in a process of other versions."""
         self._require_versions()
         chunk_slices = self.grid.chunk_slices(number)
         with shared_lock(Path(self.path, METADATA_FILE)):
@@ -211,22 +259,22 @@ class OpenStore:
             self.arrays[DONE_ARRAY][number : number + 1] = self._chunk_digest(number)
 
     def mark_not_done(self, number: int) -> None:
-        """The chunk is not done."""
+        """Mark a chunk as not done."""
         with shared_lock(Path(self.path, METADATA_FILE)):
             self.arrays[DONE_ARRAY][number : number + 1] = NOT_DONE
 
     @cached_property
     def grid(self) -> Grid:
-        """The cells."""
+        """Grid of the cells."""
         return Grid(self.description["sizes"], tuple(self.description["chunk"]))
 
     def damaged_chunks(self) -> list[int]:
-        """Which of the chunks that are said to be done are not what was written."""
+        """Return the numbers of the chunks that are marked as done and have changed since."""
         digests = self._read_entries(DONE_ARRAY)
         return [number for number in np.flatnonzero(digests).tolist() if self._chunk_digest(number) != digests[number]]
 
     def _chunk_digest(self, number):
-        """Of a chunk's files, those that there are."""
+        """Return the digest of the existing files of a chunk."""
         indices, sha = np.unravel_index(number, self.grid.chunk_counts), hashlib.sha256()
         for name, n_extra_axes in self.description["columns"].items():
             path = Path(self.path, name, CHUNK_FOLDER, *map(str, indices), *["0"] * n_extra_axes)
@@ -236,32 +284,62 @@ class OpenStore:
         return np.frombuffer(sha.digest()[:8], "<u8")[0] | np.uint64(1)
 
     def data(self) -> xr.Dataset:
-        """The frame, and the columns of all cells: blank where they are not done. Raises ArgumentError for damage."""
+        """Return the frame and the columns of all cells, blank where not done; raise ArgumentError for damage."""
         bad_chunks = self.damaged_chunks()
         if bad_chunks:
             count_text = f" and {len(bad_chunks) - 1} more" if len(bad_chunks) > 1 else ""
-            rule = "must be as it was written; run it again, and what is damaged is done anew"
+            rule = "must be undamaged; run the study again to recompute damaged chunks"
             raise _store_error(rule, f"chunk {bad_chunks[0]}{count_text} of {self.path}")
         data = self._open_dataset()[list(self.description["columns"])].load()
         return self.frame.assign({name: data[name].variable for name in self.description["columns"]})
 
 
-@check.host_only("use what was loaded before")
+@check.host_only("use data that were loaded before")
 def load_store(path: str | PathLike[str]) -> xr.Dataset:
-    """What a study's store holds, once its checksums are right: an xarray.Dataset, of a study half done too.
+    """Load the results of a store, complete or partial, after checking its checksums.
 
-    path: of the folder. Cells that are not done are blank: -1 in whole numbers, nan in others. Attributes: what the
-    study tells, and chunks_done of chunks. What is larger than memory, or on its way, xarray opens as it is:
-    `xarray.open_zarr(path, consolidated=False)`.
+    Parameters
+    ----------
+    path : path_like
+        Folder of the store.
 
-    Raises ArgumentError for what is no such store, or damaged, OSError where it cannot be read.
+    Returns
+    -------
+    xarray.Dataset
+        Results of the study. Cells that are not done are blank: -1 for integers, nan for other numbers. Its attributes
+        are those of the study, ``chunks`` and ``chunks_done``.
+
+    Raises
+    ------
+    ArgumentError
+        If the folder is not such a store, or is damaged.
+    OSError
+        If the folder cannot be read.
+
+    See Also
+    --------
+    Store : Folder that keeps a study.
+
+    Notes
+    -----
+    Open a store that is larger than memory, or is being filled, with ``xarray.open_zarr(path, consolidated=False)``.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     store = jv.Store(f"{folder}/map.zarr")
+    ...     data = jv.map_parameters(scene, {"amplitude": [1.5, 2.0]}, quantities="label", store=store)
+    ...     loaded = jv.load_store(store.path)
+    >>> loaded["label"].values.tolist(), loaded.attrs["chunks_done"] == loaded.attrs["chunks"]
+    ([1000000, 1001001], True)
     """
     store = OpenStore(str(path))
     return store.data().assign_attrs(chunks=store.grid.n_chunks, chunks_done=len(store.undecided_counts()))
 
 
 def _describe_store(study):
-    """What a store of a study says of itself."""
+    """Return the description of a study's store."""
     columns = {name: len(column.more) for name, column in study.columns.items()}
     description = {"format": FORMAT_NUMBER, "identity": dict(study.identity), "columns": columns}
     description |= {
@@ -274,16 +352,17 @@ def _describe_store(study):
 
 @lru_cache
 def _current_versions():
+    """Return the versions of jaxvibro and of the packages on which the bits depend."""
     return {"jaxvibro": __version__} | {name: version(name) for name in VERSIONED_PACKAGES}
 
 
 def _create_store(path, study):
-    """A store in which nothing is done, put into its place when it is whole."""
+    """Create a store in which nothing is done, and move it into its place once it is complete."""
     if not path.parent.is_dir():
         raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR), str(path.parent))
     size, free_bytes = study_bytes(study), shutil.disk_usage(path.parent).free
     if size > free_bytes:
-        description = f"no room for up to {size / 2**30:.3g} GiB, {free_bytes / 2**30:.3g} GiB are free"
+        description = f"not enough space for up to {size / 2**30:.3g} GiB; {free_bytes / 2**30:.3g} GiB are free"
         raise OSError(errno.ENOSPC, description, str(path))
     with complete_folder(path) as temporary:
         encoding = {name: {"_FillValue": None} for name in study.frame.variables}
@@ -314,7 +393,7 @@ def _create_store(path, study):
 
 
 def _constant_files_digest(folder, columns):
-    """A digest of the files in a store that do not change."""
+    """Return a digest of the constant files of a store."""
     sha, mutable_arrays = hashlib.sha256(), {*columns, DONE_ARRAY, UNDECIDED_ARRAY}
     for subfolder in sorted(entry for entry in folder.iterdir() if entry.is_dir()):
         all_files = sorted(entry for entry in subfolder.rglob("*") if entry.is_file())
@@ -324,11 +403,12 @@ def _constant_files_digest(folder, columns):
 
 
 def _first_difference(old_text, new_text):
-    """The first line in which two texts differ, for a complaint."""
+    """Return the first line in which two texts differ, for a message."""
     pairs = zip_longest(str(old_text).splitlines(), str(new_text).splitlines())
     old_line, new_line = next((pair for pair in pairs if pair[0] != pair[1]), (old_text, new_text))
-    return f"{check.shorten(old_line)} there, {check.shorten(new_line)} here"
+    return f"{check.shorten(old_line)} stored, {check.shorten(new_line)} requested"
 
 
 def _store_error(rule, value):
+    """Return the ArgumentError of a store."""
     return check.ArgumentError("store", rule, check.shorten(value))

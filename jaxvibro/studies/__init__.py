@@ -1,5 +1,6 @@
-"""A scene file, from its text to its picture: the command line's work.
+"""Run the analyses in a scene file: the implementation of the command line.
 
-In: TOML. Out: picture, data and table, all of them or none. Start with `run`; `schema` and `validate` say what a
-file may hold, `compute` does what it asks, `results_dataset`, `figures` and `report` write it down.
+A TOML file gives a picture, data and a table, written all together or not at all. Start with `run`. `schema` and
+`validate` define the valid contents of a file. `compute` runs the analyses. `results_dataset`, `figures` and `report`
+make the output.
 """

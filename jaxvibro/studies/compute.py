@@ -1,5 +1,4 @@
-"""What a scene file asks for, computed: a swept diagram, attractors, orbits, branches and loci; else the motion from
-rest."""
+"""Run the analyses of a scene file: sweep, attractors, orbits, branches, loci, map; else the motion from rest."""
 
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -33,23 +32,21 @@ from ..surveys.map import map_parameters
 from .schema import AttractorsTable, BranchTable, ExploreTable, MarginTable, OrbitsTable, SceneFile
 from .sweep_periods import Stretch, find_stretches
 
-TableWithValues = (
-    AttractorsTable | OrbitsTable | BranchTable | ExploreTable | MarginTable | None
-)  # a table with values `at`
+# Tables with values `at`.
+TableWithValues = AttractorsTable | OrbitsTable | BranchTable | ExploreTable | MarginTable | None
 
-DEFAULT_SETTLE, DEFAULT_KEEP = 300, 100  # drive periods from rest, where no study says how many
-STATE_TOLERANCE = 1e-6  # of a state: an orbit as near to an attractor's is that attractor
+DEFAULT_SETTLE, DEFAULT_KEEP = 300, 100  # drive periods from rest, without a sweep
+STATE_TOLERANCE = 1e-6  # relative distance within which the states of an orbit and an attractor are equal
 
 
 @dataclass(frozen=True)
 class StudyResults:
-    """What came out. file: what was asked; scene: its scene.
+    """Results of the analyses of a scene file; each is None if the file does not request it.
 
-    swept: the Dataset of `sweep` with a dimension `leg`, of one value and a leg "rest" where no study was asked for;
-    attractors, orbits: as `find_attractors` and `find_orbits` give them; branches: as `follow_tree` does, or those of
-    the `Diagram` of `explore`, which is in diagram; loci, refused_points: as `loci.loci` gives them; margin, fit: as
-    `margin` and `clamp_to_walls` do; record: what was fitted; map: as `map_parameters` gives it. Each is None where the
-    file does not ask for it."""
+    swept is the Dataset of `sweep` with a dimension `leg`; without analyses it has one value and a leg "rest". branches
+    are those of `follow_tree`, or those of the `Diagram` of `explore` in diagram. loci and refused_points are the
+    results of `follow_loci`. record is the data of the fit.
+    """
 
     file: SceneFile
     scene: Scene
@@ -67,7 +64,7 @@ class StudyResults:
 
     @cached_property
     def stretches(self) -> list[Stretch]:
-        """The `Stretch`es of the swept diagram, none where there is no sweep."""
+        """Stretches of the swept diagram, empty without a sweep."""
         if self.swept is None:
             return []
         return find_stretches(
@@ -76,34 +73,33 @@ class StudyResults:
 
     @property
     def diagram_parameter(self) -> str | None:
-        """The parameter of the diagram: that which is swept, or else followed; None where there is no diagram."""
+        """Parameter of the diagram, that of the sweep or else of the branches; None without a diagram."""
         table = self.file.sweep or self.file.branch_table
         return None if table is None else table.parameter
 
     @property
     def diagram_scene(self) -> Scene:
-        """The scene of the diagram, but for its parameter."""
+        """Scene of the diagram, except for its parameter."""
         return self.scene if self.file.sweep is not None else self.scene_of_table(self.file.branch_table)
 
     def scene_of_table(self, table: TableWithValues) -> Scene:
-        """The scene that a table with values `at` is about; for None the file's own."""
+        """Return the scene of a table with values `at`; for None the scene of the file."""
         return self.scene if table is None else self.scene.replace(**table.at)
 
     def diagram_value(self, table: TableWithValues) -> float | None:
-        """The value of the diagram's parameter at which what a table with values `at` gave belongs into it, None where
-        it does not."""
+        """Return the value of the diagram's parameter for results of a table, None if they do not belong to it."""
         if table is None or self.diagram_parameter is None or not self._is_in_diagram(table):
             return None
         return float(self.scene_of_table(table).parameter(self.diagram_parameter))
 
     @property
     def diagram_branches(self) -> tuple[Branch, ...]:
-        """The branches that belong into the diagram: none where another parameter is swept, or in another scene."""
+        """Branches that belong to the diagram: none for another parameter or another scene."""
         table, branches = self.file.branch_table, self.branches or ()
         return branches if table and table.parameter == self.diagram_parameter and self._is_in_diagram(table) else ()
 
     def _is_in_diagram(self, table):
-        """Whether the scene that a table is about is that of the diagram, but for its parameter."""
+        """Return True if the scene of a table is that of the diagram, except for its parameter."""
         diagram_scene = self.diagram_scene
         table_scene = replace_unchecked(
             self.scene_of_table(table), {self.diagram_parameter: diagram_scene.parameter(self.diagram_parameter)}
@@ -114,7 +110,7 @@ class StudyResults:
 
     @property
     def other_orbits(self) -> tuple[Orbit, ...]:
-        """The orbits that are not among the attractors, mirror images being places in this tuple."""
+        """Orbits that are not among the attractors; mirror images are indices of this tuple."""
         file, orbits = self.file, self.orbits or ()
         if file.attractors is None or file.orbits is None or file.attractors.at != file.orbits.at:
             return orbits
@@ -128,18 +124,35 @@ class StudyResults:
 
 
 def run_studies(file, record=None, progress=False, store=None):
-    """Does what a `SceneFile` asks: `StudyResults`. record: the one that it names; progress: show bars on stderr;
-    store: where a [map] is kept.
+    """Run the analyses of a scene file.
 
-    Raises SceneError where the start of a branch settles on no orbit that can be followed, and where a record holds
-    less than is asked of it.
+    Parameters
+    ----------
+    file : SceneFile
+        Tables of the file.
+    record : ImpactRecord or SampleRecord, optional
+        Record of a [fit].
+    progress : bool, optional
+        Show progress bars on stderr.
+    store : Store, optional
+        Store of a [map].
+
+    Returns
+    -------
+    StudyResults
+        The results.
+
+    Raises
+    ------
+    SceneError
+        If no orbit that can be continued is found at the start of a branch, or a record has less data than the fit
+        needs.
     """
     scene = file.scene.make()
     sweep_data, attractors, orbits, branches, diagram, loci_results = None, None, None, None, None, (None, None)
-    fit = (
-        None if file.fit is None else _fit_record(scene, file.fit, record)
-    )  # first, as what is asked may not be in a record
-    if file.branch is not None:  # and this, as its start may turn out to be none
+    # The fit and the branch run first: a record may not suffice for the fit, and a start may lead to no orbit.
+    fit = None if file.fit is None else _fit_record(scene, file.fit, record)
+    if file.branch is not None:
         branches = _follow_branches(scene.replace(**file.branch.at), file.branch, progress)
     if file.explore is not None:
         diagram = _explore(scene.replace(**file.explore.at), file.explore, progress)
@@ -173,13 +186,13 @@ def run_studies(file, record=None, progress=False, store=None):
 
 
 def _run_sweep(scene, table, progress):
-    """The legs of a sweep as lanes of one: they are run side by side."""
+    """Run the legs of a sweep side by side, as lanes."""
     values = np.stack([table.values(leg) for leg in table.legs], axis=-1)
     start = State(*(np.array([getattr(leg.start, key) for leg in table.legs]) for key in ("x", "v")))
     with tqdm(desc="sweep", total=len(values), unit=" values", mininterval=0.5, disable=not progress) as bar:
         settings = {"progress": lambda n_done: bar.update(n_done - bar.n), "max_seconds": table.max_seconds}
         sweep_data = sweep(scene, table.parameter, values, start, table.settle, table.keep, **settings)
-    if "stopped" in sweep_data.attrs:  # the values that are done
+    if "stopped" in sweep_data.attrs:  # keeps the completed values
         sweep_data = sweep_data.isel(step=(sweep_data["status"] >= 0).all("lane").values)
     return _name_legs(sweep_data, [leg.name for leg in table.legs])
 
@@ -212,7 +225,7 @@ def _follow_branches(scene, table, progress):
                 max_seconds=table.max_seconds,
             )
         except OrbitError as error:
-            rule = f"must settle on an orbit that can be followed ({error})"
+            rule = f"must lead to an orbit that can be followed ({error})"
             raise SceneError("branch.start", rule, {"x": table.start.x, "v": table.start.v}) from None
         bar.update(len(branches) - bar.n)
     return branches
@@ -249,7 +262,7 @@ def _follow_loci(branches, table, progress):
 
 
 def _lies_on_attractor(orbit, attractor):
-    """Whether an orbit's state is a point of a periodic attractor."""
+    """Return True if the state of an orbit is a point of a periodic attractor."""
     if orbit.state.phase or not attractor.periods:
         return False
     point = np.array([orbit.state.x, orbit.state.v])
@@ -262,7 +275,7 @@ def _compute_margin(scene, table):
         settings = table.kinds, table.directions, table.seed
         return margin(orbit, table.free, table.bounds, *settings, max_seconds=table.max_seconds)
     except OrbitError as error:
-        rule = f"must settle on an orbit that can be followed ({error})"
+        rule = f"must lead to an orbit that can be followed ({error})"
         raise SceneError("margin.start", rule, {"x": table.start.x, "v": table.start.v}) from None
 
 
@@ -282,7 +295,7 @@ def _compute_map(scene, table, progress, store):
 
 @contextmanager
 def _progress_bar(silent):
-    """What is to be called with each `Progress`: a bar on stderr, with rate, time left and what is undecided."""
+    """Yield a function of each `Progress` that updates a bar on stderr."""
     with tqdm(desc="map", unit=" cells", unit_scale=True, mininterval=0.5, disable=silent) as bar:
 
         def report_progress(progress):
@@ -296,11 +309,12 @@ def _progress_bar(silent):
 
 
 def _motion_from_rest(scene):
-    """The motion from rest at 0, or at the wall in the way of that, as a sweep of one value."""
+    """Return the motion from rest at 0, or at the wall that excludes 0, as a sweep of one value."""
     start = jax.tree.map(lambda leaf: np.reshape(leaf, 1), clamp_to_walls(scene, State(0.0, 0.0)))
     sweep_data = sweep(scene, "amplitude", np.reshape(scene.amplitude, (1, 1)), start, DEFAULT_SETTLE, DEFAULT_KEEP)
     return _name_legs(sweep_data, ["rest"])
 
 
 def _name_legs(sweep_data, leg_names):
+    """Return the sweep with named legs in place of lanes."""
     return sweep_data.rename(lane="leg").assign_coords(leg=leg_names)

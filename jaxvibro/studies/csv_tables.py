@@ -1,4 +1,4 @@
-"""What a run found as tables for spreadsheets: {what: a CSV file's bytes}, in the scene's units or in physical ones."""
+"""Convert the results of a run to CSV tables, in the scene's units or in physical ones."""
 
 import numpy as np
 import pandas as pd
@@ -10,15 +10,15 @@ from ..output.units import LENGTH, SPEED, unit_of
 
 
 def requested_tables(file):
-    """Of what a `SceneFile` asks for tables."""
+    """Return the names of the tables that a `SceneFile` requests."""
     tables = {"sweep": file.sweep, "attractors": file.attractors, "branches": file.branch_table, "loci": file.locus}
     return [name for name, table in tables.items() if table is not None]
 
 
 def csv_tables(results, units):
-    """A table each of the sweep, the attractors, the branches and the loci that were `Found`, a row a point.
+    """Return {name: CSV bytes} of the sweep, attractors, branches and loci in the results, one row per point.
 
-    Raises ArgumentError for units that the scene cannot be told in.
+    Raises ArgumentError for units that the scene does not have.
     """
     tables = {}
     if results.file.sweep is not None:

@@ -1,4 +1,4 @@
-"""`jaxvibro report`: versions, processor, settings and compiler hints, for reports of faults."""
+"""Describe versions, processor, settings and compiler hints for problem reports (`jaxvibro report`)."""
 
 import os
 import platform
@@ -26,7 +26,7 @@ UNKNOWN = "unknown"
 
 
 def describe_environment() -> dict[str, Any]:
-    """Describe what the results of this process depend on besides the program that calls it.
+    """Describe everything besides the calling program that the results of this process depend on.
 
     Returns
     -------
@@ -44,7 +44,7 @@ def describe_environment() -> dict[str, Any]:
 
 
 def format_environment(environment: dict[str, Any]) -> str:
-    """Lay out the result of `describe_environment` as lines of text, a heading for each group."""
+    """Lay out the result of `describe_environment` as lines of text, one heading per group."""
     lines: list[str] = []
     for group, values in environment.items():
         if not isinstance(values, dict):
@@ -81,7 +81,7 @@ def _installed_version(package):
 
 
 def _processor_info():
-    """Of the first core: all are alike in what matters here."""
+    """Return the properties of the first core; the cores do not differ in these."""
     fields, cores = _read_cpuinfo()
     flags = (fields.get("flags") or fields.get("Features") or "").split()
     affinity = getattr(os, "sched_getaffinity", None)
@@ -117,7 +117,7 @@ def _jax_info():
 
 
 def _cache_info():
-    """The cache folder, and whether JAX keeps compiled code in it and this package traced functions."""
+    """Return the cache folder, its use by JAX for compiled code, and its use by this package for traced functions."""
     folder, reason = cache_folder() or None, reason_without_cache()
     return {
         "folder": folder,
@@ -129,6 +129,6 @@ def _cache_info():
 
 
 def _is_writable(folder):
-    """Return True if files can be put into a folder, which may be still to be made."""
+    """Return True if files can be written into a folder, which need not exist yet."""
     ancestor = next(candidate for candidate in (folder, *folder.absolute().parents) if os.path.lexists(candidate))
     return ancestor.is_dir() and os.access(ancestor, os.W_OK | os.X_OK)

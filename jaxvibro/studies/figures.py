@@ -1,5 +1,4 @@
-"""The pictures of a run: the diagram of what was swept or followed, with attractors and orbits in it, or portraits; and
-the loci."""
+"""Draw the pictures of a run: the diagram with attractors and orbits, or portraits; the loci; the margin."""
 
 import math
 from functools import partial
@@ -23,16 +22,16 @@ from ..scene.named_forces import force_name
 from ..scene.state import State
 from .sweep_periods import recurrence_periods
 
-DPI = 170  # per inch
-MAX_PORTRAITS = 9  # portraits
-MIN_WIDTH = 6.5  # inches: a heading is as wide
-LEGEND_ROWS = 8  # of a legend's columns
+DPI = 170
+MAX_PORTRAITS = 9
+MIN_WIDTH = 6.5  # inches, the width of a heading
+LEGEND_ROWS = 8  # rows per column
 CHAOTIC_PERIODS = 40  # drive periods drawn of a motion that does not recur
-SAMPLES_PER_PERIOD = 400  # of a drive period
+SAMPLES_PER_PERIOD = 400  # samples per drive period
 
 
 def main_picture(results, units="scene"):
-    """The picture of what was `Found`, in "scene" or "physical" units, as a PNG's bytes."""
+    """Draw the main picture of the results, in units "scene" or "physical", and return the PNG bytes."""
     figure = (
         _diagram_figure(results, units) if results.diagram_parameter is not None else _portraits_figure(results, units)
     )
@@ -41,7 +40,7 @@ def main_picture(results, units="scene"):
 
 
 def loci_picture(results, units="scene"):
-    """The picture of the loci that were `Found`, likewise; mirror images on one curve are drawn as one."""
+    """Draw the loci of the results and return the PNG bytes; mirror images on one curve are drawn once."""
     table, scene = results.file.locus, results.scene_of_table(results.file.branch_table)
     figure = Figure(figsize=(9.5, 6.5), layout="constrained")
     ax = figure.subplots()
@@ -71,7 +70,7 @@ def loci_picture(results, units="scene"):
 
 
 def margin_picture(results, units="scene"):
-    """The picture of the margin that was `Found`, likewise."""
+    """Draw the margin of the results and return the PNG bytes."""
     figure = Figure(figsize=(7.5, 5.5), layout="constrained")
     plot.margin(results.margin, figure.subplots(), units)
     figure.suptitle(describe_scene(results.scene_of_table(results.file.margin), (), units), fontsize="medium")
@@ -79,7 +78,18 @@ def margin_picture(results, units="scene"):
 
 
 def png_bytes(figure):
-    """A figure as the bytes of a PNG."""
+    """Return a figure as the bytes of a PNG file.
+
+    Parameters
+    ----------
+    figure : matplotlib.figure.Figure
+        The figure.
+
+    Returns
+    -------
+    bytes
+        The content of the file.
+    """
     buffer = BytesIO()
     figure.savefig(buffer, format="png", dpi=DPI)
     return buffer.getvalue()
@@ -109,7 +119,7 @@ def _diagram_figure(results, units):
 
 
 def _add_legend(figure, ax):
-    """One legend below all: with branches in it, a column for each kind of entry."""
+    """Add one legend below the axes; with branches, one column per kind of entry."""
     handles_labels = list(zip(*ax.get_legend_handles_labels(), strict=True))
     legend_options = {"loc": "outside lower center", "frameon": False}
     kinds = [handle.get_gid() for handle, _ in handles_labels]
@@ -154,7 +164,7 @@ def _portraits_figure(results, units):
 
 
 def _portrait_jobs(results, units):
-    """(what draws it into Axes, title) of each motion that there is to draw."""
+    """Iterate over (drawing function of Axes, title) of the motions."""
     for motion in results.attractors or ():
         if motion.kind != "unresolved":
             portrait_title = f"{motion.label}, {share_text(motion)}" + _value_line(
@@ -194,7 +204,7 @@ def _portrait_drawer(scene, state, periods, units):
 
 
 def _heading_scene(results):
-    """The scene that the heading is of: the diagram's; where attractors and orbits are of two, the file's own."""
+    """Return the scene of the heading: the diagram's, or the file's if attractors and orbits have two scenes."""
     if results.diagram_parameter is not None:
         return results.diagram_scene
     tables = [table for table in (results.file.attractors, results.file.orbits) if table is not None]
@@ -204,7 +214,7 @@ def _heading_scene(results):
 
 
 def _value_line(results, table, units):
-    """For a title: the values in which a motion's scene differs from the heading's, in a line of their own."""
+    """Return a line for a title with the values in which a motion's scene differs from the heading's."""
     if _heading_scene(results) is not results.scene or not table.at:
         return ""
     scales = style.scales_of(results.scene, units)
@@ -212,7 +222,7 @@ def _value_line(results, table, units):
 
 
 def _heading(results, units):
-    """The scene in a line or two, but for what is swept, and the box of the starts."""
+    """Describe the scene, except for the swept parameter, and the box of the starts."""
     text = (
         f"{describe_scene(_heading_scene(results), [results.diagram_parameter], units)};  states at phase 0 of"
         " the drive"
@@ -224,7 +234,7 @@ def _heading(results, units):
 
 
 def describe_scene(scene, excluded, units):
-    """A scene in a line or two, but for some parameters."""
+    """Describe a scene in one or two lines, except for some parameters."""
     scales = style.scales_of(scene, units)
     parts = [
         style.value_text(scales, name, float(scene.parameter(name)))
@@ -247,7 +257,7 @@ def describe_scene(scene, excluded, units):
 
 
 def _drive_term_text(k, term, excluded, scales):
-    """A further term of the drive, but for some parameters."""
+    """Describe a further term of the drive, except for some parameters."""
     text = "drive "
     if f"drive.{k}.amplitude" not in excluded:
         text += quantity_text(scales, FORCE, float(term.amplitude)) + " "
@@ -256,6 +266,7 @@ def _drive_term_text(k, term, excluded, scales):
 
 
 def _wall_text(side, wall, excluded, scales):
+    """Describe a wall, except for some parameters."""
     text = f"{side} wall"
     if f"{side}.position" not in excluded:
         text += f" at {quantity_text(scales, LENGTH, float(wall.position))}"

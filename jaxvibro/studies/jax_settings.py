@@ -1,7 +1,7 @@
-"""What the command line asks of jax before it is loaded: double precision, and compiled code kept between runs.
+"""Set the environment of JAX for the command line before it loads: double precision and a persistent compile cache.
 
-Compiled code fits one kind of processor and is trusted like the program itself, so it lies in a folder of the user's
-own, one for each kind. Where there is no such folder the command runs without.
+Compiled code fits one kind of processor and is trusted like the program itself. It lies in a private folder of the
+user, one per kind of processor. Without such a folder the command runs without a cache.
 """
 
 import hashlib
@@ -15,14 +15,14 @@ import warnings
 from contextlib import suppress
 from pathlib import Path
 
-CPUINFO_FIELDS = ("vendor_id", "model name", "flags", "Features", "CPU implementer", "CPU part")  # of /proc/cpuinfo
+CPUINFO_FIELDS = ("vendor_id", "model name", "flags", "Features", "CPU implementer", "CPU part")  # in /proc/cpuinfo
 
 
 def prepare_environment():
-    """Set jax up through its environment variables; those that the user has set stay. No jax is loaded here.
+    """Set the environment variables of JAX, except those that the user has set, without loading JAX.
 
-    Where jax is loaded already, as in a test, its settings are those of whoever loaded it. Returns what is now set, of
-    those that are asked for here: {name: text}.
+    Nothing changes if JAX is already loaded, as in a test. Returns the resulting values of these variables, {name:
+    text}.
     """
     if "jax" in sys.modules:
         return {}
@@ -39,9 +39,9 @@ def prepare_environment():
 
 
 def user_cache_folder():
-    """The folder for this user and this kind of processor, made where it is missing; None where it cannot be.
+    """Return the cache folder for this user and this kind of processor, or None if it cannot be created.
 
-    It lies in XDG_CACHE_HOME or ~/.cache, and none but the user can enter it, or put another in its place.
+    It lies in XDG_CACHE_HOME or ~/.cache. Only the user can enter it, or put another folder in its place.
     """
     try:
         xdg_home = Path(os.environ.get("XDG_CACHE_HOME", ""))
@@ -62,14 +62,16 @@ def user_cache_folder():
 
 
 def _is_world_writable(folder):
-    """Return True if everyone can rename what lies in a folder."""
+    """Return True if everyone can rename the contents of a folder."""
     mode = folder.stat().st_mode
     return bool(mode & stat.S_IWOTH) and not mode & stat.S_ISVTX
 
 
 def page_token():
-    """What the address of the explorer's page must hold, the same each time, so that a page outlives its server; None
-    where there is no folder for it. None but the user can read it."""
+    """Return the token in the address of the explorer's page, or None without a folder for it.
+
+    It is the same each time, so that a page outlives its server. Only the user can read it.
+    """
     path = user_cache_folder()
     if path is None:
         return None
@@ -82,7 +84,7 @@ def page_token():
 
 
 def _read_token(path):
-    """The token in a file; None if there is no file, or no token in it."""
+    """Return the token in a file; None if there is no file, or no token in it."""
     try:
         text = path.read_text()
     except (OSError, UnicodeDecodeError):
@@ -91,7 +93,7 @@ def _read_token(path):
 
 
 def _write_token(path):
-    """Write a new token. Of several processes that do so at once the first wins; a file without a token is replaced."""
+    """Write a new token; the first of several processes wins, and a file without a token is replaced."""
     temporary_path = path.with_name(f".{path.name}.{secrets.token_hex(8)}.part")
     with suppress(OSError):
         try:
@@ -108,7 +110,7 @@ def _write_token(path):
 
 
 def processor_fingerprint():
-    """A name for the kind of processor: equal where compiled code may be shared."""
+    """Return a name for the kind of processor, equal where compiled code can be shared."""
     try:
         text = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace")
     except OSError:

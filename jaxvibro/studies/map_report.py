@@ -1,4 +1,4 @@
-"""A map told: its table, its numbers for machines, its picture."""
+"""Format a map: its table, its numbers for machines and its picture."""
 
 import msgspec
 import numpy as np
@@ -12,7 +12,7 @@ from ..scene.check import ArgumentError
 from ..scene.scene_table import SceneTable
 from .figures import describe_scene, png_bytes
 
-MAX_LABELS = 20  # labels in the table
+MAX_LABELS = 20  # rows of the table
 DIRECTIONS = {1: "up", -1: "down"}
 QUANTITY_TITLES = {
     "exponent": "largest exponent",
@@ -22,19 +22,22 @@ QUANTITY_TITLES = {
 
 
 def parameter_names(data):
-    """The names of a map's parameters, in order."""
+    """Return the names of a map's parameters, in order."""
     return [str(name) for name in data["status"].dims if name != "way"]
 
 
 def label_counts(data):
-    """{label: cells} of a map, the most frequent first; of random starts attractors in place of cells."""
+    """Return {label: number of cells}, the most frequent first; with random starts, the number of attractors."""
     codes, frequencies = np.unique(_cell_labels(data), return_counts=True)
     order = np.lexsort((codes, -frequencies))
     return {label_codes.label_of(int(codes[k])): int(frequencies[k]) for k in order}
 
 
 def _cell_labels(data):
-    """Of cells; or with random starts of attractors, and an undecided one for each cell that has undecided starts."""
+    """Return the label codes of the cells.
+
+    With random starts these are codes of attractors, with one undecided code per cell that has undecided starts.
+    """
     codes = data["label"].values
     if "attractor" not in data["label"].dims:
         return codes.ravel()
@@ -43,7 +46,7 @@ def _cell_labels(data):
 
 
 def map_lines(data, units="scene"):
-    """The table of a map, line by line."""
+    """Iterate over the lines of the table of a map."""
     scales = read_scales(data) if units == "physical" else None
     names = parameter_names(data)
     yield f"map over {' and '.join(names)}: {' x '.join(str(data.sizes[name]) for name in names)} cells"
@@ -75,8 +78,11 @@ def map_lines(data, units="scene"):
 
 
 def map_picture(data, units="scene"):
-    """The picture of a map over two parameters, a panel for each way that it was carried, or, of random starts, for the
-    largest share and for the number of attractors; a PNG's bytes. Raises ArgumentError for another number of them."""
+    """Draw a map over two parameters and return the PNG bytes.
+
+    The picture has one panel per direction of the sweep. With random starts the panels show the largest basin fraction
+    and the number of attractors. Raises ArgumentError for another number of parameters.
+    """
     names = parameter_names(data)
     if len(names) != 2:
         rule = "must be of two parameters to be drawn: open the store with xarray and choose"

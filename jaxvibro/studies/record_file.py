@@ -1,4 +1,4 @@
-"""A record of impacts or samples from a CSV file, as [fit] of a scene file names it."""
+"""Read a record of impacts or samples from the CSV file of a [fit]."""
 
 import csv
 
@@ -12,18 +12,18 @@ from .text_limits import read_content
 IMPACT_HEADER = ("time", "side")
 HEADERS = (IMPACT_HEADER, ("time", "x"), ("time", "x", "v"))
 MILLI = 1e-3
-# In physical units: of a scene that has scales.
+# Headers in physical units, for a scene with scales.
 PHYSICAL_HEADERS = (("time (s)", "side"), ("time (s)", "x (mm)"), ("time (s)", "x (mm)", "v (m/s)"))
 SIDE_CODES = dict(zip(SIDES, (-1.0, 1.0), strict=True)) | {"-1": -1.0, "1": 1.0, "+1": 1.0}
 TABLE_KEYS = ("sigma", "sigma_v", "phase")
 
 
 def load_record(folder, table, scene):
-    """The `ImpactRecord` or `SampleRecord` of a `FitTable`, whose file's name counts from a folder, as the scene
-    measures it; its first line says which it is, and whether it is in s, mm and m/s, as the errors in the table are
-    then.
+    """Load the `ImpactRecord` or `SampleRecord` of a `FitTable`, in the scene's units.
 
-    Raises SceneError for what the file may not hold, naming its line, OSError where it cannot be read.
+    The path of the file is relative to `folder`. The first line states the kind of record, and whether it is in s, mm
+    and m/s; the errors in the table are then in these units, too. Raises SceneError with the line for invalid contents,
+    OSError if the file cannot be read.
     """
     path = folder / table.record
     try:
@@ -45,7 +45,7 @@ def load_record(folder, table, scene):
     try:
         if header == IMPACT_HEADER:
             if table.sigma_v is not None:
-                raise ArgumentError("sigma_v", "must be left out of impacts", table.sigma_v)
+                raise ArgumentError("sigma_v", "must be left out for impacts", table.sigma_v)
             result = ImpactRecord(*columns, table.sigma, phase, table.flawed)
             return record_from_physical(result, scene) if is_physical else result
         times, x, v = [*columns, None][:3]
@@ -59,7 +59,7 @@ def load_record(folder, table, scene):
 
 
 def _row(file_name, line_number, header, line):
-    """The numbers of a line."""
+    """Return the numbers of a line."""
     location = f"{file_name}, line {line_number}"
     if len(line) != len(header):
         raise SceneError(location, f"must be {', '.join(header)}", ",".join(line))
@@ -67,6 +67,7 @@ def _row(file_name, line_number, header, line):
 
 
 def _parse_number(location, key, text):
+    """Return one entry of a line as a number."""
     if key == "side":
         if text not in SIDE_CODES:
             raise SceneError(location, f"must have a side {', '.join(SIDE_CODES)}", text)

@@ -1,4 +1,4 @@
-"""What was found, for reading and for machines."""
+"""Format the results of a run as a table for reading and as a summary for machines."""
 
 import math
 
@@ -17,14 +17,11 @@ from ..problem.end import End
 from . import map_report, sweep_report
 from .sweep_report import state_headings
 
-CHATTER_NOTE = (
-    "inf: the mass comes to rest by infinitely many hops, of which impacts has those before they are sure to end"
-)
+CHATTER_NOTE = "inf: the mass sticks after complete chatter; impacts lists the bounces before this is certain"
 
 
 def results_table(results, name, units="scene"):
-    """A text: the scene, the stretches of the sweep, the attractors, the orbits, the branches, the loci. units: "scene"
-    or "physical"."""
+    """Format the scene and all results of a run as a text, in units "scene" or "physical"."""
     lines = [f"jaxvibro {__version__}, {name}\n", align_columns(_parameter_rows(results.scene, units))]
     sections = [
         (results.swept, sweep_report.sweep_lines),
@@ -42,7 +39,7 @@ def results_table(results, name, units="scene"):
 
 
 def _parameter_rows(scene, units):
-    """The scene's parameters, in physical units with these."""
+    """Return rows of the scene's parameters, converted to physical units if chosen."""
     values = {name: value for name, value in scene.numbers.items() if name != "restitution" or scene.shares_restitution}
     if units == "scene":
         return list(values.items())
@@ -55,7 +52,7 @@ def _attractor_lines(results, units):
     location = _values_text(results, table, units)
     yield f"attractors at {location}, from {table.starts} starts (seed {table.seed}); x and v at phase 0"
     starts_text = box_text(results.scene_of_table(table), _scales(results, units))
-    yield f"starts: random at phase 0, {starts_text}; their shares with bounds at 95 %"
+    yield f"starts: random at phase 0, {starts_text}; shares with 95 % bounds"
     rows = [("", "label", "share", "periods", x_heading, v_heading, "impacts", "exponent", "rests", "mirror image")]
     for number, attractor in enumerate(results.attractors, 1):
         state = (f"{x_factor * attractor.state.x:.12f}", f"{v_factor * attractor.state.v:.12f}")
@@ -75,7 +72,7 @@ def _attractor_lines(results, units):
             )
         )
     yield align_columns(rows)
-    yield "impacts: L left, R right, a word a period; exponent: the largest, per drive period"
+    yield "impacts: L left, R right, one word per period; exponent: the largest Lyapunov exponent, per drive period"
     if any(attractor.rests for attractor in results.attractors):
         yield CHATTER_NOTE
     for number, attractor in enumerate(results.attractors, 1):
@@ -133,7 +130,7 @@ def _orbit_lines(results, units):
         rows.append((number, *details, *state, _itinerary(orbit.itinerary), *minima, _mirror(number, orbit.mirror_of)))
     yield align_columns(rows if has_phases else [row[:6] + row[7:] for row in rows])
     phase_text = "at the phase (rad) given" if has_phases else "at phase 0"
-    yield f"x and v {phase_text}; impacts: L left, R right, a word a period; multipliers: Floquet's, the larger first"
+    yield f"x and v {phase_text}; impacts: L left, R right, one word per period; multipliers: Floquet, the larger first"
     if any(orbit.rests for orbit in results.orbits):
         yield CHATTER_NOTE
 
@@ -161,7 +158,7 @@ def _branch_lines(results, units):
             yield f"its mirror image is {twin_index + 1}: {mirror_branch.segments[0].label}, with the same values"
         yield branch.table(units)
     yield f"\n{_meanings_text(KIND_NAMES)}"
-    yield "multipliers: Floquet's, the larger first; meets: orbits that meet there, on which side of the value"
+    yield "multipliers: Floquet, the larger first; meets: orbits that meet there, with their side of the value"
 
 
 def _locus_lines(results, units):
@@ -180,14 +177,14 @@ def _locus_lines(results, units):
 
 def _margin_lines(results, units):
     table = results.file.margin
-    yield f"nearest bifurcations of the orbit that is settled on from {_start_text(results, table, units)}"
+    yield f"nearest bifurcations of the orbit reached from {_start_text(results, table, units)}"
     yield results.margin.table(units)
     yield _meanings_text({kind: KIND_NAMES[kind] for kind in table.kinds})
 
 
 def _fit_lines(results, units):
     record_kind = "impacts" if isinstance(results.record, ImpactRecord) else "samples"
-    yield f"numbers fitted to the {len(results.record.times)} {record_kind} of {results.file.fit.record}"
+    yield f"parameters fitted to the {len(results.record.times)} {record_kind} of {results.file.fit.record}"
     yield results.fit.table(units)
 
 
@@ -196,13 +193,14 @@ def _meanings_text(meanings):
 
 
 def _mirror(number, mirror_index):
+    """Return the number of a mirror image, "itself" or "-"."""
     if mirror_index is None:
         return "-"
     return "itself" if mirror_index + 1 == number else f"{mirror_index + 1}"
 
 
 def summary(results, files):
-    """The same as plain dicts, lists, texts and numbers; what is not finite is None."""
+    """Return the results of a run as plain dicts, lists, texts and numbers; numbers that are not finite are None."""
     record = {"version": __version__, "files": files, "job": msgspec.to_builtins(results.file)}
     if results.swept is not None:
         record["stretches"] = [msgspec.to_builtins(item) for item in results.stretches]
@@ -250,7 +248,7 @@ def _attractor_record(attractor):
 
 
 def _orbit_record(orbit):
-    """Multipliers are pairs, real and imaginary part."""
+    """Return the record of an orbit; multipliers are pairs of real and imaginary part."""
     return {
         "stable": orbit.stable,
         "rests": orbit.rests,
@@ -299,7 +297,7 @@ def _special_record(special):
 
 
 def _special_fields(special):
-    """What special points of branches and of loci have in common."""
+    """Return the common fields of special points of branches and of loci."""
     return {
         "kind": special.kind,
         "label": special.label,
@@ -336,7 +334,7 @@ def _fit_record(fit):
 
 
 def _motion_fields(motion, field_names):
-    """What attractors and orbits have in common, and some numbers of theirs."""
+    """Return the common fields of attractors and orbits, and the numbers in `field_names`."""
     return {
         "label": motion.label,
         "periods": motion.periods,

@@ -1,4 +1,4 @@
-"""The data of a run as one Dataset, as it goes to a NetCDF file: sweep, attractors, orbits, branches and loci."""
+"""Convert the results of a run to one Dataset for a NetCDF file: sweep, attractors, orbits, branches and loci."""
 
 import msgspec
 import numpy as np
@@ -9,11 +9,11 @@ from ..branches.branch import neighbour_labels
 from ..maps.initial_conditions import initial_box
 from ..output.units import ANGLE, DIMENSIONLESS, LENGTH, SPEED
 
-NO_MIRROR = -1  # in `attractor_mirror` and `orbit_mirror`, where no mirror image was found
+NO_MIRROR = -1  # value of `attractor_mirror` and `orbit_mirror` without a mirror image
 
 
 def results_dataset(results):
-    """An xarray.Dataset of all that was `Found`, with the job as TOML in its attribute `job`."""
+    """Return an xarray.Dataset of all `StudyResults`, with the scene file as TOML in its attribute `job`."""
     parts = [results.swept] if results.swept is not None else []
     parts += [_attractor_dataset(results), _start_dataset(results)] if results.attractors is not None else []
     parts += [_orbit_dataset(results.orbits)] if results.orbits else []
@@ -74,7 +74,7 @@ def _attractor_dataset(results):
 
 
 def _start_dataset(results):
-    """The box of the random starts."""
+    """Return the box of the random starts."""
     x_lower, x_upper, max_speed = initial_box(results.scene_of_table(results.file.attractors))
     return xr.Dataset(
         {
@@ -147,7 +147,7 @@ def _orbit_dataset(orbits):
 
 
 def _branch_dataset(branches):
-    """All branches' points, one after the other, in the variables that a branch's data have."""
+    """Return the points of all branches, one branch after the other, in the variables of a branch's data."""
     parameter, datasets = branches[0].name, [branch.data for branch in branches]
 
     def concatenate(key):
@@ -175,7 +175,7 @@ def _branch_dataset(branches):
 
 
 def _special_dataset(branches):
-    """The special points of all branches, ends included."""
+    """Return the special points of all branches, ends included."""
     first_rows = np.cumsum([0] + [len(item) for item in branches])
     indexed_points = [(branch_number, item) for branch_number, branch in enumerate(branches) for item in branch.special]
     multipliers = np.array([item.multipliers for _, item in indexed_points])
@@ -217,7 +217,7 @@ def _special_dataset(branches):
 
 
 def _locus_dataset(loci):
-    """All loci's points, one after the other."""
+    """Return the points of all loci, one locus after the other."""
     locus_numbers = np.repeat(np.arange(len(loci)), [len(locus) for locus in loci])
     variables = {
         "locus_number": ("locus_point", locus_numbers, {"long_name": "place of the locus among the loci, from 0"})
@@ -238,7 +238,7 @@ def _locus_dataset(loci):
 
 
 def _codim2_dataset(loci):
-    """The special points of all loci, ends included."""
+    """Return the special points of all loci, ends included."""
     first_rows = np.cumsum([0] + [len(item) for item in loci])
     indexed_points = [(locus_number, item) for locus_number, locus in enumerate(loci) for item in locus.special]
     columns = {
@@ -261,7 +261,7 @@ def _codim2_dataset(loci):
 
 
 def _margin_dataset(margin):
-    """The nearest points of the kinds, and by how much each free number is another there."""
+    """Return the nearest point of each kind, and the change of each free parameter."""
     points, names = margin.points, list(margin.free)
     changes = np.array([[point.change[name] for name in names] for point in points]).reshape(len(points), len(names))
     columns = {
@@ -281,7 +281,7 @@ def _margin_dataset(margin):
 
 
 def _fit_dataset(fit):
-    """The fitted numbers, their errors and covariance."""
+    """Return the fitted parameters, their errors and covariance."""
     names = list(fit.values)
     variables = {
         "fit_value": ("fitted", list(fit.values.values()), {"long_name": "of each fitted number"}),

@@ -1,4 +1,4 @@
-"""Does what a scene file asks, and writes picture, data and table: all of them whole, or none."""
+"""Run the analyses in a scene file and write picture, data and table, all together or not at all."""
 
 import os
 import time
@@ -27,15 +27,23 @@ from .results_dataset import results_dataset
 from .schema import SceneFile
 
 SUFFIXES = {"picture": ".png", "data": ".nc", "table": ".txt"}
-# Where a table asks for it; a map's store is a folder, which the study itself writes.
+# Results of further tables; the study itself writes the store of a map, a folder.
 EXTRA_SUFFIXES = {"locus": {"loci": ".loci.png"}, "margin": {"margin": ".margin.png"}, "map": {"map": ".map.png"}}
 STORE_SUFFIX = ".zarr"
-PAPER_TABLES = ("spectrum", "basins", "panels")  # tables that `paper` knows
+PAPER_TABLES = ("spectrum", "basins", "panels")  # tables for `paper` only
 
 
 @dataclass(frozen=True)
 class Done:
-    """What a run gives. summary: plain numbers, texts, lists and dicts, as `--json` prints it; table: for reading."""
+    """Results of `run`.
+
+    Attributes
+    ----------
+    summary : dict
+        Plain numbers, texts, lists and dicts, as ``--json`` prints them.
+    table : str
+        Table for reading.
+    """
 
     summary: dict[str, Any]
     table: str
@@ -52,20 +60,60 @@ def run(
     units: str = "scene",
     engine: Engine | None = None,
 ) -> Done:
-    """Does what a scene file asks, and writes its picture, data and table into a folder, with a [locus], [margin] or
-    [map] a picture of that too, and of a [map] its `Store`, which a later run goes on with: `Done`.
+    """Run the analyses in a scene file and write their results into a folder.
 
-    path: of the scene file; its name without ending names the results. out: the folder, made where it is missing.
-    changes: other values for this run, each "key=value" as in the file ("sweep.count=201"); "scene." may be left out.
-    force: overwrite results that are there. progress: show bars on stderr. csv: write a table each of the sweep, the
-    attractors, the branches and the loci too, a row a point. units: of these, of the pictures and of the tables of
-    branches and loci, "scene", or "physical" (N, Hz, mm, ...) where the scene has [scene.scales]. engine: who works
-    out a [map], None: this process.
+    The results are a picture, data and a table, with a further picture for a [locus], [margin] or [map]. A [map] also
+    writes its `Store`, from which a later run resumes.
 
-    Raises SceneError for what the file or the changes may not say, FileExistsError where a result is there already,
-    and OSError where a file cannot be read or the folder not be written to, all before any work; and SceneError
-    where the start of a [branch] turns out to settle on no orbit that can be followed, before the other studies, or
-    where the record of a [fit] holds less than is asked of it.
+    Parameters
+    ----------
+    path : path-like
+        Scene file. Its name without suffix names the results.
+    out : path-like, optional
+        Folder, created if it is missing.
+    changes : iterable of str, optional
+        Other values for this run, each "key=value" as in the file, for example ``"sweep.count=201"``. The prefix
+        "scene." may be left out.
+    force : bool, optional
+        Overwrite existing results.
+    progress : bool, optional
+        Show progress bars on stderr.
+    csv : bool, optional
+        Also write CSV tables of the sweep, the attractors, the branches and the loci, one row per point.
+    units : {"scene", "physical"}, optional
+        Units of the tables and pictures. Physical units (N, Hz, mm, ...) need [scene.scales].
+    engine : LocalEngine or DaskEngine, optional
+        Execution engine of a [map]. None runs in this process.
+
+    Returns
+    -------
+    Done
+        Summary and table of the run.
+
+    Raises
+    ------
+    SceneError
+        If the file or the changes break a rule, before any computation. Also, before the other analyses, if no orbit
+        that can be continued is found at the start of a [branch], or if the record of a [fit] has less data than it
+        needs.
+    FileExistsError
+        If a result already exists, before any computation.
+    OSError
+        If a file cannot be read or the folder cannot be written to, before any computation.
+
+    See Also
+    --------
+    show : Show a stored map.
+    load_scene : Read the scene of a scene file.
+
+    Examples
+    --------
+    >>> from tempfile import mkdtemp
+    >>> folder = mkdtemp()
+    >>> jv.save_scene(scene, f"{folder}/driven.toml")
+    >>> done = jv.run(f"{folder}/driven.toml", out=folder)
+    >>> sorted(done.summary["files"])
+    ['data', 'picture', 'table']
     """
     start_time = time.perf_counter()
     path, out = Path(path), Path(out)
@@ -108,13 +156,13 @@ def run(
 
 
 def _map_store(out, stem, engine):
-    """The store of a [map], whose folder is there; what it needs is loaded for it alone."""
+    """Return the store of a [map] in an existing folder."""
     out.mkdir(parents=True, exist_ok=True)
     return jv.Store(out / (stem + STORE_SUFFIX), engine or LocalEngine())
 
 
 def _qualified_change(change):
-    """A change with its key from the top of the file: that of a scene's parameter may begin below [scene]."""
+    """Return a change with its full key: the key of a scene's parameter may begin below [scene]."""
     first_key = change.split("=")[0].split(".")[0].strip()
     table_names, scene_keys = SceneFile.__struct_fields__, SceneTable.__struct_fields__
     is_scene_key = first_key not in table_names and (
@@ -124,17 +172,17 @@ def _qualified_change(change):
 
 
 def _require_writable(path, out, files, force):
-    """Refuse what could not be written at the end."""
+    """Check in advance that all results can be written."""
     require_writable_folder(out)
     for file_path in files:
         if file_path.is_dir() or (file_path.exists() and file_path.samefile(path)):
-            raise FileExistsError(f"out: {file_path} is in the way")
+            raise FileExistsError(f"out: {file_path} is a folder or the scene file, which are not overwritten")
         if os.path.lexists(file_path) and not force:
-            raise FileExistsError(f"out: {file_path} is there already; --force overwrites it")
+            raise FileExistsError(f"out: {file_path} already exists; --force overwrites it")
 
 
 def _write_files(contents, force):
-    """Write all files beside their places first, then put all there."""
+    """Write all files under temporary names first, then rename all of them."""
     with ExitStack() as stack:
         for path, content in contents.items():
             path.parent.mkdir(parents=True, exist_ok=True)

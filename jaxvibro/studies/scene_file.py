@@ -1,4 +1,4 @@
-"""Scene files: TOML in, strictly, and TOML out."""
+"""Read and write scene files in TOML, with strict rules."""
 
 import re
 from os import PathLike
@@ -49,34 +49,128 @@ _TYPE_WORDS = {"float": "a number", "int": "a whole number", "str": "a text", "o
 
 @check_types
 def load_scene(path: str | PathLike[str], dtype: DTypeLike | None = None) -> Scene:
-    """The scene of a scene file, as `make_scene` would make it (dtype as there).
+    """Read the scene of a scene file.
 
-    Raises SceneError on the first thing in the file that breaks a rule, be it in the scene or in what else the file
-    asks for, and OSError where the file cannot be read.
+    Parameters
+    ----------
+    path : path-like
+        Scene file.
+    dtype : dtype, optional
+        Floating-point type, as in `make_scene`.
+
+    Returns
+    -------
+    Scene
+        The scene, as `make_scene` makes it.
+
+    Raises
+    ------
+    SceneError
+        If anything in the file breaks a rule, in the scene or in another table.
+    OSError
+        If the file cannot be read.
+
+    See Also
+    --------
+    save_scene : Write a scene to a scene file.
+
+    Examples
+    --------
+    >>> from tempfile import mkdtemp
+    >>> path = mkdtemp() + "/driven.toml"
+    >>> jv.save_scene(scene, path)
+    >>> float(jv.load_scene(path).frequency)
+    2.1
     """
     return read(path).scene.make(dtype)
 
 
 @host_only("return the scene")
 def save_scene(scene: Scene, path: str | PathLike[str], force: bool = False) -> None:
-    """Write a single scene to a scene file, from which `load_scene` reads the same numbers bit for bit.
+    """Write a single scene to a scene file.
 
-    Raises SceneError for a batch, FileExistsError where the file is there already, unless force is given.
+    `load_scene` reads the same numbers from it, bit for bit.
+
+    Parameters
+    ----------
+    scene : Scene
+        Single scene.
+    path : path-like
+        Scene file.
+    force : bool, optional
+        Overwrite an existing file.
+
+    Raises
+    ------
+    ArgumentError
+        If the scene is a batch, or its force or a contact law is not predefined.
+    FileExistsError
+        If the file exists and `force` is False.
+
+    See Also
+    --------
+    load_scene : Read the scene of a scene file.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> from tempfile import mkdtemp
+    >>> path = Path(mkdtemp()) / "driven.toml"
+    >>> jv.save_scene(scene, path)
+    >>> path.read_text().splitlines()[1]
+    'amplitude = 2.0'
     """
     dump(SceneFile(scene=make_scene_table(scene)), path, force)
 
 
 def read(path, changes=()):
-    """A scene file's tables, checked, as a `SceneFile`; changes, each "key=value" as in `apply_change`, go in first.
+    """Read and check the tables of a scene file.
 
-    Raises SceneError and OSError as `load_scene` does.
+    Parameters
+    ----------
+    path : path-like
+        Scene file.
+    changes : sequence of str, optional
+        Changes, each "key=value" as in `apply_change`, which are made before the check.
+
+    Returns
+    -------
+    SceneFile
+        The tables.
+
+    Raises
+    ------
+    SceneError
+        If the file or a change breaks a rule.
+    OSError
+        If the file cannot be read.
     """
     path = Path(path)
     return parse_content(path.name, read_content(path), changes)
 
 
 def parse_content(name, content, changes=()):
-    """The same of the bytes of a file of this name."""
+    """Parse and check the content of a scene file.
+
+    Parameters
+    ----------
+    name : str
+        Name of the file, for messages.
+    content : bytes
+        Content of the file.
+    changes : sequence of str, optional
+        Changes, each "key=value" as in `apply_change`, which are made before the check.
+
+    Returns
+    -------
+    SceneFile
+        The tables.
+
+    Raises
+    ------
+    SceneError
+        If the content or a change breaks a rule.
+    """
     try:
         tables = parse_toml(name, content.decode("utf-8-sig"))
     except ArgumentError:
@@ -89,17 +183,17 @@ def parse_content(name, content, changes=()):
 
 
 def dump(file, path, force=False):
-    """Write a `SceneFile` to a file, whole or not at all. Raises FileExistsError unless force is given."""
+    """Write a `SceneFile` completely or not at all; raise FileExistsError for an existing file without `force`."""
     text = msgspec.toml.encode(file)
     with atomic_file(path, force) as file:
         file.write(text)
 
 
 def apply_change(tables, change):
-    """The plain tables of a scene file with one change put in, such as "scene.amplitude=3" or "sweep.legs.0.to=1.0".
+    """Return the plain tables of a scene file with one change, such as "scene.amplitude=3" or "sweep.legs.0.to=1.0".
 
-    Key and value are TOML; a table is merged with the one that stands there, a list's entries go by number from 0.
-    Raises SceneError where the change is no TOML; a key that no scene file has is refused by `parse_tables`.
+    Key and value are TOML. A table is merged with the existing one. Entries of a list are numbered from 0. Raises
+    SceneError if the change is not TOML; `parse_tables` refuses unknown keys.
     """
     key = change.split("=")[0].strip() or "change"
     if len(change) > MAX_BYTES:
@@ -111,11 +205,12 @@ def apply_change(tables, change):
     except (ValueError, RecursionError):
         change_tables = {}
     if not change_tables:
-        raise SceneError(key, "must be KEY=VALUE, the value as in TOML", change)
+        raise SceneError(key, "must be KEY=VALUE with a TOML value", change)
     return _merge_tables(tables, change_tables)
 
 
 def _merge_tables(old, new):
+    """Return old tables, or lists of them, with the values of new ones."""
     if isinstance(old, list) and isinstance(new, dict) and all(key in map(str, range(len(old))) for key in new):
         return [
             _merge_tables(entry, new[str(index)]) if str(index) in new else entry for index, entry in enumerate(old)
@@ -126,7 +221,7 @@ def _merge_tables(old, new):
 
 
 def parse_tables(tables):
-    """Plain tables as a checked `SceneFile`. Raises SceneError naming the key, dotted from the top."""
+    """Convert plain tables to a checked `SceneFile`; a SceneError names the key, dotted from the top."""
     _refuse_unknown("", "", tables)
     try:
         file = msgspec.convert(tables, SceneFile)
@@ -136,7 +231,7 @@ def parse_tables(tables):
 
 
 def _refuse_unknown(table_key, location, table):
-    """Refuse the first key that its table may not have; after that msgspec's complaints hold no text of the user's."""
+    """Refuse the first unknown key; msgspec's messages then contain no text of the user's."""
     names = _TABLE_TYPES[table_key].__struct_encode_fields__
     for name, value in table.items():
         if name not in names:
@@ -149,11 +244,12 @@ def _refuse_unknown(table_key, location, table):
 
 
 def _join_key(prefix, name):
+    """Return a dotted key."""
     return f"{prefix}.{name}" if prefix else name
 
 
 def _validation_error(tables, message):
-    """msgspec's complaint as a SceneError: it names the place; the value there is looked up."""
+    """Convert msgspec's message, which names the location, to a SceneError with the value there."""
     complaint, location = re.fullmatch(r"(.*?)(?: - at `\$(.*)`)?", message).groups(default="")
     keys, value, path = [], tables, ""
     for name, number in re.findall(r"\.(\w+)|\[(\d+|\.\.\.)\]", location):
@@ -166,7 +262,7 @@ def _validation_error(tables, message):
 
 
 def _invalid_entry(tables, keys, table, message):
-    """The key, below some others, of the entry that msgspec complains of but does not name: alone it is the same."""
+    """Return the key of the entry, below some others, for which msgspec gives the same message alone."""
     for name, value in table.items():
         single_entry = {name: value}
         for depth in reversed(range(len(keys))):
@@ -180,13 +276,14 @@ def _invalid_entry(tables, keys, table, message):
 
 
 def _table_at(tables, keys):
+    """Return the table below some keys."""
     for key in keys:
         tables = tables[key]
     return tables
 
 
 def _plain_rule(complaint):
-    """ "Expected `int` >= 1" in plain words."""
+    """Convert "Expected `int` >= 1" to a rule in plain words."""
     match = re.match(r"Expected `(\w+)[^`]*`([^,]*)", complaint)
     if match is None:
         return f"must be valid ({complaint})"

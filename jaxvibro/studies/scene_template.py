@@ -1,45 +1,45 @@
-"""The scene file that `jaxvibro init` writes."""
+"""Define the scene file that `jaxvibro init` writes."""
 
 SCENE_TEMPLATE = """\
-# A mass on a spring, driven, between two rigid walls. `jaxvibro run` with this file draws what it settles on as the
-# drive grows and falls, and looks for all that it can settle on at one strength of the drive.
+# A driven mass on a spring between two rigid walls. `jaxvibro run` with this file draws a swept diagram for increasing
+# and decreasing drive amplitude, and finds the attractors at one amplitude.
 #
 #   x'' + 2 damping x' + x = amplitude cos(frequency t)   between the walls
-#   velocity after an impact = -restitution (velocity before), both taken against the wall
+#   velocity after an impact = -restitution (velocity before), both relative to the wall
 #
-# Lengths are in a unit of your choice, time in 1/w0, w0 being the natural frequency without damping.
+# Lengths are in a unit of your choice, time in 1/w0, w0 being the undamped natural frequency.
 
 [scene]
-amplitude = 3.0      # A, of the drive
-frequency = 2.1      # omega, of the drive; greater than 0
-damping = 0.05       # gamma, not negative; 1 is critical
-restitution = 0.7    # R, from 0 to 1
+amplitude = 3.0      # A, amplitude of the drive
+frequency = 2.1      # omega, frequency of the drive; greater than 0
+damping = 0.05       # gamma, damping ratio; not negative, 1 is critical
+restitution = 0.7    # R, coefficient of restitution; from 0 to 1
 
-# [[scene.drive]]    # a term more of the drive: amplitude cos(harmonic frequency t + phase)
+# [[scene.drive]]    # a further term of the drive: amplitude cos(harmonic frequency t + phase)
 # amplitude = 0.4
-# harmonic = 3       # a whole number; 0 with phase 0 is a constant force
+# harmonic = 3       # an integer; 0 with phase 0 is a constant force
 # phase = 0.0        # radians
 
-[scene.left]         # leave a wall's table out where there is no wall
+[scene.left]         # without this table there is no left wall
 position = -1.0
 
 [scene.right]
 position = 1.0
-# restitution = 0.6  # its own, in place of the scene's
-# stiffness = 400.0  # of a soft wall, which has no restitution; its damping is the scene's or its own: damping = 3.0
+# restitution = 0.6  # in place of the scene's
+# stiffness = 400.0  # makes the wall soft, without restitution; its damping is the scene's, or damping = 3.0
 
 # [scene.right.motion]   # position + amplitude cos(harmonic frequency t + phase)
 # amplitude = 0.1
 # phase = 0.0            # radians
-# harmonic = 1           # a whole number
+# harmonic = 1           # an integer
 
-[sweep]              # a swept diagram: the state at the end of one value starts the next
+[sweep]              # a swept diagram: the last state at one value is the first at the next
 parameter = "amplitude"   # or "frequency", "left.position", "right.restitution", "right.motion.phase", ...
-count = 301          # values in a leg
-settle = 200         # drive periods left out at each value
+count = 301          # values per leg
+settle = 200         # drive periods discarded at each value
 keep = 50            # drive periods drawn at each value
 
-[[sweep.legs]]       # one colour a leg
+[[sweep.legs]]       # one colour per leg
 name = "down"
 from = 6.0
 to = 0.0
@@ -51,32 +51,32 @@ from = 0.0
 to = 6.0
 start = {x = 0.0, v = 0.0}
 
-[attractors]         # what the scene settles on from many random starts
+[attractors]         # attractors from many random starts
 starts = 50
 seed = 0
-at = {amplitude = 3.0}    # values other than [scene]'s, if any
+at = {amplitude = 3.0}    # values in place of those in [scene]
 
-# [orbits]             # periodic orbits, those that repel too; it takes longer than the attractors
-# max_period = 4       # drive periods of the longest, up to 32
+# [orbits]             # periodic orbits, stable and unstable; takes longer than the attractors
+# max_period = 4       # drive periods of the longest orbit, up to 32
 # starts = 50
 # seed = 0
 # at = {amplitude = 3.0}
 
-# [branch]             # the periodic orbits along a parameter, stable and unstable, and where they change
+# [branch]             # branches of periodic orbits along a parameter, with their bifurcations
 # parameter = "amplitude"
 # bounds = [0.0, 6.0]
-# start = {x = 0.9, v = -1.1}   # what this settles on is where it begins,
+# start = {x = 0.9, v = -1.1}   # the branch starts at the orbit that is reached from here
 # at = {amplitude = 2.0}        # with these values
-# max_period = 1       # drive periods of the longest that a period doubling is followed to; 1: none
+# max_period = 1       # drive periods of the longest orbit behind period doublings; 1: no doubled branches
 
-# [explore]            # in place of [branch]: from many starts all over the parameter's range; it takes minutes
+# [explore]            # in place of [branch]: from many starts over the parameter's range; takes minutes
 # parameter = "amplitude"
 # bounds = [0.0, 6.0]
 # max_period = 2
-# budget = 20          # branches after which it stops
-# max_seconds = 600    # wall-clock time, s, after which it stops
+# budget = 20          # largest number of branches
+# max_seconds = 600    # limit on the wall-clock time, s
 
-# [locus]              # the special points of the branches, followed in two parameters
+# [locus]              # loci: special points of the branches, continued in two parameters
 # parameters = ["amplitude", "frequency"]
 # bounds = {amplitude = [0.0, 12.0], frequency = [1.2, 3.0]}
 # kinds = ["SN", "PD", "SB", "GR"]

@@ -1,4 +1,4 @@
-"""The tables of a scene file: what may stand in them."""
+"""Define the tables of a scene file and the types of their keys."""
 
 from typing import Annotated, Any, Literal
 
@@ -12,9 +12,9 @@ from ..scene.state import State
 
 MAX_COUNT = 1_000_000
 MAX_LEGS = 1000
-MAX_SWEEP_STATES = 20_000_000  # kept in a sweep: a gigabyte while it is put together and drawn
+MAX_SWEEP_STATES = 20_000_000  # states kept in a sweep: a gigabyte during assembly and drawing
 Count = Annotated[int, Meta(ge=1, le=MAX_COUNT)]
-Seconds = Annotated[float, Meta(gt=0, le=1e9)]  # of wall-clock time
+Seconds = Annotated[float, Meta(gt=0, le=1e9)]  # wall-clock time
 Settle = Annotated[int, Meta(ge=0, le=MAX_COUNT)]
 Periods = Annotated[int, Meta(ge=1, le=MAX_ORBIT_PERIODS)]
 Seed = Annotated[int, Meta(ge=0, lt=2**32)]
@@ -23,14 +23,14 @@ LOCUS_KINDS = ("SN", "PD", "SB", "GR")  # special points that have loci
 
 
 class StartTable(Table, frozen=True):
-    """Where a motion starts, at phase 0: position x in the walls' unit of length, velocity v."""
+    """Initial state at phase 0: position x, in the unit of the walls, and velocity v."""
 
     x: float
     v: float
 
 
 class LegTable(Table, frozen=True):
-    """[[sweep.legs]]: one direction of a sweep, from a first value of the parameter to a last one."""
+    """Table [[sweep.legs]]: one pass of a sweep, from a first to a last value of the parameter."""
 
     name: Name
     first: float = field(name="from")
@@ -39,7 +39,7 @@ class LegTable(Table, frozen=True):
 
 
 class SweepTable(Table, frozen=True, kw_only=True):
-    """[sweep]: count values a leg; at each, settle drive periods are left out and keep are drawn."""
+    """Table [sweep]: number of values per leg, and drive periods discarded and kept at each."""
 
     parameter: Name
     count: Count
@@ -49,13 +49,13 @@ class SweepTable(Table, frozen=True, kw_only=True):
     max_seconds: Seconds | None = None
 
     def values(self, leg: LegTable) -> Float[np.ndarray, " count"]:
-        """The parameter's values along a leg, in the order of the sweep: float64, shape (count,)."""
+        """Return the parameter's values along a leg, in the order of the sweep: float64, shape (count,)."""
         with np.errstate(over="ignore", invalid="ignore"):
             return np.linspace(leg.first, leg.last, self.count)
 
 
 class AttractorsTable(Table, frozen=True):
-    """[attractors]: what the scene, with the values under `at`, settles on from this many random starts."""
+    """Table [attractors]: attractors of the scene, with the values in `at`, from random starts."""
 
     starts: Count = 200
     seed: Seed = 0
@@ -64,8 +64,7 @@ class AttractorsTable(Table, frozen=True):
 
 
 class OrbitsTable(Table, frozen=True):
-    """[orbits]: the periodic orbits, stable and unstable, that trajectories of the scene, with the values under `at`,
-    come near."""
+    """Table [orbits]: periodic orbits, stable and unstable, near trajectories of the scene with the values in `at`."""
 
     max_period: Periods = 4
     starts: Count = 200
@@ -74,8 +73,11 @@ class OrbitsTable(Table, frozen=True):
 
 
 class BranchTable(Table, frozen=True, kw_only=True):
-    """[branch]: the periodic orbits along a parameter from that on which the scene, with the values under `at`, settles
-    from a start, and the branches that leave them."""
+    """Table [branch]: branches of periodic orbits along a parameter.
+
+    The first branch starts at the orbit that the scene, with the values in `at`, approaches from `start`. The others
+    bifurcate from it.
+    """
 
     parameter: Name
     bounds: tuple[float, float]
@@ -88,8 +90,10 @@ class BranchTable(Table, frozen=True, kw_only=True):
 
 
 class ExploreTable(Table, frozen=True, kw_only=True):
-    """[explore]: the periodic orbits along a parameter, found from many starts at values all over its range, the scene
-    having the values under `at`, and all branches that leave them."""
+    """Table [explore]: branches of periodic orbits along a parameter, from starts all over its range.
+
+    The scene has the values in `at`. All branches that bifurcate from these are followed, too.
+    """
 
     parameter: Name
     bounds: tuple[float, float]
@@ -101,7 +105,7 @@ class ExploreTable(Table, frozen=True, kw_only=True):
 
 
 class LocusTable(Table, frozen=True, kw_only=True):
-    """[locus]: the curves, in two parameters, of the special points of what [branch] or [explore] gives."""
+    """Table [locus]: loci, in two parameters, of the special points of [branch] or [explore]."""
 
     parameters: tuple[Name, Name]
     bounds: dict[str, tuple[float, float]]
@@ -111,8 +115,10 @@ class LocusTable(Table, frozen=True, kw_only=True):
 
 
 class MarginTable(Table, frozen=True, kw_only=True):
-    """[margin]: the nearest bifurcations of the orbit on which the scene, with the values under `at`, settles from a
-    start, in units of free numbers."""
+    """Table [margin]: nearest bifurcations of an orbit, in units of the free parameters.
+
+    The orbit is the one that the scene, with the values in `at`, approaches from `start`.
+    """
 
     free: Annotated[dict[str, float], Meta(min_length=1)]
     bounds: dict[str, tuple[float, float]] = field(default_factory=dict)
@@ -126,7 +132,7 @@ class MarginTable(Table, frozen=True, kw_only=True):
 
 
 class FitTable(Table, frozen=True, kw_only=True):
-    """[fit]: which free numbers of the scene made a record of impacts or samples, a CSV file beside the scene file."""
+    """Table [fit]: free parameters fitted to a record of impacts or samples, a CSV file beside the scene file."""
 
     record: Name
     sigma: float
@@ -138,7 +144,7 @@ class FitTable(Table, frozen=True, kw_only=True):
 
 
 class SpectrumTable(Table, frozen=True, kw_only=True):
-    """[spectrum]: both Lyapunov exponents at so many values of a parameter, each from the same start."""
+    """Table [spectrum]: both Lyapunov exponents at values of a parameter, each from the same start."""
 
     parameter: Name
     first: float = field(name="from")
@@ -150,13 +156,13 @@ class SpectrumTable(Table, frozen=True, kw_only=True):
 
     @property
     def values(self) -> Float[np.ndarray, " count"]:
-        """The parameter's values: float64, shape (count,)."""
+        """Values of the parameter: float64, shape (count,)."""
         with np.errstate(over="ignore", invalid="ignore"):
             return np.linspace(self.first, self.last, self.count)
 
 
 class BasinsTable(Table, frozen=True, kw_only=True):
-    """[basins]: which attractor each start of a grid settles on, the scene having the values under `at`."""
+    """Table [basins]: attractor of each start of a grid, the scene having the values in `at`."""
 
     x: tuple[float, float]
     v: tuple[float, float]
@@ -168,13 +174,16 @@ class BasinsTable(Table, frozen=True, kw_only=True):
 
     @property
     def grid(self) -> tuple[Float[np.ndarray, " count"], Float[np.ndarray, " count"]]:
-        """The positions and the velocities: float64, shape (count,) each."""
+        """Positions and velocities: float64, shape (count,) each."""
         return np.linspace(*self.x, self.count), np.linspace(*self.v, self.count)
 
 
 class MapTable(Table, frozen=True, kw_only=True):
-    """[map]: what the scene, with the values under `at`, settles on at each cell of a grid over two parameters, the
-    first up and the second across; so many values of each. starts: random ones a cell, in place of the one start."""
+    """Table [map]: attractor of the scene, with the values in `at`, at each cell of a grid over two parameters.
+
+    The first parameter is on the y axis, the second on the x axis. `count` gives the number of values of each. `starts`
+    is the number of random starts per cell, in place of the one start.
+    """
 
     parameters: tuple[Name, Name]
     bounds: dict[str, tuple[float, float]]
@@ -191,7 +200,7 @@ class MapTable(Table, frozen=True, kw_only=True):
 
     @property
     def arguments(self) -> dict[str, Any]:
-        """Those of `map_parameters`, but for the scene."""
+        """Arguments of `map_parameters`, except for the scene."""
         with np.errstate(over="ignore", invalid="ignore"):
             parameter_counts = zip(self.parameters, self.count, strict=True)
             grid = {name: np.linspace(*self.bounds[name], count) for name, count in parameter_counts}
@@ -201,7 +210,7 @@ class MapTable(Table, frozen=True, kw_only=True):
 
 
 class ViewTable(Table, frozen=True, kw_only=True):
-    """[[view]]: what was asked on the page of `jaxvibro view`, a table a line of Python, name = call(of, arguments)."""
+    """Table [[view]]: one action on the page of `jaxvibro view`, the Python line name = call(of, arguments)."""
 
     name: Name
     call: Name
@@ -210,7 +219,7 @@ class ViewTable(Table, frozen=True, kw_only=True):
 
 
 class SceneFile(Table, frozen=True):
-    """All that a scene file says: the scene, and the studies that it asks for."""
+    """Content of a scene file: the scene, and the analyses that it requests."""
 
     scene: SceneTable
     sweep: SweepTable | None = None
@@ -229,17 +238,17 @@ class SceneFile(Table, frozen=True):
 
     @property
     def branch_table(self) -> BranchTable | ExploreTable | None:
-        """What gives branches: [branch] or [explore]; None without."""
+        """Table that gives branches: [branch] or [explore], None without either."""
         return self.branch or self.explore
 
     @property
     def has_only_map(self) -> bool:
-        """Whether a [map] is all that is asked for."""
+        """True if the only analysis is a [map]."""
         study_names = (name for name in self.__struct_fields__ if name not in ("scene", "map", "panels", "view"))
         return self.map is not None and not any(getattr(self, name) for name in study_names)
 
     @property
     def panel_values(self) -> list[dict[str, float]]:
-        """The values of the scene's parameters in each panel, a list of dicts; [{}] where there are no [panels]."""
+        """Values of the scene's parameters in each panel; [{}] without [panels]."""
         rows = zip(*self.panels.values(), strict=True) if self.panels else [()]
         return [dict(zip(self.panels, row, strict=True)) for row in rows]

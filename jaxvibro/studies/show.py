@@ -1,4 +1,4 @@
-"""A map's store shown, half done too: its table, its picture, and what it holds as one NetCDF file."""
+"""Show a stored map, complete or not: its table, its picture and its data as one NetCDF file."""
 
 from os import PathLike
 from pathlib import Path
@@ -20,12 +20,47 @@ def show(
     force: bool = False,
     units: str = "scene",
 ) -> str:
-    """The table of a map's store, as far as it is done: a text. Writes its picture, and its data as NetCDF, if asked.
+    """Return the table of a stored map and optionally write its picture and data.
 
-    path: of the store; picture, data: of files to write. force: overwrite what is there; units: "scene", or "physical"
-    where its scene has scales.
+    Cells that are not yet computed are left out.
 
-    Raises ArgumentError for what is no map's store, or damaged, OSError where a file cannot be read or written.
+    Parameters
+    ----------
+    path : path-like
+        Store of the map.
+    picture : path-like, optional
+        File for the picture.
+    data : path-like, optional
+        NetCDF file for the data.
+    force : bool, optional
+        Overwrite existing files.
+    units : {"scene", "physical"}, optional
+        Units of the table and the picture. Physical units need a scene with scales.
+
+    Returns
+    -------
+    str
+        The table.
+
+    Raises
+    ------
+    ArgumentError
+        If the folder is not the store of a map, or is damaged.
+    OSError
+        If a file cannot be read or written.
+
+    See Also
+    --------
+    map_parameters : Compute a map.
+
+    Examples
+    --------
+    >>> from tempfile import mkdtemp
+    >>> store = jv.Store(mkdtemp() + "/small.zarr")
+    >>> grid = {"amplitude": np.array([1.0, 2.0]), "frequency": np.array([2.0, 2.1])}
+    >>> small = jv.map_parameters(scene, grid, store=store)
+    >>> print(jv.show(store.path).splitlines()[1])
+    map over amplitude and frequency: 2 x 2 cells
     """
     require_unit_system(units)
     for target in (picture, data):

@@ -1,4 +1,4 @@
-"""Stretches of a swept diagram: neighbouring values at which the state comes back after the same number of periods."""
+"""Find stretches of a swept diagram: neighbouring values at which the motion has the same period."""
 
 from dataclasses import dataclass
 
@@ -10,23 +10,33 @@ from ..scene.state import State
 from ..surveys.motions import UNDECIDED as MOTION_UNDECIDED
 from ..surveys.motions import classify_motions
 
-RETURN_TOLERANCE = 1e-6  # of the largest x and v of the diagram: a return as near as this counts
-BAD_STATUS, NOT_SETTLED, UNDECIDED = -1, -2, -3  # in place of a number of periods; 0: chaotic
+RETURN_TOLERANCE = 1e-6  # distance of a return, relative to the largest x and v of the diagram
+BAD_STATUS, NOT_SETTLED, UNDECIDED = -1, -2, -3  # codes in place of a number of periods; 0: chaotic
 MOTION_WORDS = {0: "chaotic", BAD_STATUS: "bad status", NOT_SETTLED: "not settled", UNDECIDED: "undecided"}
-MIN_TRANSIENT = (
-    MAX_ORBIT_PERIODS  # periods left out: after fewer, a motion that does not come back counts as not settled
-)
-MAX_EXTRA_PERIODS = 1024  # drive periods that a motion which does not come back is run on for
+# Periods that must be discarded; after fewer, a motion that does not recur counts as not settled.
+MIN_TRANSIENT = MAX_ORBIT_PERIODS
+MAX_EXTRA_PERIODS = 1024  # further drive periods of a motion that does not recur
 
 
 @dataclass(frozen=True)
 class Stretch:
-    """Values of one leg, in the order of the sweep, from `first` to `last`, `count` of them.
+    """Neighbouring values of one leg with the same kind of motion, in the order of the sweep.
 
-    periods: the least number of drive periods after which the states come back, of a long orbit found by running on; 0
-    where they do not; None where the status was bad. motion: "periodic", "chaotic" (the largest Lyapunov exponent is
-    positive beyond doubt), "not settled" (a transient: the motion settles on a short orbit later, or fewer than 32
-    periods were left out), "undecided" (none of these within 1,024 periods more), or "bad status".
+    Attributes
+    ----------
+    leg : str
+        Name of the leg.
+    first, last : float
+        First and last value.
+    count : int
+        Number of values.
+    periods : int or None
+        Period of the motion, in drive periods; for a long orbit found by continuing the motion. 0 for a motion that
+        does not recur, None for a bad status.
+    motion : str
+        "periodic", "chaotic" (the largest Lyapunov exponent is certainly positive), "not settled" (a transient: the
+        motion reaches a short orbit later, or fewer than 32 periods were discarded), "undecided" (none of these within
+        1,024 further periods), or "bad status".
     """
 
     leg: str
@@ -38,8 +48,7 @@ class Stretch:
 
 
 def find_stretches(sweep_data, scene, settle):
-    """The stretches of a Dataset of `sweep` with dimensions (step, leg, period), leg by leg. settle: the periods left
-    out at each value."""
+    """Return the stretches of a sweep (step, leg, period) for which `settle` periods were discarded per value."""
     values = sweep_data[sweep_data.attrs["swept"]].transpose("step", "leg").values
     periods = motion_periods(sweep_data, scene, settle)
     return [
@@ -56,20 +65,20 @@ def find_stretches(sweep_data, scene, settle):
 
 
 def max_recorded_period(sweep_data):
-    """The largest number of periods looked for: half of those kept, MOST_PERIODS at most."""
+    """Return the longest period in the search: half of the kept periods, at most `MAX_ORBIT_PERIODS`."""
     return min(MAX_ORBIT_PERIODS, sweep_data.sizes["period"] // 2)
 
 
 def _stretch_fields(code):
-    """(periods, motion) of a `Stretch`."""
+    """Return (periods, motion) of a `Stretch`."""
     return None if code == BAD_STATUS else max(code, 0), MOTION_WORDS.get(code, "periodic")
 
 
 def motion_periods(sweep_data, scene, settle):
-    """Periods of the motion at each value, or a code of `MOTION_WORDS`: (step, leg).
+    """Return the period of the motion at each value, or a code of `MOTION_WORDS`: shape (step, leg).
 
-    Where the recorded states do not come back the motion is run on from the last of them, until it comes back or its
-    largest Lyapunov exponent is known (`surveys.motions`).
+    A motion whose recorded states do not recur continues from the last of them until it recurs or its largest Lyapunov
+    exponent is known (`surveys.motions`).
     """
     periods = recurrence_periods(sweep_data)
     unresolved = np.nonzero(periods == 0)
@@ -91,7 +100,18 @@ def motion_periods(sweep_data, scene, settle):
 
 
 def recurrence_periods(sweep_data):
-    """After how many periods the states kept come back, 0 where they do not, -1 on a bad status: (step, leg)."""
+    """Return the number of periods after which the kept states recur.
+
+    Parameters
+    ----------
+    sweep_data : xarray.Dataset
+        Result of `sweep` with dimensions (step, leg, period).
+
+    Returns
+    -------
+    ndarray of shape (step, leg)
+        Number of periods, 0 without recurrence, -1 for a bad status.
+    """
     points = np.stack([sweep_data[key].transpose("period", "step", "leg").values for key in ("x", "v")])
     tolerance = RETURN_TOLERANCE * np.nanmax(abs(points), initial=0.0)
     periods = np.where(np.isnan(points).any(axis=(0, 1)), -1, 0)

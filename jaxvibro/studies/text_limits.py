@@ -1,4 +1,4 @@
-"""Limits on a text before it is parsed as TOML, as a parser's time grows with the square of a key's depth."""
+"""Limit a text before TOML parsing, because the time of a parser grows with the square of the depth of a key."""
 
 import re
 import tomllib
@@ -7,8 +7,8 @@ import numpy as np
 
 from ..scene.check import SceneError, shorten
 
-MAX_BYTES = 1_000_000  # bytes
-MAX_DEPTH = 8  # names in a dotted key, and brackets within brackets
+MAX_BYTES = 1_000_000
+MAX_DEPTH = 8  # names in a dotted key, and nested brackets
 _QUOTED = re.compile(
     r"""
     \#[^\n]*                                  # a comment
@@ -23,7 +23,7 @@ _DEEP_KEY = re.compile(rf"(?<![\w-])(?:[\w-]+[ \t]*\.[ \t]*){{{MAX_DEPTH}}}")
 
 
 def read_content(path):
-    """The bytes of a scene file. Raises SceneError where it is too large, OSError where it cannot be read."""
+    """Read the bytes of a scene file; raise SceneError if it is too large, OSError if it cannot be read."""
     with open(path, "rb") as file:
         data = file.read(MAX_BYTES + 1)
     if len(data) > MAX_BYTES:
@@ -32,8 +32,8 @@ def read_content(path):
 
 
 def parse_toml(key, text):
-    """The tables of a text. Raises SceneError for a key or brackets too deep, ValueError where it is no TOML."""
-    text.encode()  # no lone surrogates, as of a command line in another encoding
+    """Parse a TOML text; raise SceneError for keys or brackets that are too deep, ValueError for invalid TOML."""
+    text.encode()  # refuses lone surrogates, as from a command line in another encoding
     stripped_text = _QUOTED.sub(lambda match: "" if match[0].startswith("#") else "s", text)
     if deep_key := _DEEP_KEY.search(stripped_text):
         raise SceneError(key, f"must have keys of at most {MAX_DEPTH} names", shorten(deep_key[0]))

@@ -1,4 +1,4 @@
-"""The rules for a scene file: each that is broken is a SceneError naming the key, dotted from the top."""
+"""Check a scene file; each error is a SceneError that names the key, dotted from the top."""
 
 from contextlib import contextmanager
 
@@ -15,7 +15,7 @@ from .schema import LOCUS_KINDS, MAX_SWEEP_STATES
 
 @check.raise_scene_errors
 def check_scene_file(file):
-    """A `SceneFile`, once scene and studies break no rule. Raises SceneError naming the key, dotted from the top."""
+    """Return a `SceneFile` whose scene and analyses break no rule; a SceneError names the key, dotted from the top."""
     scene = _numpy_scene(file.scene)
     if file.sweep is not None:
         _check_sweep(scene, file.sweep)
@@ -45,7 +45,7 @@ def check_scene_file(file):
 
 
 def _numpy_scene(table):
-    """The scene of a table in NumPy's float64, checked, whether jax has double precision on or not."""
+    """Return the checked scene of a table in NumPy's float64, for any precision of jax."""
     left, right = (wall and wall.wall() for wall in (table.left, table.right))
     values = {name: getattr(table, name) for name in NUMBER_KEYS}
     arrays = {name: None if value is None else np.asarray(value) for name, value in values.items()}
@@ -56,7 +56,7 @@ def _numpy_scene(table):
 
 @contextmanager
 def _prefixed_errors(prefix):
-    """Names the keys of a scene's errors as the file does."""
+    """Prefix the keys of a scene's errors with the table of the file."""
     try:
         yield
     except check.ArgumentError as error:
@@ -74,7 +74,7 @@ def _check_map(scene, table):
 
 
 def _check_plane(key, scene, table):
-    """Two different parameters, and bounds for both."""
+    """Check that there are two different parameters with bounds for both."""
     names = list(table.parameters)
     for index, name in enumerate(names):
         _check_name(f"{key}.parameters[{index}]", scene, name)
@@ -83,7 +83,7 @@ def _check_plane(key, scene, table):
     if set(table.bounds) != set(names):
         bound_names = ", ".join(table.bounds) or "none"
         raise check.SceneError(
-            f"{key}.bounds", f"must give [low, high] for {' and for '.join(names)}, no other", bound_names
+            f"{key}.bounds", f"must give [low, high] for {' and for '.join(names)} only", bound_names
         )
     for name in names:
         _check_bounds(f"{key}.bounds.{name}", table.bounds[name])
@@ -129,13 +129,13 @@ def _check_basins(scene, table):
         scene = validate_scene(replace_unchecked(scene, table.at), np.float64)
     lower, upper = map(float, rigid_wall_positions(scene, table.phase))
     if table.x[0] < lower or table.x[1] > upper:
-        raise check.SceneError("basins.x", f"must lie between the walls, here at {lower} and {upper}", list(table.x))
+        raise check.SceneError("basins.x", f"must lie between the walls, at {lower} and {upper}", list(table.x))
 
 
 def _check_panels(scene, file):
     lengths = {name: len(values) for name, values in file.panels.items()}
     if len(set(lengths.values())) > 1 or 0 in lengths.values():
-        raise check.SceneError("panels", "must give each parameter a value for each panel, as many of each", lengths)
+        raise check.SceneError("panels", "must give equally many values for each parameter, one per panel", lengths)
     for name, values in file.panels.items():
         _check_name(f"panels.{name}", scene, name)
         with _prefixed_errors("panels."):
@@ -150,7 +150,7 @@ def _check_branch(scene, branch):
         if branch.parameter in branch.at:
             rule = f"must lie within branch.bounds, {lower} and {upper}"
             raise check.SceneError(f"branch.at.{branch.parameter}", rule, value)
-        rule = f"must hold the scene's {branch.parameter}, {value}, or that in branch.at"
+        rule = f"must contain the scene's {branch.parameter}, {value}, or that in branch.at"
         raise check.SceneError("branch.bounds", rule, list(branch.bounds))
     _check_start("branch.start", scene, branch.start)
     _check_step("branch.largest_step", branch.largest_step)
@@ -158,12 +158,12 @@ def _check_branch(scene, branch):
 
 def _check_explore(scene, file):
     if file.branch is not None:
-        raise check.SceneError("explore", "must not stand beside [branch]", file.explore.parameter)
+        raise check.SceneError("explore", "must not be given together with [branch]", file.explore.parameter)
     _check_branch_table("explore", scene, file.explore)
 
 
 def _check_branch_table(key, scene, table):
-    """The scene of a [branch] or [explore], once its parameter, bounds and values break no rule."""
+    """Return the scene of a [branch] or [explore] after a check of its parameter, bounds and values."""
     _check_name(f"{key}.parameter", scene, table.parameter)
     _check_bounds(f"{key}.bounds", table.bounds)
     with _prefixed_errors(f"{key}.at."):
@@ -209,7 +209,7 @@ def _check_kinds(key, kinds):
 
 
 def _check_overlap(key, name, bounds, scene, file):
-    """Refuse bounds of a locus in which no special point of the branches can lie."""
+    """Check that a special point of the branches can lie within the bounds of a locus."""
     table_name, branch_table = "branch" if file.branch is not None else "explore", file.branch_table
     (lower, upper), (branch_lower, branch_upper) = bounds, branch_table.bounds
     if name == branch_table.parameter:
@@ -220,7 +220,7 @@ def _check_overlap(key, name, bounds, scene, file):
         return
     value = float(replace_unchecked(scene, branch_table.at).parameter(name))
     if not lower <= value <= upper:
-        raise check.SceneError(key, f"must hold the {name} of [{table_name}], {value}", list(bounds))
+        raise check.SceneError(key, f"must contain the {name} of [{table_name}], {value}", list(bounds))
 
 
 def _check_bounds(key, bounds):
@@ -245,5 +245,5 @@ def _check_start(key, scene, start):
     for name in ("x", "v"):
         check.finite_array(f"{key}.{name}", getattr(start, name), np.float64)
     lower, upper = map(float, rigid_wall_positions(scene, 0.0))
-    rule = f"must lie between the walls, here at {lower} and {upper}"
+    rule = f"must lie between the walls, at {lower} and {upper}"
     check.require(f"{key}.x", rule, start.x, lower <= start.x <= upper)

@@ -1,4 +1,4 @@
-"""`warm`: jax's compile cache filled with what the first questions about a scene compile."""
+"""Fill JAX's compile cache with the code that the first calls for a scene compile."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -22,16 +22,23 @@ from ..orbits.orbit import OrbitError
 from ..scene import check
 from ..scene.scene import Scene, make_scene
 
-SWITCH_KINDS, LOCUS_KINDS = (
-    ("SB", "BP", "PD"),
-    ("SN", "SB", "PD", "GR"),
-)  # kinds of points: left by `switch`, followed by `locus`
-BOUND_FACTOR = 3.0  # times the amplitude, or 1 where that is less: its upper bound
+# Kinds of special points for `switch` and for `locus`.
+SWITCH_KINDS, LOCUS_KINDS = ("SB", "BP", "PD"), ("SN", "SB", "PD", "GR")
+BOUND_FACTOR = 3.0  # upper bound of the amplitude over its value, or over 1 if that is larger
 
 
 class Warmed(NamedTuple):
-    """What was done. folder: of the cache; done: (what was asked, processor seconds) in order; left: what could not be
-    asked of this scene, and why."""
+    """Results of `warm`.
+
+    Attributes
+    ----------
+    folder : Path
+        Folder of the compile cache.
+    done : tuple of (str, float)
+        Completed steps in order, with their processor time in s.
+    left : tuple of str
+        Steps that are not possible for this scene, with the reasons.
+    """
 
     folder: Path
     done: tuple[tuple[str, float], ...]
@@ -40,22 +47,45 @@ class Warmed(NamedTuple):
 
 @check.host_only("call strobe or monodromy")
 def warm(scene: Scene | None = None, progress: Callable[[str], object] | None = None) -> Warmed:
-    """Ask of a scene what is asked first, all of it compiled, so that jax's compile cache keeps it: a `Warmed`.
+    """Run the usual first steps for a scene, so that JAX's compile cache keeps their code.
 
-    scene: a single one, None that of the README; progress: called with what is asked next. Asked are a strobe, the
-    orbit it settles on, the branch through that along the amplitude, the branches that leave its special points, a
-    locus of each kind of these in amplitude and frequency, and what the scene settles on. Scenes of the same kind of
-    walls then compile nothing for these in a later process with this cache, for orbits with as many impacts, up to a
-    power of two. jax keeps what took longer to compile than its jax_persistent_cache_min_compile_time_secs, a second: 0
-    is meant here.
+    The steps are a strobe, its orbit, the branch of that orbit along the amplitude, the branches that bifurcate from
+    its special points, a locus of each kind of special point in amplitude and frequency, and the attractors.
 
-    Raises ArgumentError for a batch of scenes, where jax has no compile cache, and where others can write to it.
+    Parameters
+    ----------
+    scene : Scene, optional
+        Single scene. None takes the scene of the README.
+    progress : callable, optional
+        Function that is called with the name of each step before it.
+
+    Returns
+    -------
+    Warmed
+        Cache folder, completed steps and omitted steps.
+
+    Raises
+    ------
+    ArgumentError
+        If the scene is a batch, JAX has no compile cache, or other users can write to its folder.
+
+    Notes
+    -----
+    In a later process with this cache these steps compile nothing for scenes with the same kinds of walls, for orbits
+    with as many impacts up to a power of two. JAX keeps only code that takes longer to compile than its setting
+    ``jax_persistent_cache_min_compile_time_secs``, 1 s by default. Set it to 0.
+
+    Examples
+    --------
+    >>> warmed = jv.warm(scene)  # doctest: +SKIP
+    >>> [name for name, _ in warmed.done][:3]  # doctest: +SKIP
+    ['strobe', 'find_orbit', 'follow']
     """
     folder = cache_folder()
     if not folder:
         raise check.ArgumentError("jax_compilation_cache_dir", "must be set: there is no cache to fill", folder)
     if reason := reason_for_distrust(Path(folder)):
-        rule = "must be a folder that no one else can write to, as what lies in it is executed"
+        rule = "must be a folder that no other user can write to, because its contents are executed"
         raise check.ArgumentError("jax_compilation_cache_dir", rule, reason)
     scene = make_scene(2.0, 2.1, 0.05, 0.7, (-1.0, 1.0)) if scene is None else scene
     check.require_single(scene)
@@ -82,6 +112,7 @@ def warm(scene: Scene | None = None, progress: Callable[[str], object] | None = 
 
 
 def _run_steps(scene, run_step):
+    """Run the steps in order; later steps need the results of earlier ones."""
     amplitude, frequency = (float(scene.parameter(name)) for name in ("amplitude", "frequency"))
     bounds = {"amplitude": (0.0, BOUND_FACTOR * max(1.0, amplitude)), "frequency": (0.7 * frequency, 1.4 * frequency)}
     start = jax.tree.map(lambda leaf: leaf[0], draw_initial_states(scene, 1, (0,)))

@@ -1,5 +1,6 @@
-"""What scenes settle on all over a range of their parameters, and how hard it is to throw them off it.
+"""Classify motions over ranges of parameters, and measure the resilience of attractors against shocks.
 
-In: a scene, and values of its parameters. Out: labels, exponents, shares and loads of every cell of a grid; attractors
-told apart and matched along a parameter; the least shock that leaves one. Start with `map`; `motions` does its work.
+In: a scene and values of its parameters. Out: labels, exponents, basin fractions and wall loads of every cell of a
+grid; attractors matched along a parameter; the minimal fatal shock of an attractor. Start with `map`; `motions` does
+its work.
 """

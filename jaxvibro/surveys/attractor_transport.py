@@ -1,4 +1,4 @@
-"""Attractors carried from one value of a parameter to the next: their motion goes on while the parameter changes."""
+"""Carry attractors from one parameter value to the next by simulation with a slowly changing parameter."""
 
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
@@ -20,17 +20,24 @@ from ..scene.codes import Status
 from ..scene.scene import Scene
 from ..scene.state import State
 
-N_STEPS = 64  # of the parameter from one value to the next
+N_STEPS = 64  # steps of the parameter from one value to the next
 PERTURBATION_POWER = (
-    0.375  # power of eps, of the largest x and v: it lets a motion leave an orbit that has ceased to attract
+    0.375  # perturbation eps^power, relative to the largest x and v: motions leave orbits that have become unstable
 )
 PERTURBATION_DIRECTION = (0.6, 0.8)
 
 
 class TransportResult(NamedTuple):
-    """Where an attractor was carried to. attractor_index: the place among those of the next value, None where it
-    settled on none; path: x, v and contact at phase 0 on the way, MOST_PERIODS of them at each step, shape (STEPS,
-    MOST_PERIODS, 3)."""
+    """Result of carrying an attractor to a neighbouring value.
+
+    Attributes
+    ----------
+    attractor_index : int or None
+        Index among the attractors of that value; None if the motion settled on none.
+    path : ndarray
+        x, v and contact at phase 0 along the way, over `MAX_ORBIT_PERIODS` periods at each step. Array of shape
+        (N_STEPS, MAX_ORBIT_PERIODS, 3).
+    """
 
     attractor_index: int | None
     path: Float[np.ndarray, "steps periods 3"]
@@ -38,11 +45,25 @@ class TransportResult(NamedTuple):
 
 @dataclass(eq=False)
 class ParameterNode:
-    """What there is at one value of the parameter.
+    """Attractors at one value of the parameter.
 
-    scene; candidates: its attractors, as `AttractorCandidate`, whose lanes are the starts on them; n_unresolved: how
-    many starts are on none; scale: of x and v, the largest; status: the worst of the starts'. transports: {-1 or 1:
-    {place in `candidates`: `TransportResult`}}, to the value before and to the one after."""
+    Parameters
+    ----------
+    value : float
+        Value of the parameter.
+    scene : Scene
+        Scene at this value.
+    candidates : list of AttractorCandidate
+        Attractors, with the indices of their initial states as lanes.
+    n_unresolved : int
+        Number of initial states on no attractor.
+    scale : float
+        Largest magnitude of x and v.
+    status : int
+        Worst status of the initial states.
+    transports : dict
+        Results {-1 or 1: {index in `candidates`: `TransportResult`}} towards the previous and the next value.
+    """
 
     value: float
     scene: Scene
@@ -54,10 +75,10 @@ class ParameterNode:
 
 
 def transport_attractors(nodes, name, settle):
-    """Carries each attractor of some `ParameterNode`s, in order of their values, to the values beside its own.
+    """Carry each attractor of some `ParameterNode`s, in order of their values, to the neighbouring values.
 
-    What it settles on there and no start has found is an attractor of that value too, of no starts, and carried on in
-    its turn. That takes as many rounds as there are values at most, for one that goes all along the parameter.
+    A motion that settles there on an attractor that no initial state found adds it with a share of 0, and it is carried
+    on in turn. There are at most as many rounds as values.
     """
     for _ in nodes:
         tasks = [
@@ -72,7 +93,7 @@ def transport_attractors(nodes, name, settle):
 
 
 def _transport_batch(nodes, name, tasks, settle):
-    """Carries at most WIDTH attractors, (station, place, way) each, all at once."""
+    """Carry at most `BLOCK_WIDTH` attractors, (node index, attractor index, direction) each, at the same time."""
     padded_tasks = tasks + tasks[-1:] * (BLOCK_WIDTH - len(tasks))
     start_values = np.array([nodes[node_index].value for node_index, _, _ in padded_tasks])
     end_values = np.array([nodes[node_index + direction].value for node_index, _, direction in padded_tasks])
@@ -105,15 +126,14 @@ def _node_scales(nodes, tasks):
 
 
 def _stack_states(scene, states):
-    """States of one lane each, at phase 0, as one of many lanes."""
+    """Stack states of one lane each, at phase 0, into one state of many lanes."""
     components = ([getattr(state, key) for state in states] for key in ("x", "v", "contact"))
     x, v, contact = (np.array(values, scene.dtype) for values in components)
     return State(x, v, np.zeros_like(x), contact)
 
 
 def _ramp_parameter(scene, name, start_values, end_values, state, scale):
-    """(state, the worst status, trail (STEPS, MOST_PERIODS, lanes, 3)) of lanes whose parameters go from the beginning
-    to the end."""
+    """Return (state, worst status, path (steps, periods, lanes, 3)) of lanes with slowly changing parameters."""
     worst_status, path = np.zeros(len(start_values), int), []
     for step in range(1, N_STEPS + 1):
         values = end_values if step == N_STEPS else start_values + (end_values - start_values) * ramp_fraction(step)
@@ -126,14 +146,16 @@ def _ramp_parameter(scene, name, start_values, end_values, state, scale):
 
 
 def ramp_fraction(step):
-    """The part of the way that the parameter has gone after so many steps: they are small at both ends, where an
-    attractor of one of the values may be near its own end."""
+    """Return the fraction of the parameter change after `step` steps.
+
+    The steps are small at both ends, where an attractor of one of the values may be near the end of its branch.
+    """
     u = step / N_STEPS
     return u * u * (3.0 - 2.0 * u)
 
 
 def perturb_states(scene, state, scale):
-    """States a little aside, but for those in contact with a wall; scale: of x and v, the largest."""
+    """Return slightly perturbed states, unchanged if in contact with a wall; scale: largest magnitude of x and v."""
     offset = np.where(np.asarray(state.contact) == 0, np.finfo(scene.dtype).eps ** PERTURBATION_POWER * scale, 0.0)
     x, v = (
         np.asarray(component + offset * direction, scene.dtype)
@@ -143,8 +165,10 @@ def perturb_states(scene, state, scale):
 
 
 def assign_attractors(node, state, settle):
-    """The places among a station's attractors on which states (lanes) settle, -1 for none; new ones are added to them,
-    with their mirror images where the scene is symmetric."""
+    """Return the indices of the node's attractors that states (lanes) approach, -1 for none.
+
+    New attractors are added to the node, with their mirror images if the scene is symmetric.
+    """
     scene, candidates = node.scene, node.candidates
     x_min, x_max, _ = initial_box(scene)
     state = jax.tree.map(np.asarray, clamp_to_walls(scene, perturb_states(scene, state, node.scale)))
@@ -170,7 +194,7 @@ def assign_attractors(node, state, settle):
 
 
 def _find_orbit(candidates, points, scale):
-    """The place of the periodic attractor with these points, -1 where there is none."""
+    """Return the index of the periodic attractor with these points, -1 if there is none."""
     tolerance = np.finfo(points.dtype).eps ** 0.4 * scale
     for index, candidate in enumerate(candidates):
         candidate_points = candidate.fields["points"]
@@ -180,7 +204,7 @@ def _find_orbit(candidates, points, scale):
 
 
 def _find_candidate(candidates, candidate):
-    """The place of an attractor that is one of those seen, -1 where it is none."""
+    """Return the index of the candidate that is the same attractor, -1 if there is none."""
     is_same = is_same_orbit if candidate.fields["periods"] else is_same_set
     indices = (
         index for index, other in enumerate(candidates) if other.fields["periods"] == candidate.fields["periods"]
@@ -189,7 +213,7 @@ def _find_candidate(candidates, candidate):
 
 
 def _find_or_add(candidates, candidate):
-    """The place of an attractor among those seen, to which it is added where it is new, as one of no starts."""
+    """Return the index of an attractor among the candidates, adding it without initial states if it is new."""
     index = _find_candidate(candidates, candidate)
     if index < 0:
         candidates.append(replace(candidate, lanes=[]))

@@ -1,4 +1,4 @@
-"""What a map tells of a cell: its columns, and their numbers from the motions."""
+"""Define the columns of a map's cells and fill them from classified motions."""
 
 from collections.abc import Mapping
 
@@ -16,27 +16,29 @@ from ..scene import check
 from ..stores.study import Column
 from .motions import CHAOTIC, UNDECIDED, MotionResults
 
-MAX_ATTRACTORS = 8  # attractors of a cell that are told, the largest shares first
+MAX_ATTRACTORS = 8  # attractors of a cell that are stored, the largest shares first
 RATE_ATTRS = {"units": "per drive period"}
 LABEL, STATUS, PERIOD, ATTRACTORS = "label", "status", "period", "attractors"
 QUANTITY_NAMES = (LABEL, PERIOD, "exponent", "state", "loads", ATTRACTORS)
 
 
 def check_quantities(scene, quantities, n_starts):
-    """The quantities as a tuple in the order of `QUANTITY_NAMES`. Raises ArgumentError."""
+    """Return the quantities as a tuple in the order of `QUANTITY_NAMES`; raise ArgumentError for invalid ones."""
     selection = check.name_tuple("quantities", quantities)
     for quantity in selection:
         if quantity not in QUANTITY_NAMES:
             raise check.ArgumentError("quantities", f"must be some of {', '.join(QUANTITY_NAMES)}", quantity)
     if "attractors" in selection and not n_starts:
-        raise check.ArgumentError("quantities", "must be without attractors where a cell has one start", selection)
+        raise check.ArgumentError(
+            "quantities", "must not contain attractors if a cell has one initial state", selection
+        )
     if "loads" in selection and not scene.walls:
-        raise check.ArgumentError("quantities", "must be without loads where there is no wall", selection)
+        raise check.ArgumentError("quantities", "must not contain loads if the scene has no walls", selection)
     return tuple(name for name in QUANTITY_NAMES if name in selection or name == LABEL)
 
 
 def make_columns(scene, quantities, is_carried, n_starts) -> Mapping[str, Column]:
-    """{name: `Column`} of what is asked for, of a scene's cells."""
+    """Return {name: `Column`} of the requested quantities of a scene's cells."""
     direction_dims = {"way": 2} if is_carried else {}
     cell_dims = {"attractor": MAX_ATTRACTORS} if n_starts else direction_dims
     float_type = np.dtype(scene.dtype)
@@ -76,7 +78,7 @@ def make_columns(scene, quantities, is_carried, n_starts) -> Mapping[str, Column
 
 
 def motion_columns(scene, motions: MotionResults, study_columns: Mapping[str, Column]) -> dict[str, np.ndarray]:
-    """{name: numbers}, the lanes first, of the columns that are asked for and that a motion has."""
+    """Return {name: array}, lanes first, of the requested columns that a motion has."""
     values = {
         LABEL: motion_labels(motions),
         STATUS: np.asarray(motions.status, np.int8),
@@ -93,7 +95,7 @@ def motion_columns(scene, motions: MotionResults, study_columns: Mapping[str, Co
 
 
 def select_motions(scene, motions: MotionResults, lanes):
-    """(the scene, the motions) of some of the lanes, those of one again where it is asked for again."""
+    """Return (scene, motions) of some of the lanes; a lane may be repeated."""
     state, impact_counts, points = (
         take_lanes(motions.state, lanes),
         motions.impact_counts[:, lanes],
@@ -108,7 +110,7 @@ def select_motions(scene, motions: MotionResults, lanes):
 
 
 def motion_labels(motions: MotionResults):
-    """The codes of the motions' labels, (lanes,)."""
+    """Return the codes of the motions' labels, (lanes,)."""
     left_impacts, right_impacts = motions.impact_counts
     orbit_codes = label_codes.encode_labels(motions.periods, left_impacts, right_impacts, motions.endless)
     other_codes = np.where(motions.periods == CHAOTIC, label_codes.CHAOTIC, label_codes.UNDECIDED)
@@ -116,7 +118,7 @@ def motion_labels(motions: MotionResults):
 
 
 def _load_columns(scene, motions):
-    """{largest_speed, work_rate}: (lanes, walls), in blocks of one shape of motions of as many periods."""
+    """Return {largest_speed, work_rate}, (lanes, walls), in blocks of motions with equal numbers of periods."""
     n_lanes, n_walls = len(motions.periods), len(scene.walls)
     columns = {name: np.full((n_lanes, n_walls), np.nan, scene.dtype) for name in ("largest_speed", "work_rate")}
     periods = np.where(motions.periods == CHAOTIC, RECORDED_PERIODS, motions.periods)

@@ -1,4 +1,4 @@
-"""The attractors of a cell: the motions of its many starts, put together where they are on the same one."""
+"""Group the motions of the initial states of a cell into attractors."""
 
 import numpy as np
 
@@ -9,10 +9,10 @@ from .motions import CHAOTIC, UNDECIDED, MotionResults
 
 
 def attractor_columns(scene, motions: MotionResults, n_starts: int, study_columns) -> dict[str, np.ndarray]:
-    """{name: numbers}, the cells first, from the motions of so many starts of each cell, one after the other."""
+    """Return {name: array}, cells first, from the motions of the `n_starts` initial states of each cell."""
     n_cells, label_codes = len(motions.periods) // n_starts, cell_columns.motion_labels(motions)
     columns = blank_columns(study_columns, (n_cells,))
-    representatives: list[tuple[int, int, int]] = []  # cell, place, lane of each attractor that is told
+    representatives: list[tuple[int, int, int]] = []  # cell, index and lane of each stored attractor
     columns["label"][:], columns["share"][:] = 0, 0.0
     for cell in range(n_cells):
         lanes = np.arange(cell * n_starts, (cell + 1) * n_starts)
@@ -35,10 +35,10 @@ def attractor_columns(scene, motions: MotionResults, n_starts: int, study_column
 
 
 def group_lanes(motions: MotionResults, label_codes, lanes) -> list[list[int]]:
-    """The lanes of each attractor, those that are undecided on none: the most first, then by code and first lane.
+    """Return the lanes of each attractor, the most frequent first, then by code and first lane.
 
-    Orbits are the same where they have a point on Sigma in common; chaotic motions where they fill the same set
-    (`orbit_comparison.is_same_set`).
+    Undecided lanes are on none. Orbits are the same if they have a point on the section in common; chaotic motions if
+    they fill the same set (`orbit_comparison.is_same_set`).
     """
     groups: list[list[int]] = []
     scale = np.nanmax(abs(motions.points[-1, lanes]), initial=1.0)
@@ -53,6 +53,7 @@ def group_lanes(motions: MotionResults, label_codes, lanes) -> list[list[int]]:
 
 
 def _is_same(motions, first_lane, second_lane, tolerance):
+    """Return True if two lanes are on the same attractor."""
     n_periods = motions.periods[first_lane]
     if n_periods != motions.periods[second_lane]:
         return False

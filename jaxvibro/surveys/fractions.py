@@ -1,4 +1,4 @@
-"""The attractors of a scene along a parameter, each under one name, with the shares of random starts on them."""
+"""Compute basin fractions along a parameter and match the attractors between its values."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -21,7 +21,7 @@ from .attractor_transport import ParameterNode, transport_attractors
 from .least_shock import least_shock
 from .matching import match_attractors, nearest_rotation
 
-MAX_NETCDF_INT = 2**31 - 1  # whole number that a NetCDF file of the classic format holds
+MAX_NETCDF_INT = 2**31 - 1  # largest integer in a NetCDF file of the classic format
 
 
 @check.host_only("use strobe")
@@ -37,36 +37,83 @@ def fractions(
     *,
     max_seconds: float | None = None,
 ) -> xr.Dataset:
-    """The attractors along a parameter, each followed as one, with the shares of random starts on them: a Dataset.
+    """Compute basin fractions along a parameter.
 
-    scene: a single one; name: of any of its parameters, dotted for a wall's; values: shape (values,), rising. starts,
-    settle: at each value, as in `find_attractors`; the starts of a value are drawn from the seed and the value itself:
-    other ones at each, so that their errors are independent along the parameter, and the same ones whatever other
-    values are asked for. progress: called with the number of values whose starts have settled.
+    At each value the attractors are found from random initial states. Each attractor is matched with its continuation
+    at the next value.
 
-    An attractor keeps its place along the dimension "attractor" as long as the motion carried on from it, in small
-    steps of the parameter, lands on it at the next value, and from there comes back (`matching`). So it does where
-    periods double and where a motion grazes without a jump: its label changes. Where a branch ends and falls onto
-    another, the other goes on as itself. Of the two that a symmetric motion breaks into, or that join in one, it is
-    the one whose label comes first, or else whose mean x at phase 0 is lower; the other has a place of its own. An
-    attractor that is carried on to a value where no start found it is there with a share of 0.
+    Parameters
+    ----------
+    scene : Scene
+        Scene without lanes.
+    name : str
+        Parameter of the scene, for example ``"amplitude"`` or ``"left.position"``.
+    values : array_like
+        Values of the parameter, increasing. Array of shape (values,).
+    starts : int, optional
+        Number of random initial states at each value.
+    seed : int, optional
+        Seed of the random draw. The initial states of a value depend on the seed and the value only.
+    settle : int, optional
+        Drive periods before recurrence is tested, as in `find_attractors`.
+    shocks : int, optional
+        Number of shocks for the minimal fatal shock of each attractor at each value. 0 omits it.
+    progress : callable, optional
+        Called with the number of values whose initial states have settled.
+    max_seconds : float, optional
+        Wall-clock time, in s, after which no further value is started and no further shock is searched. The first value
+        is always done. None is no limit.
 
-    The Dataset, along (name, attractor): share, share_low, share_high: of the starts, with the bounds at 95 % (Clopper
-    and Pearson, 1934; of 0 starts or all, one bound alone), nan where the attractor is not there; label (P n p q,
-    "chaotic"), "" where it is not; kind, "periodic", "chaotic" or ""; periods, 0 of none; exponent, the largest, per
-    drive period; state_x, state_v: on it at phase 0; mirror_of: the place of its mirror image, its own where it is
-    symmetric, -1 where it has none. Along name: unresolved, unresolved_low, unresolved_high: the share of starts on
-    none, and status, the worst of the starts', as `Impacts` has it. starts, seed: attributes. With `shocks`, so many
-    tried for each attractor at each value, least_shock: the least impulse at phase 0 that makes its motion leave it
-    (`least_shock`), inf where none does, nan where it is not known, as where an impact falls on that phase.
+    Returns
+    -------
+    xarray.Dataset
+        Variables with dimensions (name, attractor): ``share``, ``share_low`` and ``share_high``, the basin fraction and
+        its bounds at 95 % confidence, nan where the attractor does not exist; ``label`` (P n p q, ``"chaotic"``),
+        ``""`` where it does not exist; ``kind``, ``"periodic"``, ``"chaotic"`` or ``""``; ``periods``, 0 if it is not
+        periodic; ``exponent``, the largest Lyapunov exponent per drive period; ``state_x`` and ``state_v``, a state on
+        it at phase 0; ``mirror_of``, the index of its mirror image, its own if it is symmetric, -1 for none. With
+        `shocks`, ``least_shock``: the smallest impulse at phase 0 that makes the motion leave the attractor (see
+        `least_shock`), inf if none does, nan if it is unknown, for example if an impact falls on that phase. Variables
+        along `name`: ``unresolved``, ``unresolved_low`` and ``unresolved_high``, the fraction of initial states on no
+        attractor; ``status``, the worst of the initial states, as in `Impacts`. Attributes: ``starts`` and ``seed``.
 
-    max_seconds: wall-clock time, s, after which the starts of no further value are settled, and no further least shock
-    is looked for; None is no limit. The first value is always done. The attractors of the values that are done are
-    still carried on to each other. Values that are not done have shares of nan, the label "" and the status -1, and the
-    attribute `stopped` says why.
+    Raises
+    ------
+    ArgumentError
+        If the scene has lanes, the name is unknown, the values do not increase or break a rule of the scene, or a count
+        is invalid. All arguments are checked before any computation.
 
-    Raises ArgumentError for a batch of scenes, an unknown name, values that do not rise or break a rule of the scene,
-    and counts that cannot be, all before any work.
+    See Also
+    --------
+    find_attractors : Find the attractors at one value.
+    least_shock : Find the minimal fatal shock of an attractor.
+
+    Notes
+    -----
+    The initial states differ between values. So the errors are independent along the parameter, and the result at a
+    value does not depend on the other values.
+
+    An attractor keeps its index as long as the motion that starts on it, carried in small steps of the parameter,
+    approaches its continuation at the next value, and returns from there. This includes period doublings, and grazings
+    without a jump: the label changes. If a branch ends and its motion falls onto another attractor, that one keeps its
+    own index. At a symmetry breaking, the asymmetric attractor whose label comes first, or else whose mean x at phase 0
+    is lower, keeps the index; its mirror image has another. An attractor that is carried to a value at which no initial
+    state found it has the share 0 there.
+
+    After `max_seconds`, the attractors of the values that are done are still matched. The other values have shares of
+    nan, the label ``""`` and the status -1, and the attribute ``stopped`` gives the reason.
+
+    References
+    ----------
+    Clopper and Pearson (1934): exact bounds. For 0 initial states, or all of them, the bound is one-sided.
+
+    Examples
+    --------
+    >>> data = jv.fractions(scene, "amplitude", [1.9, 2.0], starts=20)
+    >>> data["label"].values.tolist()
+    [['P111', 'P100'], ['P111', 'P100']]
+    >>> data["share"].values.round(2).tolist()
+    [[0.9, 0.1], [0.95, 0.05]]
     """
     limits = limits_of(None, max_seconds, None, check.ArgumentError)
     check.require_single(scene)
@@ -99,17 +146,18 @@ def fractions(
 
 
 def _check_values(scene, name, values) -> Float[np.ndarray, " values"]:
+    """Return the values of the parameter, checked."""
     check.require_parameter(name, scene.names, name)
     values = check.finite_array(name, values, scene.dtype)
     if values.ndim != 1 or len(values) == 0 or not (np.diff(values) > 0).all():
-        raise check.ArgumentError(name, "must be values in rising order, at least one", values)
+        raise check.ArgumentError(name, "must be one or more values in increasing order", values)
     require_scene_units("values", scene, name, values)
     scene.replace(**{name: values})
     return values
 
 
 def _settle_node(scene, value, n_starts, seed, settle):
-    """The `ParameterNode` of a value, of what its own starts settle on."""
+    """Return the `ParameterNode` of a value with the attractors of its own initial states."""
     start_states = draw_initial_states(scene, n_starts, (seed, int(np.float64(value).view(np.uint64))))
     settled_starts = settle_starts(scene, start_states, settle)
     return ParameterNode(
@@ -123,7 +171,7 @@ def _settle_node(scene, value, n_starts, seed, settle):
 
 
 def _least_shocks(nodes, node_attractors, tracks, n_shocks, limits=UNLIMITED):
-    """(the least impulses, (values, attractors), at how many values they have been looked for)."""
+    """Return (smallest impulses, (values, attractors), number of values searched)."""
     shock_sizes = np.full((len(nodes), len(tracks)), np.nan)
     for node_index, node in enumerate(nodes):
         if limits.expired:
@@ -136,7 +184,7 @@ def _least_shocks(nodes, node_attractors, tracks, n_shocks, limits=UNLIMITED):
 
 
 def _pad_values(data, name, values):
-    """The data of the first values, with blanks at the others."""
+    """Extend the data to all values, blank at those that are not done."""
     fill_values = {key: BLANK_VALUES.get(key, np.nan) for key in data.data_vars}
     dtypes = {key: data[key].dtype for key in data.data_vars}
     padded_data = data.reindex({name: values}, fill_value=fill_values)
@@ -144,7 +192,7 @@ def _pad_values(data, name, values):
 
 
 def _least_shock_size(scene, attractors, index, n_shocks):
-    """The least impulse at phase 0 of one of the attractors; nan of none, and where it has no trap there."""
+    """Return the smallest impulse at phase 0 of an attractor; nan for none, or without a trapping region there."""
     if index is None:
         return np.nan
     try:
@@ -156,7 +204,7 @@ def _least_shock_size(scene, attractors, index, n_shocks):
 
 
 def _make_dataset(scene, name, values, nodes, node_attractors, tracks, n_starts, seed):
-    """The named result of the attractors found at each value, and which of them are one."""
+    """Return the named result of the attractors at each value and their tracks along the parameter."""
     rows = [
         [_attractor_entry(node_attractors, item, node_index) for item in tracks]
         for node_index in range(len(node_attractors))
@@ -221,17 +269,17 @@ ABSENT_ENTRY: dict[str, Any] = dict.fromkeys(
     ("share", "share_low", "share_high", "exponent", "state_x", "state_v"), np.nan
 )
 ABSENT_ENTRY |= {"label": "", "kind": "", "periods": 0}
-BLANK_VALUES = {"label": "", "kind": "", "periods": 0, "mirror_of": -1, "status": -1}  # of a value that is not done
+BLANK_VALUES = {"label": "", "kind": "", "periods": 0, "mirror_of": -1, "status": -1}  # at a value that is not done
 
 
 def _entry_column(rows, key):
-    """A variable (values, attractors) of the entries: texts of one width, whole numbers as files hold them."""
+    """Return a variable (values, attractors) of the entries: texts of one width, integers that files hold."""
     dtype = {"label": str, "kind": str, "periods": np.int32, "mirror_of": np.int32}.get(key, float)
     return np.array([[entry[key] for entry in row] for row in rows], dtype).reshape(len(rows), -1)
 
 
 def _attractor_entry(node_attractors, track, node_index):
-    """What is told of an attractor at a value; track: {value's place: attractor's place}."""
+    """Return the variables of an attractor at a value; track: {value's index: attractor's index}."""
     if node_index not in track:
         return dict(ABSENT_ENTRY)
     attractor, points = (
@@ -253,7 +301,7 @@ def _attractor_entry(node_attractors, track, node_index):
 
 
 def _mirror_index(attractors, track, node_index, tracks):
-    """The place among the known attractors of one's mirror image at a value, -1 for none."""
+    """Return the index of the track of an attractor's mirror image at a value, -1 for none."""
     image_index = attractors[track[node_index]].mirror_of if node_index in track else None
     return next(
         (

@@ -1,4 +1,4 @@
-"""How hard a blow an attractor bears: the least shock that makes the motion leave it for another one."""
+"""Find the minimal fatal shock of an attractor."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -26,19 +26,58 @@ N_SHOCKS = 1 << 18
 
 @dataclass(frozen=True, eq=False)
 class LeastShock:
-    """The least shock found that makes a motion leave its attractor, and how it was looked for.
+    """Minimal fatal shock of an attractor, with the record of the search.
 
-    size: abs(dv), or hypot(dx, dv), a speed; inf where no shock up to `reach` leaves. dx, dv: the shock, nan without
-    one. state: just before it, on the attractor, at `phase` (rad). place: of the attractor in the tuple; to: of the one
-    that the motion ends on, -1 without a shock. bracket: two sizes in this direction: one at which it was seen to stay,
-    and `size`. until: up to this size, at most twice `size`, all that were tried in this direction leave; where it is
-    close to `size` the shock leads into a thin strip of a basin. safe: no smaller shock leaves at any of the phases, as
-    a trap of the attractor holds them all; 0 of a chaotic one. below: smaller shocks that were tried, at all phases:
-    none was seen to leave, at its phase, below that phase's own least. undecided: how many shocks smaller than that
-    were certain to end on no attractor of the tuple; least_undecided: the least of all such, inf without. reach: how
-    large a shock was looked for. by_phase: size, dx, dv, x, v, to, until, safe, below, undecided, least_undecided, at
-    each phase. stopped: why the search ended before it was complete, else ""; `size` is then the least shock so far,
-    nan at a phase at which none has been tried.
+    Attributes
+    ----------
+    size : float
+        Size of the shock, a speed: ``abs(dv)`` or ``hypot(dx, dv)``. inf if no shock up to `reach` leaves.
+    dx : float
+        Change of position; nan without a shock.
+    dv : float
+        Change of velocity; nan without a shock.
+    state : State
+        State on the attractor just before the shock.
+    phase : float
+        Phase of the drive at the shock, in rad.
+    place : int
+        Index of the attractor in `attractors`.
+    to : int
+        Index of the attractor that the motion approaches after the shock; -1 without a shock.
+    bracket : tuple of float
+        A size in the direction of the shock at which the motion stays, and `size`.
+    until : float
+        All tested shocks in this direction between `size` and this size, at most ``2 * size``, leave. A value close to
+        `size` indicates a thin strip of a basin.
+    safe : float
+        No smaller shock leaves at any of the phases, since a trapping region of the attractor contains all of them. 0
+        for a chaotic attractor.
+    below : int
+        Number of tested shocks that are smaller than the smallest that leaves at their phase, over all phases.
+    undecided : int
+        Number of these that do not certainly approach any attractor of the tuple.
+    least_undecided : float
+        Size of the smallest of all such shocks; inf without.
+    direction : {"v", "xv"}
+        Direction of the shocks.
+    reach : float
+        Largest size searched.
+    attractors : tuple of Attractor
+        Attractors of the scene.
+    scene : Scene
+        Scene.
+    by_phase : xarray.Dataset
+        Size, dx, dv, x, v, to, until, safe, below, undecided and least_undecided at each phase.
+    stopped : str
+        Reason why the search ended before it was complete, else ``""``. `size` is then the smallest shock up to then,
+        nan at a phase without a test.
+
+    Examples
+    --------
+    >>> shock = jv.least_shock(scene, jv.find_attractors(scene, starts=50), shocks=1000)
+    >>> lower, upper = shock.bracket
+    >>> lower < upper == shock.size, round(shock.safe, 3)
+    (True, 0.322)
     """
 
     size: float
@@ -62,9 +101,22 @@ class LeastShock:
     stopped: str = ""
 
     def table(self, units: str = "scene") -> str:
-        """A line for each phase, and how it was looked for. units: "scene", or "physical" of a scene that has scales.
+        """Format the result as a table with one line per phase.
 
-        Raises ArgumentError for other units, and where the scene has no scales.
+        Parameters
+        ----------
+        units : {"scene", "physical"}, optional
+            Units of the table. Physical units need a scene with scales.
+
+        Returns
+        -------
+        str
+            Table and a summary of the search.
+
+        Raises
+        ------
+        ArgumentError
+            If `units` is unknown, or physical units are requested of a scene without scales.
         """
         (length_name, x_unit), (speed_name, v_unit) = (
             unit_in_system(self.scene, unit, units) for unit in (LENGTH, SPEED)
@@ -91,9 +143,10 @@ class LeastShock:
                     destination_text,
                 )
             )
-        note = f"{self.below} smaller shocks tried, {self.undecided} of them undecided; up to {v_unit * self.reach:.6g}"
+        note = f"{self.below} smaller shocks tested, {self.undecided} undecided; largest size {v_unit * self.reach:.6g}"
         safe = (
-            f"none below {v_unit * self.safe:.6g} leaves the trap of {self.place}: {self.attractors[self.place].label}"
+            f"no shock below {v_unit * self.safe:.6g} leaves the trapping region of "
+            f"{self.place}: {self.attractors[self.place].label}"
         )
         return "\n".join([align_columns(rows), note, safe, *([self.stopped] if self.stopped else [])])
 
@@ -113,25 +166,71 @@ def least_shock(
     *,
     max_seconds: float | None = None,
 ) -> LeastShock:
-    """The least shock that makes the motion leave an attractor for another one: a `LeastShock`.
+    """Find the smallest shock that moves the motion from one attractor to another.
 
-    scene: a single one. attractors: a tuple as from `find_attractors`, which is asked where it is None; place: in it,
-    of the one that is struck. phase: of the drive at the shock, rad, one or several: the least over all of them is the
-    answer, and over all points that the attractor has there: n of an orbit of n periods, of a chaotic one a sample.
-    direction: "v", an impulse, which changes the velocity alone, either way; "xv", position too: its size is then
-    hypot(dx, dv) in the scene's units, the square root of twice the energy that it has in the free spring. reach: the
-    largest size that is looked for; by default all of `initial_conditions.box` is within it. shocks: so many in a row,
-    evenly over all smaller ones, must stay, at each phase. patience: drive periods that a motion may take, as in
-    `basins`. seed: of the random draws. progress: called with the number of shocks tried so far. max_seconds:
-    wall-clock time, s, after which the least shock so far is returned, and `stopped` says so; None is no limit.
+    The search draws evenly distributed shocks in a disc and shrinks the disc to the smallest shock that leaves.
 
-    A shock leaves where the motion after it ends on another attractor for certain (`basins`). One beyond a rigid wall
-    cannot be; one that ends on nothing known does not count as leaving, and is counted apart. Found is the least of
-    very many shocks, not proved: the minimal fatal shock of Halekotte and Feudel, Sci. Rep. 10, 11783 (2020), by
-    search as basins are (no slope leads to an edge that is fractal). Below `safe` no shock leaves.
+    Parameters
+    ----------
+    scene : Scene
+        Scene without lanes.
+    attractors : sequence of Attractor, optional
+        Attractors as returned by `find_attractors`. None computes them.
+    place : int, optional
+        Index of the attractor that is perturbed.
+    phase : float or array_like, optional
+        Phase or phases of the drive at the shock, in rad. The result is the smallest shock over all phases, and over
+        all points of the attractor at a phase: n points of an orbit of n periods, or a sample of a chaotic attractor.
+    direction : {"v", "xv"}, optional
+        ``"v"`` changes the velocity only, in both directions. ``"xv"`` also changes the position; the size is then
+        ``hypot(dx, dv)`` in units of the scene, the square root of twice its energy in the free spring.
+    reach : float, optional
+        Largest size searched. The default reaches the whole box of initial states.
+    shocks : int, optional
+        Number of consecutive smaller shocks, evenly distributed, that must stay at each phase.
+    patience : int, optional
+        Largest number of drive periods of a motion, as in `basins`.
+    seed : int, optional
+        Seed of the random draws.
+    progress : callable, optional
+        Called with the number of shocks tested.
+    max_seconds : float, optional
+        Wall-clock time, in s, after which the smallest shock up to then is returned, with the reason in ``stopped``.
+        None is no limit.
 
-    Raises ArgumentError for a batch of scenes, an attractor that is unresolved, or that has no trap at a phase (an
-    impact falls on it: take another one), and for numbers that cannot be.
+    Returns
+    -------
+    LeastShock
+        Smallest shock, with the record of the search.
+
+    Raises
+    ------
+    ArgumentError
+        If the scene has lanes, the attractor is unresolved or has no trapping region at a phase (an impact falls on
+        that phase: choose another one), or a number is invalid.
+
+    See Also
+    --------
+    basins : Compute the basins of attraction on a grid.
+    fractions : Compute basin fractions, and minimal shocks, along a parameter.
+
+    Notes
+    -----
+    A shock leaves if the motion after it certainly approaches another attractor (see `basins`). A shock through a rigid
+    wall is impossible. A shock after which the motion approaches no known attractor does not count as leaving and is
+    counted separately. The result is the smallest of many tested shocks, not a proven minimum. Below `safe` no shock
+    leaves. A boundary that is fractal has no gradient that leads to it, so the search tests shocks as `basins` does.
+
+    References
+    ----------
+    Halekotte and Feudel, Sci. Rep. 10, 11783 (2020): minimal fatal shocks.
+
+    Examples
+    --------
+    >>> attractors = jv.find_attractors(scene, starts=50)
+    >>> shock = jv.least_shock(scene, attractors, shocks=1000)
+    >>> shock.direction, attractors[shock.to].label, round(shock.size, 2)
+    ('v', 'P100', 4.15)
     """
     limits = limits_of(None, max_seconds, None, check.ArgumentError)
     check.require_single(scene)
@@ -144,7 +243,7 @@ def least_shock(
     attractors = find_attractors(scene) if attractors is None else tuple(attractors)
     if place >= len(attractors) or attractors[place].kind == "unresolved":
         valid_indices = [str(index) for index, item in enumerate(attractors) if item.kind != "unresolved"]
-        raise check.ArgumentError("place", f"must be that of an attractor ({', '.join(valid_indices)})", place)
+        raise check.ArgumentError("place", f"must be the index of an attractor ({', '.join(valid_indices)})", place)
     x_min, x_max, max_speed = (float(bound) for bound in initial_box(scene))
     problems = []
     for phase_angle in phases:
@@ -152,7 +251,7 @@ def least_shock(
             scene, attractors, float(phase_angle), max(abs(x_min), abs(x_max), max_speed)
         )
         if neighbourhoods[place].region is None:
-            rule = "an impact of the attractor falls on it, or it draws nothing in for certain: take another one"
+            rule = "must be one at which the attractor has a trapping region and no impact; choose another phase"
             raise check.ArgumentError("phase", rule, float(phase_angle))
         problems.append(ShockProblem(scene, float(phase_angle), neighbourhoods, place, direction == "xv", patience))
     max_size = _box_reach(problems, x_min, x_max, max_speed) if max_size is None else max_size
@@ -171,6 +270,7 @@ def least_shock(
 
 
 def _check_phases(phase):
+    """Return the phases as an array, checked."""
     phase_angles = np.atleast_1d(check.finite_array("phase", phase, np.float64))
     if phase_angles.ndim != 1 or not phase_angles.size:
         raise check.ArgumentError("phase", "must be a number or a sequence of numbers", phase_angles)
@@ -178,6 +278,7 @@ def _check_phases(phase):
 
 
 def _check_reach(reach):
+    """Return the largest size of a shock, checked."""
     max_size = check.finite_array("reach", reach, np.float64)
     if max_size.shape or max_size <= 0:
         raise check.ArgumentError("reach", "must be a positive number", reach)
@@ -185,7 +286,7 @@ def _check_reach(reach):
 
 
 def _box_reach(problems, x_min, x_max, max_speed):
-    """A size within which every point has all of the box."""
+    """Return a size within which every point of the attractor reaches the whole box."""
     points = np.concatenate([base_points(problem.neighbourhoods[problem.attractor_index]) for problem in problems])
     speed = max_speed + abs(points[:, 1]).max()
     length = max(points[:, 0].max() - x_min, x_max - points[:, 0].min())
@@ -193,7 +294,7 @@ def _box_reach(problems, x_min, x_max, max_speed):
 
 
 def _shock_counter(progress):
-    """What counts the shocks of all calls, and tells them."""
+    """Return a function that counts the shocks of all calls and reports the total."""
     n_tried = 0
 
     def count_shocks(n_new):
@@ -206,6 +307,7 @@ def _shock_counter(progress):
 
 
 def _make_result(scene, attractors, index, direction, max_size, phases, results, stopped):
+    """Return the `LeastShock` of the results at all phases."""
     by_phase = _make_dataset(scene, phases, results)
     best_index = int(np.nanargmin([result.size for result in results]))
     best_result = results[best_index]
@@ -235,6 +337,8 @@ def _make_result(scene, attractors, index, direction, max_size, phases, results,
 
 
 def _make_dataset(scene, phases, results):
+    """Return the results at each phase as a Dataset."""
+
     def variable(getter, dtype=float, **attrs):
         return "phase", np.array([getter(result) for result in results], dtype), attrs
 

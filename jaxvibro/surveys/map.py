@@ -1,4 +1,4 @@
-"""Maps: what a scene settles on at each cell of a grid over any of its parameters."""
+"""Classify the motion at each cell of a grid over any parameters of a scene."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -32,10 +32,10 @@ from .motions import classify_motions
 MAX_CHUNK_LANES, MIN_CHUNK_LANES = (
     4096,
     512,
-)  # of a chunk: the most, and the fewest where a small map is cut for many workers
-MIN_CHUNKS = 16  # that it is cut into then
-CARRIED_CHUNK_LANES = 512  # the same where motions are carried along: each row is then one lane's work from end to end
-MAX_PERIODS = 5000  # drive periods after which a motion that has not recurred is called chaotic or undecided
+)  # lanes of a chunk: the most, and the fewest if a small map is divided among many workers
+MIN_CHUNKS = 16  # fewest chunks of a map, if they are not too small
+CARRIED_CHUNK_LANES = 512  # lanes of a chunk if motions are carried along: each row is the work of one lane
+MAX_PERIODS = 5000  # drive periods after which a motion without recurrence is chaotic or undecided
 DIRECTIONS = (1, -1)
 QUANTITIES = ("label", "exponent")
 REST_STATE = State(0.0, 0.0)
@@ -57,31 +57,74 @@ def map_parameters(
     *,
     max_seconds: float | None = None,
 ) -> xr.Dataset:
-    """What a scene settles on at each cell of a grid over some of its parameters: an xarray.Dataset.
+    """Classify the motion at each cell of a grid over parameters of the scene.
 
-    scene: a single one. grid: {name: values} of one parameter or more, dotted for a wall's, each a row in rising order;
-    the first is the Dataset's first dimension. start: a `State` at which every cell starts, or so many random starts a
-    cell, drawn from `seed` in each cell's `initial_conditions.box`, alike in all. along: the name of a parameter of the
-    grid along which the motion is carried, from its first value up and from its last one down: the end at one value
-    starts the next, as in `sweep`; a motion that is lost starts anew. settle: drive periods before recurrence is looked
-    for, at each cell; patience: those after which a motion that has not recurred is called chaotic, where its exponent
-    exceeds 0.01 by three standard errors, or undecided. chunk: lanes that are worked out together. store: a `Store` to
-    keep the map in and to go on with; None: in memory. progress: called with a `Progress` after each chunk.
+    Parameters
+    ----------
+    scene : Scene
+        Scene without lanes.
+    grid : mapping of str to array_like
+        Values of one or more parameters, for example of ``"amplitude"`` or ``"left.position"``. Each row of values is
+        increasing. The first parameter is the first dimension of the result.
+    start : State or int, optional
+        Initial state of every cell, or the number of random initial states of a cell. Random states are drawn from
+        `seed` in the box of initial states of each cell, with the same relative positions in all cells.
+    quantities : str or sequence of str, optional
+        Quantities to compute, any of ``"label"``, ``"period"``, ``"exponent"``, ``"state"``, ``"loads"`` and, with
+        random initial states, ``"attractors"``. The label and the status are always present.
+    along : str, optional
+        Parameter of the grid along which the motion is carried, upwards from its first value and downwards from its
+        last one, as in `sweep`. A motion that is lost restarts from the initial state.
+    settle : int, optional
+        Drive periods at each cell before recurrence is tested.
+    patience : int, optional
+        Drive periods after which a motion that has not recurred is classified as chaotic, if its exponent exceeds 0.01
+        by three standard errors, or else as undecided.
+    seed : int, optional
+        Seed of the random draw.
+    chunk : int, optional
+        Lanes that are computed together.
+    store : Store, optional
+        Store that keeps the map and from which the computation resumes. None keeps it in memory.
+    progress : callable, optional
+        Called with a `Progress` after each chunk.
+    max_seconds : float, optional
+        Wall-clock time, in s, after which no chunk is started. None is no limit.
 
-    quantities, of which label and status are always there: "label" and "period" (of the orbit; 0 chaotic, -1
-    undecided); "exponent", with exponent_error: the largest, per drive period; "state": x, v, contact at the end, on
-    Sigma; "loads": largest_speed and work_rate of each wall, as of `wall_loads`, over an orbit's periods, or 64 of
-    another motion; with random starts "attractors", how many there are.
+    Returns
+    -------
+    xarray.Dataset
+        Variables along the dimensions of the grid: ``label``, an integer (1000000 n + 1000 p + q for P n p q, 999 for
+        inf, 1 chaotic, 0 undecided, -1 not done), whose attributes ``flag_values`` and ``flag_meanings`` list the
+        labels that occur; ``status``, the worst of the motion. With ``"period"``: drive periods of the orbit, 0
+        chaotic, -1 undecided. With ``"exponent"``: the largest Lyapunov exponent per drive period, and
+        ``exponent_error``. With ``"state"``: ``x``, ``v`` and ``contact`` on the section at the end. With ``"loads"``:
+        ``largest_speed`` and ``work_rate`` of each wall, as in `wall_loads`, over the periods of the orbit, or 64
+        periods of another motion. With ``"attractors"``: the number of attractors. With `along` there is a dimension
+        ``way``: 1 up, -1 down. With random initial states there is a dimension ``attractor``, the largest share first,
+        and the variables ``share``, the fraction of the initial states, 0 beyond the last attractor, and
+        ``unresolved``, the fraction that is undecided.
 
-    Dataset, along the grid: label: a whole number (`label_codes`: 1000000 n + 1000 p + q of P n p q, 999 for inf, 1
-    chaotic, 0 undecided, -1 not done); its flag_values and flag_meanings tell those that occur. status: the worst met.
-    With `along` a dimension "way" more: 1 up, -1 down. With random starts a dimension "attractor", the largest share
-    first, and share: of the starts, 0 beyond the last attractor; unresolved: of those that are undecided.
+    Raises
+    ------
+    ArgumentError
+        If an argument is invalid. All arguments are checked before any computation.
 
-    max_seconds: wall-clock time, s, after which no chunk is begun; None is no limit. The label of a cell that is not
-    done is -1, and the attribute `stopped` says why; a later call with the same store goes on.
+    See Also
+    --------
+    sweep : Sweep one parameter and record the stroboscopic states.
+    basins : Compute the basins of attraction on a grid of initial states.
 
-    Raises ArgumentError for arguments that cannot be, before any work, and what the store raises.
+    Notes
+    -----
+    After `max_seconds`, cells that are not done have the label -1, and the attribute ``stopped`` gives the reason. A
+    later call with the same store resumes. The errors of the store are passed on.
+
+    Examples
+    --------
+    >>> data = jv.map_parameters(scene, {"amplitude": [1.5, 2.0]})
+    >>> data["label"].values.tolist(), data["exponent"].values.round(3).tolist()
+    ([1000000, 1001001], [-0.15, -0.863])
     """
     limits = limits_of(None, max_seconds, None, check.ArgumentError)
     study = make_study(scene, grid, start, quantities, along, settle, patience, seed, chunk)
@@ -89,7 +132,18 @@ def map_parameters(
 
 
 def add_label_flags(data: xr.Dataset) -> xr.Dataset:
-    """A map's Dataset with the labels that occur in it."""
+    """Add the labels that occur in a map as flags of its label variable.
+
+    Parameters
+    ----------
+    data : xarray.Dataset
+        Map with a variable ``label``.
+
+    Returns
+    -------
+    xarray.Dataset
+        Map whose label has the attributes ``flag_values`` and ``flag_meanings``.
+    """
     codes = np.unique(data["label"].values).tolist()
     label_texts = " ".join(label_codes.label_of(code).replace(" ", "_") for code in codes)
     label = data["label"].assign_attrs(flag_values=np.array(codes, np.int32), flag_meanings=label_texts)
@@ -98,9 +152,33 @@ def add_label_flags(data: xr.Dataset) -> xr.Dataset:
 
 @dataclass(frozen=True)
 class MapStudy:
-    """A map as a `Study`. values: of each parameter of the grid; n_starts: how many random ones, 0 for those at
-    `state`; carry_axis: the place of the parameter that is carried along, None for none; chunk_lanes: lanes of a
-    chunk."""
+    """Map over parameters as a `Study`.
+
+    Parameters
+    ----------
+    scene : Scene
+        Scene without lanes.
+    names : tuple of str
+        Parameters of the grid.
+    values : tuple of ndarray
+        Values of each parameter.
+    state : State
+        Initial state of every cell.
+    n_starts : int
+        Number of random initial states of a cell; 0 uses `state`.
+    quantities : tuple of str
+        Quantities to compute.
+    carry_axis : int or None
+        Index of the parameter along which the motion is carried.
+    settle : int
+        Drive periods before recurrence is tested.
+    max_periods : int
+        Drive periods after which a motion is classified without recurrence.
+    seed : int
+        Seed of the random draw.
+    chunk_lanes : int
+        Lanes of a chunk.
+    """
 
     scene: Scene
     names: tuple[str, ...]
@@ -116,25 +194,28 @@ class MapStudy:
 
     @property
     def _lanes_per_cell(self):
-        """Of a cell."""
+        """Number of lanes of a cell."""
         return len(DIRECTIONS) if self.carry_axis is not None else max(1, self.n_starts)
 
     @cached_property
     def grid(self) -> Grid:
+        """Cells, cut into chunks of nearly equal size."""
         shape, capacity = [len(row) for row in self.values], max(1, self.chunk_lanes // self._lanes_per_cell)
-        chunk_shape = list(shape)  # whole rows, as many as there is room for, of what is carried along all
+        chunk_shape = list(shape)  # as many whole rows as fit; the carried parameter is not divided
         for axis in reversed(range(len(shape))):
             if axis != self.carry_axis:
-                chunk_shape[axis] = -(-shape[axis] // -(-shape[axis] // capacity))  # of one size, as far as that goes
+                chunk_shape[axis] = -(-shape[axis] // -(-shape[axis] // capacity))  # of nearly equal size
                 capacity = capacity // chunk_shape[axis] if chunk_shape[axis] == shape[axis] else 1
         return Grid(dict(zip(self.names, shape, strict=True)), tuple(chunk_shape))
 
     @cached_property
     def columns(self) -> Mapping[str, Column]:
+        """Columns of a cell."""
         return cell_columns.make_columns(self.scene, self.quantities, self.carry_axis is not None, self.n_starts)
 
     @cached_property
     def identity(self) -> Mapping[str, str]:
+        """Texts that identify the map."""
         setting_values: dict[str, Any] = {
             "settle": self.settle,
             "patience": self.max_periods,
@@ -155,11 +236,12 @@ class MapStudy:
 
     @property
     def _first_scene(self):
-        """The scene of the first cell: what it had there itself does not matter."""
+        """Scene of the first cell; the scene's own values of the grid's parameters do not matter."""
         return self.scene.replace(**{name: row[0] for name, row in zip(self.names, self.values, strict=True)})
 
     @cached_property
     def frame(self) -> xr.Dataset:
+        """Coordinates and attributes of the map."""
         coords: dict[str, Any] = {
             name: (name, row, {"long_name": name, "units": unit_of(name)})
             for name, row in zip(self.names, self.values, strict=True)
@@ -185,6 +267,7 @@ class MapStudy:
         return xr.Dataset(coords=coords, attrs=attrs)
 
     def compute(self, number: int, frame: Any) -> tuple[dict[str, np.ndarray], int]:
+        """Return the columns of a chunk, and the number of undecided cells."""
         cell_slices = self.grid.chunk_slices(number)
         values = [row[cell_slice] for row, cell_slice in zip(self.values, cell_slices, strict=True)]
         if self.carry_axis is not None:
@@ -200,17 +283,18 @@ class MapStudy:
         return _reshape_columns(columns, shape), int((columns["unresolved"] > 0).sum())
 
     def _scene_at(self, cell_values):
-        """The scene of each of some cells, (parameters, cells)."""
+        """Return the scene at each of some cells, (parameters, cells)."""
         return self.scene.replace(**dict(zip(self.names, cell_values, strict=True)))
 
     def _start_state(self, cell_scenes, n_cells):
+        """Return the initial states of the lanes of some cells."""
         if self.n_starts:
             draws = np.random.default_rng(self.seed).random((self.n_starts, 2))
             return states_in_box(cell_scenes, np.tile(draws, (n_cells, 1)))
         return jax.tree.map(lambda leaf: np.full(n_cells * self._lanes_per_cell, leaf, self.scene.dtype), self.state)
 
     def _compute_carried(self, values):
-        """As `compute`, of rows along which the motion is carried both ways."""
+        """Return the result of `compute` for rows along which the motion is carried in both directions."""
         rows, carry_axis = [row for step, row in enumerate(values) if step != self.carry_axis], self.carry_axis
         lane_values = _cell_values(rows) if rows else np.empty((0, 1))
         lane_values, n_rows, n_values = (
@@ -245,14 +329,14 @@ class MapStudy:
                     for columns_at_step in step_columns
                 ]
             )
-            array = np.stack([array[:, :, 0], array[::-1, :, 1]], axis=2)  # both in the order of the values
+            array = np.stack([array[:, :, 0], array[::-1, :, 1]], axis=2)  # both directions in the order of the values
             array = array.reshape(n_values, *shape, *array.shape[2:])
             columns[name] = np.moveaxis(array, 0, carry_axis)
         return columns, n_undecided
 
 
 def _cell_values(rows):
-    """The values at all cells, (parameters, cells), the last parameter fastest."""
+    """Return the values at all cells, (parameters, cells), the last parameter fastest."""
     return np.stack([grid_values.ravel() for grid_values in np.meshgrid(*rows, indexing="ij")])
 
 
@@ -271,16 +355,48 @@ def make_study(
     seed=0,
     chunk=None,
 ):
-    """The `MapStudy` of checked arguments. Raises ArgumentError."""
+    """Check the arguments of `map_parameters` and return the study.
+
+    Parameters
+    ----------
+    scene : Scene
+        Scene without lanes.
+    grid : mapping of str to array_like
+        Values of one or more parameters.
+    start : State or int, optional
+        Initial state, or number of random initial states.
+    quantities : str or sequence of str, optional
+        Quantities to compute.
+    along : str, optional
+        Parameter along which the motion is carried.
+    settle : int, optional
+        Drive periods before recurrence is tested.
+    patience : int, optional
+        Drive periods after which a motion is classified without recurrence.
+    seed : int, optional
+        Seed of the random draw.
+    chunk : int, optional
+        Lanes of a chunk.
+
+    Returns
+    -------
+    MapStudy
+        Study of the map.
+
+    Raises
+    ------
+    ArgumentError
+        If an argument is invalid.
+    """
     check.require_single(scene)
     if not isinstance(grid, Mapping) or not grid:
-        raise check.ArgumentError("grid", "must be {name: values} of one parameter or more", grid)
+        raise check.ArgumentError("grid", "must be a mapping {name: values} of one or more parameters", grid)
     values = []
     for name, row in grid.items():
         check.require_parameter(name, scene.names, name)
         row = check.finite_array(name, row, scene.dtype)
         if row.ndim != 1 or not len(row) or not (np.diff(row) > 0).all():
-            raise check.ArgumentError(name, "must be a row of numbers in rising order, at least one", row)
+            raise check.ArgumentError(name, "must be one or more numbers in increasing order", row)
         require_scene_units(f"grid.{name}", scene, name, row)
         values.append(row)
     names = tuple(grid)
@@ -288,7 +404,7 @@ def make_study(
         raise check.ArgumentError("along", f"must be a parameter of the grid ({', '.join(names)}), or None", along)
     n_starts = 0 if isinstance(start, State) else check.whole_number("start", start, 1)
     if n_starts and along is not None:
-        raise check.ArgumentError("start", "must be a State where the motion is carried along", start)
+        raise check.ArgumentError("start", "must be a State if the motion is carried along a parameter", start)
     quantities = cell_columns.check_quantities(scene, quantities, n_starts)
     settle, patience = check.whole_number("settle", settle, 0), check.whole_number("patience", patience, 1)
     n_lanes = math.prod(map(len, values)) * max(1, n_starts)
@@ -309,7 +425,7 @@ def make_study(
 
 
 def _check_state(start_state):
-    """A `State` of finite numbers."""
+    """Return the state with finite numbers, checked."""
     components = {
         key: check.finite_array(f"start.{key}", getattr(start_state, key), np.float64)
         for key in ("x", "v", "phase", "contact")

@@ -1,8 +1,8 @@
-"""Which attractors at two neighbouring values of a parameter are one.
+"""Match attractors between neighbouring values of a parameter.
 
-Two are where the motion carried on from the one lands on the other and comes back. Between coarse values two that exist
-side by side may lead to each other too, each where the other's branch has ended: then both are there at a value on the
-way, and they stay two.
+Two attractors match if the motion carried from the first approaches the second, and returns. Between coarse values, two
+coexisting attractors may also lead to each other, each at the end of the other's branch. Then both exist at a value in
+between, and they remain two.
 """
 
 from itertools import pairwise
@@ -19,12 +19,12 @@ from ..scene.state import State
 from ..scene.symmetry import is_symmetric
 from .attractor_transport import perturb_states, ramp_fraction
 
-PATH_TOLERANCE = 0.01  # of the largest x and v: ways there and back that are as near at each step are one
-MATCH_DISTANCE = 0.1  # of the same: an orbit as near to where another one leads by its last two values
+PATH_TOLERANCE = 0.01  # relative to the largest x and v: paths in both directions that are nearer at each step are one
+MATCH_DISTANCE = 0.1  # relative to the same: largest distance of an orbit from the extrapolation of another
 
 
 def match_attractors(nodes, name, settle):
-    """The attractors that `Station`s share, carried on (`carry_on`): a list of {station: place}, the first first."""
+    """Return the tracks {node index: attractor index} of the attractors of `ParameterNode`s, the first node first."""
     tracks = [{0: index} for index in range(len(nodes[0].candidates))]
     current_tracks = dict(enumerate(tracks))
     for node_index, (node, next_node) in enumerate(pairwise(nodes)):
@@ -46,8 +46,10 @@ def match_attractors(nodes, name, settle):
 
 
 def _match_pairs(node, next_node, name, predicted_points, settle):
-    """[(place, place)] of the attractors of two stations that are one; predicted_points: where those here lead to,
-    (points, 2)."""
+    """Return [(index, index)] of the matching attractors of two nodes.
+
+    predicted_points: extrapolated points of the attractors of the first node, (points, 2) each.
+    """
     forward_map = {index: transport.attractor_index for index, transport in node.transports[1].items()}
     backward_map = {index: transport.attractor_index for index, transport in next_node.transports[-1].items()}
     mutual_pairs = [(i, j) for i, j in forward_map.items() if j is not None and backward_map.get(j) == i]
@@ -73,10 +75,10 @@ def _match_pairs(node, next_node, name, predicted_points, settle):
 
 
 def _is_plausible_match(node, next_node, i, j, forward_index, backward_index, distance):
-    """Whether two that do not lead to each other both ways are taken for one.
+    """Return True if two attractors that do not lead to each other in both directions are taken as one.
 
-    Of chaotic ones, whose motion may leave for others on the way, one way is enough. Orbits must be near, and lead to
-    nothing else: such are those that settle too slowly to be seen on any.
+    For chaotic attractors, whose motion may leave for others on the way, one direction suffices. Orbits must be near
+    and lead to nothing else: this includes orbits that attract too slowly to be recognised.
     """
     if not (node.candidates[i].fields["periods"] and next_node.candidates[j].fields["periods"]):
         return forward_index == j or backward_index == i
@@ -84,7 +86,7 @@ def _is_plausible_match(node, next_node, i, j, forward_index, backward_index, di
 
 
 def _resolve_mirror_pairs(node, next_node, mutual_pairs):
-    """The pairs, such that a symmetric attractor goes on as the first of two mirror images, whichever it has led to.
+    """Return the pairs such that a symmetric attractor continues as the first of two mirror images.
 
     The first is the one whose label comes first, or else whose mean x at phase 0 is lower.
     """
@@ -100,14 +102,15 @@ def _resolve_mirror_pairs(node, next_node, mutual_pairs):
 
 
 def _image_index(node, index):
-    """The place of an attractor's mirror image, None where there is none."""
+    """Return the index of an attractor's mirror image, None if there is none."""
     return mirror_index(node.candidates[index], node.candidates) if is_symmetric(node.scene) else None
 
 
 def _representative(node, index):
-    """Of an attractor and its mirror image the one that stands for both."""
+    """Return the index that stands for an attractor and its mirror image."""
 
     def sort_key(index):
+        """Return label and mean x at phase 0."""
         fields = node.candidates[index].fields
         return fields["label"], fields["points"][:, 0].mean()
 
@@ -115,11 +118,11 @@ def _representative(node, index):
 
 
 def _coexist_between(node, next_node, name, i, j, settle):
-    """Whether two orbits that lead to each other are both there at a value between.
+    """Return True if two orbits that lead to each other both exist at a value in between.
 
-    The ways there and back are compared at each step of the parameter. In the middle of those where they differ both
-    motions are left to settle: one that is late, as after a symmetry breaking, comes to the other; what settles apart
-    is another.
+    The paths in both directions are compared at each step of the parameter. In the middle of the steps at which they
+    differ both motions settle. A delayed motion, as after a symmetry breaking, approaches the other; a motion that
+    settles elsewhere is another attractor.
     """
     if not (node.candidates[i].fields["periods"] and next_node.candidates[j].fields["periods"]):
         return False
@@ -143,7 +146,7 @@ def _coexist_between(node, next_node, name, i, j, settle):
 
 
 def _impact_points(scene, iterates, lane, periods, scale):
-    """The impacts, as points, of a lane that has settled on an orbit."""
+    """Return the impacts, as points, of a lane that has settled on an orbit."""
     return impacts_as_points(
         float(scene.frequency),
         *(record[-periods:, lane] for record in (iterates.time, iterates.side, iterates.speed)),
@@ -152,26 +155,29 @@ def _impact_points(scene, iterates, lane, periods, scale):
 
 
 def _is_same_or_mirror(scene, points, other_points):
-    """Whether two orbits are one, or mirror images in a symmetric scene: a symmetric motion may have led to either."""
+    """Return True if two orbits are the same, or mirror images in a symmetric scene.
+
+    A symmetric motion may have led to either image.
+    """
     return is_same_orbit(points, other_points) or (
         is_symmetric(scene) and is_same_orbit(mirror_points(points), other_points)
     )
 
 
 def _hausdorff(points, other_points):
-    """How far the farthest point of either set is from the other set."""
+    """Return the Hausdorff distance of two sets of points."""
     distances = abs(points[:, None] - other_points).max(axis=-1)
     return max(distances.min(axis=0).max(), distances.min(axis=1).max())
 
 
 def median_distance(points, other_points):
-    """The median distance of points from another set, the larger of both ways."""
+    """Return the median distance of points from another set, the larger of both directions."""
     distances = np.hypot(*np.moveaxis(points[:, None] - other_points, -1, 0))
     return float(max(np.median(distances.min(axis=0)), np.median(distances.min(axis=1))))
 
 
 def _extrapolate_points(nodes, node_index, track):
-    """Where an attractor's points (points, 2) are at the next value: of an orbit, as far on as since that before."""
+    """Return the points (points, 2) of an attractor extrapolated linearly to the next value; chaotic ones unchanged."""
     fields = nodes[node_index].candidates[track[node_index]].fields
     points, n_periods = fields["points"], fields["periods"]
     previous_fields = (
@@ -185,6 +191,6 @@ def _extrapolate_points(nodes, node_index, track):
 
 
 def nearest_rotation(points, other_points):
-    """Points of an orbit (periods, 2), begun where they are nearest to others, of one as long."""
+    """Return the points of an orbit (periods, 2), rotated to be nearest to the points of an orbit of equal length."""
     rotations = [np.roll(points, shift, axis=0) for shift in range(len(points))]
     return min(rotations, key=lambda rotation: abs(rotation - other_points).max())

@@ -1,8 +1,8 @@
-"""What very many lanes settle on, each a scene of its own: a periodic orbit, chaos, or nothing that is certain.
+"""Classify the motions of many lanes, each with its own scene: periodic, chaotic or undecided.
 
-Lanes are run on until they recur, or until patience ends; those that have not recurred are put together and sorted by
-how much work a period of theirs is, so that no lane of a block waits for long. A lane's result is its own: it does not
-depend on the lanes beside it, nor on what the process did before.
+Lanes are simulated until they recur or until the largest number of periods. Lanes that have not recurred are regrouped
+and sorted by the work of a period, so that no lane of a block waits long for another. The result of a lane does not
+depend on the other lanes, nor on earlier computations of the process.
 """
 
 from typing import NamedTuple
@@ -39,20 +39,34 @@ from ..scene.scene import Scene
 from ..scene.state import State
 
 BLOCK_PERIODS = 16  # periods whose growth is summed
-CERTAIN_ERRORS = 3.0  # standard errors by which the exponent of chaos must exceed `MIN_CHAOS_EXPONENT`
-UNDECIDED, CHAOTIC = -1, 0  # in place of the periods of an orbit
-RETURN_TOLERANCE = 1e-3  # of x and v, the largest: how near a state that has settled is to one before
-SAMPLE_ROUNDS = 8  # times LAPS periods of a motion that does not recur, which are kept
+CERTAIN_ERRORS = 3.0  # standard errors by which a chaotic exponent must exceed `MIN_CHAOS_EXPONENT`
+UNDECIDED, CHAOTIC = -1, 0  # codes in place of the periods of an orbit
+RETURN_TOLERANCE = 1e-3  # relative to the largest x and v: distance of a settled state from an earlier one
+SAMPLE_ROUNDS = 8  # times `RECORDED_PERIODS` of a motion that does not recur are kept
 
 
 class MotionResults(NamedTuple):
-    """What lanes have settled on: NumPy arrays, lanes last.
+    """Classification of lanes, as NumPy arrays, lanes last.
 
-    state: where they are, on Sigma; status: the worst met; periods: of the orbit, CHAOTIC or UNDECIDED; impact_counts:
-    impacts on the left and on the right wall in so many periods, (2, lanes), 0 where not periodic; endless: on which
-    walls the mass comes to rest by complete chatter, 1 left, 2 right, 3 both; exponent, error: the largest Lyapunov
-    exponent per drive period, and its standard error, nan where it is not known; points: x and v on Sigma of the last
-    periods, (periods, lanes, 2), nan before what was kept."""
+    Attributes
+    ----------
+    state : State
+        Final states on the section.
+    status : ndarray
+        Worst status. Array of shape (lanes,).
+    periods : ndarray
+        Drive periods of the orbit, or `CHAOTIC` or `UNDECIDED`. Array of shape (lanes,).
+    impact_counts : ndarray
+        Impacts on the left and the right wall in these periods; 0 if not periodic. Array of shape (2, lanes).
+    endless : ndarray
+        Walls at which the mass sticks after complete chatter: 1 left, 2 right, 3 both. Array of shape (lanes,).
+    exponent : ndarray
+        Largest Lyapunov exponent per drive period; nan if unknown. Array of shape (lanes,).
+    error : ndarray
+        Standard error of the exponent; nan if unknown. Array of shape (lanes,).
+    points : ndarray
+        x and v on the section over the last periods, nan before the record. Array of shape (periods, lanes, 2).
+    """
 
     state: State
     status: Int[np.ndarray, " lanes"]
@@ -65,10 +79,23 @@ class MotionResults(NamedTuple):
 
 
 def classify_motions(scene: Scene, state: State, settle: int, max_periods: int) -> MotionResults:
-    """What lanes settle on.
+    """Classify the motions of many lanes as periodic, chaotic or undecided.
 
-    scene: its numbers single or (lanes,); state: leaves (lanes,); settle: drive periods before recurrence is looked
-    for; max_periods: those after which a lane that has not recurred is taken for what it then looks like.
+    Parameters
+    ----------
+    scene : Scene
+        Scene, with parameters that are numbers or of shape (lanes,).
+    state : State
+        Initial states. Leaves of shape (lanes,).
+    settle : int
+        Drive periods before recurrence is tested.
+    max_periods : int
+        Drive periods after which a lane that has not recurred is classified by its exponent.
+
+    Returns
+    -------
+    MotionResults
+        Classification of each lane.
     """
     n_lanes = int(np.size(state.x))
     state, status = _advance_lanes(scene, state, settle)
@@ -87,7 +114,7 @@ def classify_motions(scene: Scene, state: State, settle: int, max_periods: int) 
 
 
 def _advance_lanes(scene, state, periods):
-    """(state, worst status) of lanes so many periods later."""
+    """Return (state, worst status) of lanes after some periods."""
     n_lanes = len(state.x)
     blocks = [padded_block((scene, state), start, BLOCK_WIDTH) for start in range(0, n_lanes, BLOCK_WIDTH)]
     block_results = [_advance_block(*block, periods) for block in blocks]
@@ -105,7 +132,7 @@ def _advance_block(scene, state, periods):
 
 
 def _classify_lanes(scene, results, lanes, settle, max_periods):
-    """Runs lanes on until they recur or patience ends, and puts into `results` what is seen of them."""
+    """Simulate lanes until they recur or reach the largest number of periods, and store their classification."""
     lane_scenes, elapsed_periods = take_lanes(scene, lanes), settle
     if not len(lanes):
         return
@@ -149,8 +176,7 @@ def _classify_lanes(scene, results, lanes, settle, max_periods):
 
 
 def _recurrence_distances(points, scale):
-    """`recurrence_distances` of the lanes whose last state has been nearly met before, infinite of others: they have
-    not settled."""
+    """Return `recurrence_distances` of lanes whose last state is near an earlier one; infinite for unsettled lanes."""
     nearest_return = abs(points[-1] - points[-1 - MAX_ORBIT_PERIODS : -1]).max(axis=-1).min(axis=0)
     near_lanes = np.flatnonzero(nearest_return <= RETURN_TOLERANCE * scale)
     distances = np.full((MAX_ORBIT_PERIODS, points.shape[1]), np.inf)
@@ -159,20 +185,21 @@ def _recurrence_distances(points, scale):
 
 
 def _state_scale(scene, records):
-    """Of x and v, the largest, of each lane."""
+    """Return the largest magnitude of x and v of each lane."""
     x_min, x_max, _ = initial_box(scene)
     max_speed = np.nanmax(np.where(np.isfinite(records.v), abs(records.v), 0.0), axis=0)
     return np.maximum(np.maximum(abs(x_min), abs(x_max)), max_speed)
 
 
 def _store_states(results, lanes, end_lanes: TangentLanes, status):
+    """Store the final states and statuses of lanes."""
     for array, values in zip(jax.tree.leaves(results.state), jax.tree.leaves(end_lanes.state), strict=True):
         array[lanes] = values
     results.status[lanes] = status
 
 
 def _store_orbits(scene, results, lanes, periods, records, record_indices):
-    """Puts periodic orbits into `results`, those that draw in; record_indices: of the lanes among those of the laps."""
+    """Store the attracting periodic orbits; record_indices: indices of their lanes in the records."""
     for n_periods in np.unique(periods).tolist():
         same_period = periods == n_periods
         group_lanes, group_records = lanes[same_period], record_indices[same_period]
@@ -196,12 +223,12 @@ def _store_orbits(scene, results, lanes, periods, records, record_indices):
 
 
 def _store_chaos(results, lanes, record_indices, growth_sums):
-    """Puts the motions that have not recurred into `results`, as chaotic where their exponent is beyond doubt."""
+    """Store motions that have not recurred, as chaotic if their exponent is positive beyond doubt."""
     if not len(record_indices):
         return
     block_sums = np.concatenate(
         [block[record_indices] for block in growth_sums], axis=1
-    )  # a row a lane: the order of a sum is its own
+    )  # one row per lane, so that a sum does not depend on other lanes
     growth_rate = block_sums.mean(axis=1) / BLOCK_PERIODS
     error = np.array([standard_error(row[:, None], BLOCK_PERIODS) for row in block_sums])
     is_certain = growth_rate - CERTAIN_ERRORS * error > MIN_CHAOS_EXPONENT

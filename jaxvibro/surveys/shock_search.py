@@ -1,9 +1,10 @@
-"""The least of very many shocks that leads to another attractor: discs that shrink to the least one found.
+"""Search for the smallest shock that leads to another attractor, in shrinking discs.
 
-Which starts leave is a set whose edge may be fractal, and no slope leads to its nearest point. So a disc about the
-attractor's points is tried evenly, and shrinks to the least shock that leaves; where none does, it is tried more
-densely, and, as starts take the longer the nearer to an edge they are, closely about those that took longest. About
-each least one windows of all sizes are tried, down to rounding, and at the end its own ray.
+The set of shocks that leave may have a fractal boundary, and no gradient leads to its nearest point. So a disc about
+the attractor's points is sampled evenly and shrinks to the smallest shock that leaves. If none does, the disc is
+sampled more densely. Motions take longer the nearer they start to a boundary, so the surroundings of the slowest ones
+are sampled too. About each smallest shock windows of decreasing size are sampled, down to rounding, and finally its own
+ray.
 """
 
 from collections.abc import Callable
@@ -24,23 +25,40 @@ from ..scene.scene import SIDES, Scene
 SEQUENCE_STEPS = (
     0.6180339887498949,
     (0.7548776662466927, 0.5698402909980532),
-)  # steps of even sequences in one and two numbers
-FIRST_SHOCKS, SHOCK_FACTOR = 1 << 12, 4  # shocks of the first disc; times as many in one that is tried again
-MIN_REDUCTION = 1e-5  # of the size: by less a disc has not shrunk
+)  # steps of low-discrepancy sequences in one and two dimensions
+FIRST_SHOCKS, SHOCK_FACTOR = 1 << 12, 4  # shocks of the first disc; factor for a disc that is sampled again
+MIN_REDUCTION = 1e-5  # relative reduction below which a disc has not shrunk
 N_SLOW_STARTS, SHOCKS_PER_START, N_WINDOW_WIDTHS = (
     64,
     128,
     5,
-)  # starts that took longest, shocks tried about each, windows a quarter as wide
-WINDOW_SHOCKS, MAX_REPEATS = 1024, 3  # shocks of a window about the least one; windows of one size at most
-RAY_SHOCKS = 256  # shocks tried along a ray
-RAY_EXTENT = 2.0  # times the least shock: so far its direction is tried
+)  # slowest motions, shocks about each, windows of decreasing width
+WINDOW_SHOCKS, MAX_REPEATS = (
+    1024,
+    3,
+)  # shocks of a window about the smallest one; most windows of one width
+RAY_SHOCKS = 256  # shocks along a ray
+RAY_EXTENT = 2.0  # times the smallest shock: extent of its ray
 
 
 class ShockProblem(NamedTuple):
-    """Where shocks are tried: a single scene at a phase of the drive (rad), the `AttractorNeighbourhood` of each of its
-    attractors, the place of the one that is to be left; is_planar: whether positions change too; max_periods: drive
-    periods of a start."""
+    """Scene, phase and attractor of a search.
+
+    Attributes
+    ----------
+    scene : Scene
+        Scene without lanes.
+    phase : float
+        Phase of the drive at the shock, in rad.
+    neighbourhoods : list of AttractorNeighbourhood
+        Neighbourhood of each attractor.
+    attractor_index : int
+        Index of the attractor to be left.
+    is_planar : bool
+        True if positions change too.
+    max_periods : int
+        Largest number of drive periods of a motion.
+    """
 
     scene: Scene
     phase: float
@@ -51,11 +69,33 @@ class ShockProblem(NamedTuple):
 
 
 class ShockResult(NamedTuple):
-    """What came of one phase. size: of the least shock that leaves, inf where none does; shock: (dx, dv); point_before:
-    (x, v); to: the attractor's place; bracket: (one that stays, the least that leaves) on its ray; until: up to here
-    all tried on the ray leave; safe: none smaller leaves, as a trap holds them all; below: smaller ones that were
-    tried; undecided: how many of them are certain to be on no attractor; least_undecided: the least of all such, else
-    inf; complete: whether the search came to its end."""
+    """Result of the search at one phase.
+
+    Attributes
+    ----------
+    size : float
+        Smallest shock that leaves; inf if none does.
+    shock : ndarray
+        dx and dv.
+    point_before : ndarray
+        x and v just before the shock.
+    to : int
+        Index of the attractor that the motion approaches.
+    bracket : tuple of float
+        A size on its ray that stays, and the smallest size that leaves.
+    until : float
+        Size up to which all tested shocks on the ray leave.
+    safe : float
+        Size below which no shock leaves, since a trapping region contains all of them.
+    below : int
+        Number of smaller shocks tested.
+    undecided : int
+        Number of these that do not certainly approach any attractor.
+    least_undecided : float
+        Smallest of all such; inf without.
+    complete : bool
+        True if the search was completed.
+    """
 
     size: float
     shock: Float[np.ndarray, "2"]
@@ -78,10 +118,11 @@ def search_least_shock(
     count_shocks: Callable[[int], object],
     limits: Limits = UNLIMITED,
 ) -> ShockResult:
-    """The least shock at one phase: no longer than `max_size`, looked for until so many in a disc find none smaller.
+    """Return the smallest shock at one phase, at most `max_size`, for discs of up to `max_shocks` shocks.
 
-    count_shocks: called with the number of shocks of each call. limits: once the time is over the least shock so far is
-    given."""
+    count_shocks: called with the number of shocks of each call; limits: time limit, after which the smallest shock up
+    to then is returned.
+    """
     shock_search = _ShockSearch(problem, max_size, np.random.default_rng(seed), count_shocks, limits)
     n_shocks = min(FIRST_SHOCKS, max_shocks)
     while True:
@@ -103,14 +144,14 @@ def search_least_shock(
 
 
 def empty_result(problem: ShockProblem) -> ShockResult:
-    """What is known of a phase at which no shock has been tried."""
+    """Return the result of a phase at which no shock has been tested."""
     undefined, region = np.full(2, np.nan), problem.neighbourhoods[problem.attractor_index].region
     safe_radius = 0.0 if region is None else safe_size(region, problem.is_planar)
     return ShockResult(np.nan, undefined, undefined, -1, (np.nan, np.nan), np.nan, safe_radius, 0, 0, np.inf, False)
 
 
 class _ShockSearch:
-    """The least shock so far, of sizes below `size`, and all that was tried."""
+    """Smallest shock up to now, of sizes below `size`, and the record of all tests."""
 
     def __init__(self, problem, max_size, rng, count_shocks, limits):
         self.problem, self.rng, self.count_shocks, self.limits, self.complete = problem, rng, count_shocks, limits, True
@@ -120,18 +161,18 @@ class _ShockSearch:
         self.tree = scipy.spatial.cKDTree(self.points)
         self.rounding_size = (
             np.finfo(problem.scene.dtype).eps * abs(self.points).max()
-        )  # smaller ones are lost in rounding
+        )  # smaller shocks vanish in rounding
         self.size, self.base_index, self.shock, self.destination = max_size, -1, np.full(2, np.nan), -1
         self.sizes, self.undecided_sizes = [], []
         self.last_stays, self.n_drawn = None, 0
 
     def is_out_of_time(self):
-        """Return True if the time is over; what is found is then not complete."""
+        """Return True if the time is used up; the result is then not complete."""
         self.complete = self.complete and not self.limits.expired
         return not self.complete
 
     def try_shocks(self, base_indices, shocks):
-        """Tries shocks (lanes, 2) of the points at these places and keeps the least that leaves: (labels, sizes)."""
+        """Test shocks (lanes, 2) of these points, keep the smallest that leaves, and return (labels, sizes)."""
         z = self.points[base_indices] + shocks
         if self.problem.is_planar and len(self.points) > 1:
             base_indices = self.tree.query(z)[1]
@@ -156,14 +197,14 @@ class _ShockSearch:
         return labels, size
 
     def try_disc(self, n_shocks):
-        """Tries so many shocks, evenly over the sizes below the least one."""
+        """Test `n_shocks` shocks, distributed evenly over the sizes below the smallest one."""
         base_indices = self.rng.integers(len(self.points), size=n_shocks)
         sequence_indices = self.n_drawn + np.arange(1, n_shocks + 1)
         self.n_drawn += n_shocks
         self.try_shocks(base_indices, self.size * self._even_shocks(sequence_indices))
 
     def _even_shocks(self, sequence_indices):
-        """Even shocks (lanes, 2) of sizes below 1."""
+        """Return evenly distributed shocks (lanes, 2) of sizes below 1."""
         if not self.problem.is_planar:
             return np.stack(
                 [np.zeros(len(sequence_indices)), 2.0 * (SEQUENCE_STEPS[0] * sequence_indices % 1.0) - 1.0], -1
@@ -175,7 +216,7 @@ class _ShockSearch:
         return radius[:, None] * np.stack([np.cos(angle), np.sin(angle)], -1)
 
     def try_slow_windows(self, n_shocks):
-        """Tries windows about those shocks of the last disc that took longest, ever smaller ones."""
+        """Test windows of decreasing width about the slowest shocks of the last disc."""
         width = self.size * (np.sqrt(np.pi / n_shocks) if self.problem.is_planar else 2.0 / n_shocks)
         for _ in range(N_WINDOW_WIDTHS):
             base_indices, shocks, periods = self.last_stays
@@ -188,7 +229,7 @@ class _ShockSearch:
             width /= 4.0
 
     def try_near_least(self):
-        """Tries windows about the least shock, ever smaller ones, and goes along with it."""
+        """Test windows of decreasing width about the smallest shock, moving with it."""
         width, n_repeats = 0.5, 0
         while width > np.finfo(self.problem.scene.dtype).eps ** 0.5 and not self.is_out_of_time():
             previous_size = self.size
@@ -200,7 +241,7 @@ class _ShockSearch:
                 width, n_repeats = width / 4.0, 0
 
     def _try_window(self, base_indices, shocks, width):
-        """Tries shocks no further than a width from these (lanes, 2), one each; of a sample's near points too."""
+        """Test one shock within `width` of each of these (lanes, 2), also from nearby points of a sample."""
         if len(self.points) > 1:
             trial_points, base_indices = (
                 self.points[base_indices] + width * self._random_shocks(len(base_indices), True),
@@ -211,13 +252,14 @@ class _ShockSearch:
         self.try_shocks(base_indices, shocks + width * self._random_shocks(len(base_indices), self.problem.is_planar))
 
     def _random_shocks(self, n_shocks, is_planar):
+        """Return random shocks (lanes, 2) of sizes below 1."""
         angle, radius = 2.0 * np.pi * self.rng.random(n_shocks), np.sqrt(self.rng.random(n_shocks))
         if not is_planar:
             return np.stack([np.zeros(n_shocks), 2.0 * self.rng.random(n_shocks) - 1.0], -1)
         return radius[:, None] * np.stack([np.cos(angle), np.sin(angle)], -1)
 
     def search_ray(self):
-        """(bracket, until) of the least shock in its direction."""
+        """Return (bracket, until) of the smallest shock in its direction."""
         if self.destination < 0:
             return (self.size, np.inf), np.inf
         if self.size <= self.rounding_size:
@@ -232,6 +274,7 @@ class _ShockSearch:
         return (lower, self.size), self._ray_limit()
 
     def _ray_limit(self):
+        """Return the size up to which all tested shocks on the ray leave."""
         scene, phase, neighbourhoods, index, _, max_periods = self.problem
         sizes = self.size * (1.0 + (RAY_EXTENT - 1.0) * np.geomspace(1e-6, 1.0, RAY_SHOCKS))
         z = self.points[self.base_index] + sizes[:, None] * (self.shock / self.size)
@@ -240,7 +283,7 @@ class _ShockSearch:
         return float(np.append(self.size, sizes)[stay_indices[0] if stay_indices.size else -1])
 
     def result(self, ray_result):
-        """The `ShockResult` of the least shock."""
+        """Return the `ShockResult` of the smallest shock."""
         (bracket, until), has_shock = ray_result, self.destination >= 0
         sizes, undecided_sizes = np.concatenate(self.sizes), np.concatenate(self.undecided_sizes)
         neighbourhood = self.problem.neighbourhoods[self.problem.attractor_index]
@@ -260,14 +303,14 @@ class _ShockSearch:
 
 
 def base_points(neighbourhood: AttractorNeighbourhood) -> Float[np.ndarray, "points 2"]:
-    """The points of an attractor that shocks are tried from: of a chaotic one all of its sample."""
+    """Return the points of an attractor to which shocks are applied; for a chaotic one all of its sample."""
     return np.asarray(
         neighbourhood.region.tree.data if isinstance(neighbourhood.region, PointCloud) else neighbourhood.points
     )
 
 
 def clip_to_walls(scene, phase, points):
-    """Points (lanes, 2), those that rounding puts beyond a rigid wall on it."""
+    """Return points (lanes, 2); points that rounding puts beyond a rigid wall are moved onto it."""
     for sign, side, (position, _) in zip((1.0, -1.0), SIDES, jax.device_get(wall_states(scene, phase)), strict=True):
         wall = getattr(scene, side)
         if wall is not None and not wall.soft:
@@ -277,7 +320,7 @@ def clip_to_walls(scene, phase, points):
 
 
 def safe_size(region: TrappingRegion | PointCloud, is_planar: bool) -> float:
-    """How large a shock can be that is sure to leave an attractor's trap of ellipses in no direction; 0 of a cloud."""
+    """Return the size below which no shock in any direction leaves the trapping region; 0 for a point cloud."""
     if isinstance(region, PointCloud):
         return 0.0
     norms = [

@@ -1,4 +1,4 @@
-// The page: shows what the server tells, and tells it what the user does. It computes nothing.
+// Page: show records of the server and send the actions of the user. The page computes nothing.
 "use strict";
 
 const $ = (id) => document.getElementById(id);
@@ -6,7 +6,7 @@ const token = new URLSearchParams(location.search).get("token");
 const state = {};
 const pictures = {};
 const far = {};
-const REPLACED = ["pick", "start", "set"];  // of two in a row of one kind the later one alone counts
+const REPLACED = ["pick", "start", "set"];  // of two consecutive messages of one kind only the later counts
 let socket = null, page = "", sent = 0, answered = 0, begun = {}, held = null;
 window.jaxvibro = { state, pictures, get idle() { return sent === answered && !held; }, latest: {} };
 
@@ -18,8 +18,8 @@ function say(message) {
   else send(message);
 }
 
-function wait() {  // tells of an answer that lets one wait
-  if (socket.readyState === 1) $("status").textContent = Object.values(begun).some(isLate) ? "one moment" : "";
+function wait() {  // show that an answer is late
+  if (socket.readyState === 1) $("status").textContent = Object.values(begun).some(isLate) ? "Compiling" : "";
 }
 
 function isLate(since) { return performance.now() - since >= 399; }
@@ -56,7 +56,7 @@ function connect() {
   socket.onmessage = (event) => hear(JSON.parse(event.data));
   socket.onclose = () => {
     document.body.classList.add("lost");
-    $("status").textContent = "the server is gone: trying again; what was asked is kept";
+    $("status").textContent = "connection lost: trying again; the calls are kept";
     setTimeout(connect, 1000);
   };
 }
@@ -78,7 +78,7 @@ function hear(record) {
 
 function works() {
   const told = (state.works || []).map((one) => one.label + (far[one.work] ? ` (${far[one.work]})` : ""));
-  $("works").textContent = told.length ? `at work: ${told.join("; ")}` : "";
+  $("works").textContent = told.length ? `Running: ${told.join("; ")}` : "";
   $("stop").hidden = !told.length;
 }
 
@@ -118,7 +118,7 @@ function show(record) {
   if (has("title")) document.title = `${state.title || "jaxvibro"} - jaxvibro`;
 }
 
-function listed(text, does) {  // an item of a list, a button
+function listed(text, does) {  // list item with a button
   const item = document.createElement("li");
   item.append(Object.assign(document.createElement("button"), { textContent: text, onclick: does }));
   return item;
@@ -181,7 +181,7 @@ function numbers() {
 
 const panels = Object.fromEntries(["diagram", "plane", "portrait", "trace"].map((name) => [name, new Panel(name)]));
 
-let menu = null;  // a menu that was asked for: where, and the message that says what is in it
+let menu = null;  // requested menu: position, and number of the message after which it opens
 
 function ordered(event) {
   pass();

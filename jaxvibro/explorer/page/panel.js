@@ -1,4 +1,4 @@
-// A panel: a picture of the server's, what is marked over it, and what the pointer and the keys ask in it.
+// Panel: show a figure from the server with markers, and send pointer and key actions.
 "use strict";
 
 function drawn(element, given) {
@@ -106,7 +106,7 @@ class Panel {
     }
   }
 
-  once(event) {  // the second of a double click asks for nothing of its own
+  once(event) {  // ignore the second click of a double click
     const last = this.last, gone = last && Math.hypot(event.clientX - last.clientX, event.clientY - last.clientY);
     this.last = last && gone < 5 && event.timeStamp - last.timeStamp < 300 ? null : event;
     if (this.last) this.click(event);

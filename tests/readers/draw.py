@@ -1,0 +1,85 @@
+"""Draw a sample of names or of docstrings and sentences: `python -m tests.readers.draw names|texts COUNT SEED`.
+
+Prints JSON. Names: files, functions, records, parameters and variables of both packages, with the file and the
+function they stand in; public names, their parameters and their attributes are left out, as they change with the public
+API. Texts: docstrings of the packages, and sentences of the pages, the README and the notebooks.
+"""
+
+import ast
+import json
+import random
+import re
+import sys
+from pathlib import Path
+
+import continuation
+import jaxvibro as jv
+
+ROOT = Path(__file__).parents[2]
+PACKAGES = ("jaxvibro", "continuation")
+
+
+def names():
+    """Every name once per file and function: [{kind, file, function, name}]."""
+    public = {*jv._HOMES, *jv.plot.__all__, *continuation.__all__}
+    rows = []
+    for path in sorted(file for package in PACKAGES for file in (ROOT / package).rglob("*.py")):
+        file = str(path.relative_to(ROOT))
+        if path.stem != "__init__":
+            rows.append(("file", file, "", path.stem))
+        _collect(ast.parse(path.read_text()), file, "", public, rows)
+    keys = ("kind", "file", "function", "name")
+    return [dict(zip(keys, row, strict=True)) for row in dict.fromkeys(rows)]
+
+
+def _collect(node, file, function, public, rows):
+    for child in ast.iter_child_nodes(node):
+        inner = function
+        if isinstance(child, ast.FunctionDef | ast.AsyncFunctionDef):
+            inner = f"{function}.{child.name}".strip(".")
+            if child.name not in public and not child.name.startswith("__"):
+                rows.append(("function", file, function, child.name))
+            arguments = child.args
+            for argument in (*arguments.posonlyargs, *arguments.args, *arguments.kwonlyargs):
+                if child.name not in public and argument.arg not in ("self", "cls"):
+                    rows.append(("parameter", file, inner, argument.arg))
+        elif isinstance(child, ast.ClassDef):
+            inner = f"{function}.{child.name}".strip(".")
+            if child.name not in public:
+                rows.append(("record", file, function, child.name))
+        elif isinstance(child, ast.Name) and isinstance(child.ctx, ast.Store) and function and child.id != "_":
+            rows.append(("variable", file, function, child.id))
+        _collect(child, file, inner, public, rows)
+
+
+def texts():
+    """Docstrings and sentences: [{kind, file, text}]."""
+    rows = []
+    for path in sorted(file for package in PACKAGES for file in (ROOT / package).rglob("*.py")):
+        documented = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, documented) and (text := ast.get_docstring(node)):
+                name = getattr(node, "name", "")
+                rows.append({"kind": "docstring", "file": f"{path.relative_to(ROOT)}:{name}", "text": text})
+    pages = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+    for path in pages:
+        prose = re.sub(r"(?ms)^```.*?^```|^\|.*?$|^#.*?$|\$\$.*?\$\$", "", path.read_text())
+        for sentence in re.split(r"(?<=[.?!])\s+(?=[A-Z])", " ".join(prose.split())):
+            if len(sentence.split()) >= 5:
+                rows.append({"kind": "sentence", "file": str(path.relative_to(ROOT)), "text": sentence})
+    return rows
+
+
+def main(kind, count, seed):
+    """Print a sample: names evenly over kinds, texts evenly over docstrings and sentences."""
+    rows, rng = {"names": names, "texts": texts}[kind](), random.Random(int(seed))
+    groups = {}
+    for row in rows:
+        groups.setdefault(row["kind"], []).append(row)
+    share = -(-int(count) // len(groups))
+    drawn = [row for group in groups.values() for row in rng.sample(group, min(share, len(group)))]
+    print(json.dumps(drawn[: int(count)], indent=1))
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
