@@ -5,6 +5,7 @@ import ctypes
 import gc
 import os
 import platform
+from contextlib import nullcontext
 from pathlib import Path
 
 import jax
@@ -38,17 +39,16 @@ def pytest_collection_modifyitems(items):
         item.add_marker(pytest.mark.smoke)
 
 
-@pytest.hookimpl(wrapper=True)
-def pytest_runtest_protocol(item, nextitem):
-    """Give a long test that is only tried its time limit, its fixtures included."""
+def limited(item):
+    """Run a phase of a test, with a time limit if the test is only tried."""
     tried = item.get_closest_marker("smoke") and "smoke" in item.config.getoption("markexpr")
-    if tried:
-        smoke.limit(smoke.TEST_SECONDS)
-    try:
+    with smoke.time_limit(smoke.TEST_SECONDS) if tried else nullcontext():
         return (yield)
-    finally:
-        if tried:
-            smoke.limit(0)
+
+
+# Pytest catches the exceptions of these phases; one raised between them would end the whole run.
+pytest_runtest_setup = pytest.hookimpl(wrapper=True)(limited)
+pytest_runtest_call = pytest.hookimpl(wrapper=True)(limited)
 
 
 @pytest.hookimpl(wrapper=True)
@@ -57,14 +57,14 @@ def pytest_runtest_makereport(item, call):
     report = yield
     if call.excinfo is not None and call.excinfo.errisinstance(smoke.OutOfTime):
         report.outcome, report.longrepr = "passed", None
-        item.user_properties.append(("stopped", "after its time limit"))
+        item.stash[smoke.STOPPED] = True
     return report
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_pyfunc_call(pyfuncitem):
     """Do not call a test whose fixtures took all the time."""
-    return True if pyfuncitem.user_properties and "stopped" in dict(pyfuncitem.user_properties) else None
+    return pyfuncitem.stash.get(smoke.STOPPED, None)
 
 
 @pytest.fixture(autouse=True)

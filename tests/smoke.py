@@ -8,8 +8,10 @@ import os
 import signal
 import subprocess
 import sys
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
+
+import pytest
 
 ROOT = Path(__file__).parents[1]
 PARTS = 3
@@ -88,8 +90,11 @@ def script_error(name, arguments, seconds=SCRIPT_SECONDS):
     return output[-2000:] or f"exit status {process.returncode}" if failed else ""
 
 
-class OutOfTime(Exception):
-    """A long test has run for its time without an error."""
+class OutOfTime(BaseException):
+    """A long test has run for its time without an error; no `except Exception` of the code under test catches it."""
+
+
+STOPPED = pytest.StashKey[bool]()  # of a test whose time ended
 
 
 def choose(items):
@@ -102,11 +107,17 @@ def choose(items):
     return [item for k, (_, item) in enumerate(sorted(first.items())) if k % PARTS == chosen]
 
 
-def limit(seconds):
-    """Raise OutOfTime in the main thread after some seconds; 0 ends the limit."""
+@contextmanager
+def time_limit(seconds):
+    """Raise OutOfTime in the main thread after some seconds."""
 
     def stop(number, frame):
         raise OutOfTime
 
-    signal.signal(signal.SIGALRM, stop)
+    previous = signal.signal(signal.SIGALRM, stop)
     signal.setitimer(signal.ITIMER_REAL, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, previous)

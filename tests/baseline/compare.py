@@ -29,7 +29,7 @@ SCRIPT = Path(compute.__file__)
 
 
 def results(checkout, folder):
-    """Make the environment of a checkout and run `compute.py` in it; the values and the signatures."""
+    """Make the environment of a checkout, run `compute.py` in it, and return the values and the signatures."""
     subprocess.run(["make", "--silent", ".venv/.dev"], cwd=checkout, check=True)
     clean = {key: value for key, value in os.environ.items() if not key.startswith(("JAX_", "PYTHON", "XLA_"))}
     environment = clean | {"PYTHONPATH": str(checkout)}
@@ -38,7 +38,7 @@ def results(checkout, folder):
 
 
 def read(folder):
-    """The values and signatures in a folder: ({name: array}, {name: entry})."""
+    """Return the values and signatures in a folder: ({name: array}, {name: entry})."""
     values = json.loads((folder / "values.json").read_text())
     return (
         {name: compute.decode(record) for name, record in values.items()},
@@ -47,7 +47,7 @@ def read(folder):
 
 
 def ulps(first, second):
-    """The largest difference of two arrays in units in the last place, inf where they do not match."""
+    """Return the largest difference of two arrays in units in the last place, inf if they do not match."""
     if first.dtype != second.dtype or first.shape != second.shape:
         return np.inf
     if first.dtype.kind == "c":
@@ -62,7 +62,7 @@ def ulps(first, second):
 
 
 def removed(old, new):
-    """Public names, parameters and attributes of old signatures that new ones lack; additions are allowed."""
+    """List the public names, parameters and attributes of old signatures that new ones lack; additions are allowed."""
     lacking = []
     for name, entry in old.items():
         if name not in new:

@@ -11,41 +11,34 @@ def _continuation(path):
     return continuation.load(path, continuation.equilibria(compute.fold))
 
 
+def _special_amplitudes(curve):
+    return [point.scene.amplitude for point in curve.special]
+
+
+# How each file is read, and numbers in it.
 READERS = {
-    "branch.nc": jv.load_branch,
-    "locus.nc": jv.load_locus,
-    "held_branch.nc": jv.load_held_branch,
-    "diagram": jv.load_diagram,
-    "scene.toml": jv.load_scene,
-    "map": jv.load_store,
-    "continuation.npz": _continuation,
+    "branch.nc": (jv.load_branch, _special_amplitudes),
+    "locus.nc": (jv.load_locus, _special_amplitudes),
+    "held_branch.nc": (jv.load_held_branch, lambda curve: curve.data.amplitude.values),
+    "diagram": (jv.load_diagram, lambda diagram: [value for branch in diagram.branches for value in branch.values]),
+    "scene.toml": (jv.load_scene, lambda scene: [scene.amplitude, scene.frequency, scene.damping, scene.restitution]),
+    "map": (jv.load_store, lambda data: data.label.values),
+    "continuation.npz": (_continuation, lambda branch: [*branch.u[:, 0], *branch.p["mu"]]),
 }
 
 
 def unreadable(folder):
-    """{name: error} of the files in a folder that cannot be read."""
+    """Return {name: error} of the files in a folder that cannot be read."""
     errors = {}
-    for name, read in READERS.items():
+    for name in READERS:
         try:
-            read(folder / name)
+            contents(name, folder / name)
         except Exception as error:
             errors[name] = error
     return errors
 
 
 def contents(name, path):
-    """Numbers read from a file."""
-    content = READERS[name](path)
-    if name in ("branch.nc", "locus.nc"):
-        values = [point.scene.amplitude for point in content.special]
-    elif name == "held_branch.nc":
-        values = content.data.amplitude.values
-    elif name == "diagram":
-        values = [value for branch in content.branches for value in branch.values]
-    elif name == "scene.toml":
-        values = [content.amplitude, content.frequency, content.damping, content.restitution]
-    elif name == "map":
-        values = content.period.values if "period" in content else content.label.values
-    else:
-        values = [*content.u[:, 0], *content.p["mu"]]
-    return np.asarray(values, float).ravel()
+    """Return numbers read from a file."""
+    read, numbers = READERS[name]
+    return np.asarray(numbers(read(path)), float).ravel()
