@@ -49,7 +49,7 @@ SCRIPTS = {
     "paper": ("1",),
     "place": ("1", "1"),
     "rest": ("chatter", "2"),
-    "rest_slopes": ("first", "1"),
+    "rest_slopes": ("first", "8"),
     "sample": ("2",),
     "scenario": ("returns", "1"),
     "search": ("1",),
