@@ -15,7 +15,7 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 PARTS = 3
-SCRIPT_SECONDS = 20.0
+SCRIPT_SECONDS = 16.0
 TEST_SECONDS = 8.0
 
 # The smallest case of each verification script; FOLDER is a temporary one.

@@ -97,8 +97,8 @@ def load_held_branch(path: str | PathLike[str]) -> HeldBranch:
     Examples
     --------
     >>> import tempfile, pathlib
-    >>> bounds = {"amplitude": (1.0, 4.0), "frequency": (2.0, 2.2)}
-    >>> held = jv.follow(orbit, ("amplitude", "frequency"), bounds, hold={"least_speed": 1.0}, max_points=10)
+    >>> bounds = {"amplitude": (1.5, 2.5), "frequency": (2.05, 2.15)}
+    >>> held = jv.follow(orbit, ("amplitude", "frequency"), bounds, hold={"least_speed": 1.9})
     >>> path = pathlib.Path(tempfile.mkdtemp()) / "held.nc"
     >>> held.save(path)
     >>> len(jv.load_held_branch(path)) == len(held)

@@ -173,11 +173,11 @@ def follow(
     >>> branch.name, branch.special[1].kind
     ('amplitude', 'GR')
     >>> held = jv.follow(
-    ...     orbit, ("amplitude", "frequency"), {"amplitude": (1.0, 4.0), "frequency": (2.0, 2.2)},
-    ...     hold={"least_speed": 1.0}, max_points=10,
+    ...     orbit, ("amplitude", "frequency"), {"amplitude": (1.5, 2.5), "frequency": (2.05, 2.15)},
+    ...     hold={"least_speed": 1.9},
     ... )
     >>> held.held, held.value
-    ('least_speed', 1.0)
+    ('least_speed', 1.9)
     """
     settings = _check_branch_settings(direction, first_step, largest_step, tolerance, monitors, stop)
     settings["limits"] = limits_of(max_points, max_seconds, progress, check.ArgumentError)

@@ -56,10 +56,10 @@ class HeldBranch(OrbitRows[Special]):
 
     Examples
     --------
-    >>> bounds = {"amplitude": (1.0, 4.0), "frequency": (2.0, 2.2)}
-    >>> held = jv.follow(orbit, ("amplitude", "frequency"), bounds, hold={"least_speed": 1.0}, max_points=10)
-    >>> held.names, held.label, len(held) <= 10
-    (('amplitude', 'frequency'), 'P111', True)
+    >>> bounds = {"amplitude": (1.5, 2.5), "frequency": (2.05, 2.15)}
+    >>> held = jv.follow(orbit, ("amplitude", "frequency"), bounds, hold={"least_speed": 1.9})
+    >>> held.names, held.label
+    (('amplitude', 'frequency'), 'P111')
     """
 
     names: tuple[str, str]
@@ -146,10 +146,10 @@ class HeldBranch(OrbitRows[Special]):
 
         Examples
         --------
-        >>> bounds = {"amplitude": (1.0, 4.0), "frequency": (2.0, 2.2)}
-        >>> held = jv.follow(orbit, ("amplitude", "frequency"), bounds, hold={"least_speed": 1.0}, max_points=10)
+        >>> bounds = {"amplitude": (1.5, 2.5), "frequency": (2.05, 2.15)}
+        >>> held = jv.follow(orbit, ("amplitude", "frequency"), bounds, hold={"least_speed": 1.9})
         >>> held.table().splitlines()[0]
-        'least_speed held at 1'
+        'least_speed held at 1.9'
         """
         column_units = {name: unit_in_system(self.scene, unit_of(name), units) for name in self.names}
         unit, factor = unit_in_system(self.scene, HELD_UNITS[self.held], units)
