@@ -30,7 +30,7 @@ def deep_starts(label, rng):
     size = 2 * MARGIN + 1
     windows = np.lib.stride_tricks.sliding_window_view(label, (size, size))[:: MARGIN // 2, :: MARGIN // 2]
     rows, columns = np.nonzero(windows.min(axis=(2, 3)) == windows.max(axis=(2, 3)))
-    chosen = rng.choice(len(rows), DEEP, replace=False)
+    chosen = rng.choice(len(rows), min(DEEP, len(rows)), replace=False)
     return rows[chosen] * (MARGIN // 2) + MARGIN, columns[chosen] * (MARGIN // 2) + MARGIN
 
 
@@ -173,7 +173,7 @@ def main(count=1001):
     }.items():
         place, apart = alone(scene, data, x[columns], v[rows])
         wrong = (place != label[rows, columns]).sum()
-        print(f"{DEEP} {name} starts run on alone: {wrong} wrong, {apart.max():.1e} from their attractor at most")
+        print(f"{len(rows)} {name} starts run on alone: {wrong} wrong, {apart.max():.1e} from their attractor at most")
     turned = jv.basins(scene, x, v, np.pi, attractors)["label"].values[::-1, ::-1]
     print(f"mirrored grid at phase pi: {(turned != data['mirror_of'].values[label]).mean():.1e} of the cells differ")
     saddles = [one for one in jv.find_orbits(scene, 1) if not one.stable]

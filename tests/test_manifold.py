@@ -9,7 +9,9 @@ from matplotlib.figure import Figure
 
 import jaxvibro as jv
 from jaxvibro import plot
+from jaxvibro.attractors.global_manifold import ManifoldLevel, ManifoldRules
 from jaxvibro.attractors.local_manifold import compute_local_manifold, iterate_map
+from jaxvibro.attractors.manifold import _assemble_branch
 from jaxvibro.compiled.compiler_hints import COMPILER_OPTIONS
 from jaxvibro.maps.inverse import strobe_backward
 
@@ -151,6 +153,21 @@ def test_pieces_keep_the_rules_and_say_why_they_end():
         assert (z[first[k + 1]] == z[first[k + 1] - 1]).all()
     arcs = [data["arc"].values[data["side"].values == side].max() for side in (-1, 1)]
     assert max(arcs) == pytest.approx(12.0, abs=0.2)
+
+
+@pytest.mark.parametrize(("position", "counts"), [(0.0, (0, 1, 0, 1)), (0.7, (1, 0, 1, 0, 1, 0)), (-1.5, (0, 1))])
+def test_one_impact_at_the_phase_breaks_a_curve_once(position, counts):
+    """At an impact at the phase of the section, rounding may make neighbours' numbers of impacts alternate."""
+    scene = jv.make_scene(**SCENE | {"walls": (position - 2.0, position)})
+    counts = np.array([*[counts[0]] * 4, *counts, *[counts[-1]] * 4])
+    x = position - np.abs(np.r_[np.linspace(0.04, 0.01, 4), np.zeros(len(counts) - 8), np.linspace(0.01, 0.04, 4)])
+    z = np.stack([x, np.where(counts == 0, 1.0, -0.7) + x - position], -1)
+    level = ManifoldLevel(np.linspace(0.0, 1.0, len(x)), z, counts, np.full(len(x), True))
+    rules = ManifoldRules(0.02, 0.1, 1e-5, 3.0, 6.0, 1.0, 1000)
+    branch = _assemble_branch(scene, 0.0, z[0], [level], "length", 1.0, rules)
+    assert list(branch["began"]) == ["saddle", "section"] and list(branch["ended"]) == ["section", "length"]
+    assert branch["z"][branch["piece"] == 0][-1] == pytest.approx([position, z[0, 1] + 0.04], abs=1e-12)
+    assert branch["z"][branch["piece"] == 1][0] == pytest.approx([position, z[-1, 1] + 0.04], abs=1e-12)
 
 
 def test_an_unstable_manifold_ends_on_attractors():

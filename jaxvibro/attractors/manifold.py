@@ -15,7 +15,7 @@ from ..output.units import LENGTH, SPEED, scales_attributes
 from ..scene import check
 from ..scene.scene import rigid_wall_positions
 from ..scene.state import State
-from .global_manifold import ManifoldRules, grow_levels, neighbour_gaps
+from .global_manifold import ManifoldLevel, ManifoldRules, grow_levels, neighbour_gaps
 from .local_manifold import compute_local_manifold, iterate_map
 
 KINDS = ("stable", "unstable")
@@ -185,6 +185,7 @@ def _assemble_branch(scene, phase, saddle, levels, end_reason, scene_size, rules
     wall_positions = [position for position in rigid_wall_positions(scene, phase) if np.isfinite(position)]
     z, valid, images, reasons = [saddle[None]], [[True]], [[0]], [[""]]
     for level_index, level in enumerate(levels):
+        level = _drop_rounding_pieces(level, wall_positions, scene_size, rules)
         indices, gap_reasons = _duplicate_corners(level, _break_reasons(level, wall_positions, scene_size, rules))
         new_indices = indices[min(level_index, 1) :]  # the first point of a level is the last of the previous one
         z.append(level.z[new_indices])
@@ -220,6 +221,18 @@ def _break_reasons(level, wall_positions, scene_size, rules):
     reasons = np.where(count_changes & (spacing_ratio <= 1.0), "grazing", "resolution")
     reasons = np.where(count_changes & at_section, "section", reasons)
     return np.where(connected, "", np.where(valid, reasons, "fast"))
+
+
+def _drop_rounding_pieces(level, wall_positions, scene_size, rules):
+    """Return the level without pieces between two impacts at the phase of the section that are one up to rounding.
+
+    The break is bracketed until neighbours are rounding errors apart; their numbers of impacts may then alternate.
+    """
+    breaks = np.flatnonzero(_break_reasons(level, wall_positions, scene_size, rules) == "section")
+    is_kept = np.ones(len(level.u), bool)
+    for first, last in zip(breaks[:-1] + 1, breaks[1:], strict=True):
+        is_kept[first : last + 1] = np.ptp(level.z[first : last + 1], axis=0).max() > SAME_POINT_DISTANCE * scene_size
+    return ManifoldLevel(*(array[is_kept] for array in level))
 
 
 def _duplicate_corners(level, reasons):
