@@ -113,7 +113,7 @@ def main(count):
     rows = state_errors(count)
     for name, errors in zip(("state over its bound", "slopes forward", "slopes reverse"), rows.T, strict=True):
         print(f"{name}: {len(errors)} scenes, largest {errors.max():.3g}, middle {np.median(errors):.3g}", flush=True)
-    errors, discarded = soft_errors(count // 10)
+    errors, discarded = soft_errors(max(1, count // 10))
     print(f"soft: {len(errors)} scenes ({discarded} discarded), largest {errors.max():.3g}")
 
 

@@ -116,7 +116,7 @@ def _inward_acceleration(coeffs, side, rate, cosine, sine):
     """Compute the acceleration into the wall of a mass at the wall, without contact force."""
     wall_position, wall_velocity, wall_acceleration = wall_jet_on_side(coeffs, side, cosine, sine, 2)
     v = side * rate if wall_velocity is None else wall_velocity + side * rate
-    acceleration, _ = flow_of(coeffs).accelerations(coeffs, wall_position + 0.0 * rate, v, cosine, sine)
+    acceleration, _ = flow_of(coeffs).acceleration_and_jerk(coeffs, wall_position + 0.0 * rate, v, cosine, sine)
     return side * subtract(acceleration, wall_acceleration)
 
 

@@ -78,7 +78,7 @@ def exit_map(coeffs, sides, is_soft, speed, contact_map, min_contact_time=None):
         coeffs, sides, contact_exit.cosine, contact_exit.sine
     )
     exit_velocity = sides * contact_exit.speed
-    acceleration_after, _ = flow_of(coeffs).accelerations(
+    acceleration_after, _ = flow_of(coeffs).acceleration_and_jerk(
         coeffs, wall_position, wall_velocity + exit_velocity, contact_exit.cosine, contact_exit.sine
     )
     exit_fields = (
