@@ -11,19 +11,20 @@ from benchmarks import harness, ours, pictures, scipy_arclength
 from benchmarks.rows import Row, Topic, spread
 from continuation import arclength
 from jaxvibro.branches.follow import polish_orbit
-from jaxvibro.compiled.compiler_hints import COMPILER_OPTIONS
-from jaxvibro.problem import diagnostics
-from jaxvibro.problem.equations import IMPACT_PROBLEM
+from jaxvibro.compiled.lane_arithmetic import COMPILER_OPTIONS
+from jaxvibro.problem import orbit_diagnostics
 from jaxvibro.problem.grazing_contact import arclength_weights
+from jaxvibro.problem.orbit_equations import IMPACT_PROBLEM
 
 LANES, STEPS, POINTS, ROUNDS = 1_000, 32, 8, 9
 LARGEST = (0.1, 0.05, 0.02, 0.01, 0.005)  # largest steps
 POINT = {0.02: 30, 0.005: 20}  # required microseconds per point, by largest step
 NOTES = (
-    "`follow` computes all of P111 from A = 2 to 6 at the values of figure 4. The time includes multipliers, all "
-    "monitors and special points, and is divided by the number of points; warm, everything compiled, processor "
-    f"time. SciPy: DOP853 at 1e-9, central differences, pseudo-arclength, {POINTS} points, each timed in turn with "
-    "jaxvibro at the smallest steps.",
+    "`follow` computes the branch of P111 from A = 2 to 6 at the values of figure 4. The processor time of a warm "
+    "call, with everything compiled, is divided by the number of points. The time includes multipliers, all monitors "
+    "and special points.",
+    f"SciPy: pseudo-arclength continuation of {POINTS} points with DOP853 at tolerance 1e-9 and central differences. "
+    "Its runs alternate with runs of jaxvibro at the smallest steps.",
 )
 
 
@@ -83,8 +84,8 @@ def many(orbit, lanes, rounds):
     start = arclength.TrackState(zs, tangents, np.full(lanes, 0.05), np.zeros(lanes, np.int32))
 
     def one(place, along):
-        _, points = arclength.track(IMPACT_PROBLEM.function, IMPACT_PROBLEM.solve, place, control, along, STEPS)
-        return points.accepted, jax.vmap(lambda z: diagnostics.impact_diagnostics(along, z, 1))(points.z)
+        _, points = arclength.track_branch(IMPACT_PROBLEM.function, IMPACT_PROBLEM.solve, place, control, along, STEPS)
+        return points.accepted, jax.vmap(lambda z: orbit_diagnostics.impact_diagnostics(along, z, 1))(points.z)
 
     call = jax.jit(jax.vmap(one, in_axes=(0, None)), compiler_options=COMPILER_OPTIONS)
     jax.block_until_ready(call(start, along))

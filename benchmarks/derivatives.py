@@ -15,9 +15,9 @@ OTHERS = ("restitution", "damping", "frequency")  # besides x, v and A
 OVER, COMPILING = "relative to the strobe", "seconds for tracing and compilation"
 NOTES = (
     f"{STATES:,} random states like those of figure 4, without recorded impacts. Each derivative runs under vmap and "
-    "jit, in turn with the strobe, which is called from the host before and after it. 2x2: x and v with respect to "
-    "x and v; 2x6: also with respect to A, R, gamma and omega. The gradient is that of x + 0.3 v with respect to x, "
-    "v and A in reverse mode; the Hessian is that of x with respect to x, v, A and R.",
+    "jit and is timed between two calls of the strobe from the host.",
+    "2x2: derivatives of x and v with respect to x and v. 2x6: also with respect to A, R, gamma and omega. Gradient: "
+    "of x + 0.3 v with respect to x, v and A, in reverse mode. Hessian: of x with respect to x, v, A and R.",
 )
 
 

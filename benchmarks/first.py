@@ -23,11 +23,11 @@ ASKED = {
     "soft": (("soft walls: branch table", 8, None), ("soft walls: locus", 15, None)),
 }
 NOTES = (
-    "Processor time of separate processes after `import jax`, including the import of jaxvibro. The README lines are "
-    "cumulative, in this order. `find_attractors` has one process, the lines between soft walls (k2 = 400, gamma2 = 2) "
-    "another. Python's own compiled files exist.",
-    "The cache that is filled is that of jax, in a new folder; the additional cost is writing. The filled cache is the "
-    "one that `jaxvibro warm` creates. Lines that `warm` does not cover were run once before.",
+    "Processor time of a process after `import jax`, including the import of jaxvibro. Python's bytecode files exist.",
+    "The README lines run in one process, in this order, and their times are cumulative. `find_attractors` has a "
+    "separate process, and so have the lines between soft walls (k2 = 400, gamma2 = 2).",
+    "Runs that fill a cache use the compile cache of jax in a new folder; writing it takes the additional time. The "
+    "filled cache is the one that `jaxvibro warm` creates. Lines that `warm` does not cover were run once before.",
 )
 
 

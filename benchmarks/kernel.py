@@ -76,11 +76,12 @@ ASKED = {  # each row, its work, and that of ours that it is measured against in
     Row("batches of 1,000,000, no impacts recorded", YARD, 4): (Work(10**6), None),
 }
 NOTES = (
-    "The hand-written kernel records no impacts and supports two fixed walls only. Each row is timed in turn with its "
-    "reference, before and after it, on calls from the host; warm, in processor time. Moving walls have the amplitude "
-    "0.1 and the period of the drive.",
-    "One state is that of the README, in wall-clock time. In jit, x and v are arguments; the scene is a constant, "
-    "or an argument too.",
+    "The hand-written kernel records no impacts and supports two fixed walls only. Moving walls have the "
+    "amplitude 0.1 and the period of the drive.",
+    "The times are processor times of warm calls from the host. Each row is timed between two measurements of its "
+    "reference.",
+    "The rows with one state use the state of the README and wall-clock time. In jit, x and v are arguments, and the "
+    "scene is a constant or an argument.",
 )
 
 

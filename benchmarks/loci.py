@@ -10,9 +10,9 @@ ROUNDS, STEP = 7, 0.005
 ASKED = {"SN": 60, "PD": 150, "SB": 150, "GR": 40}  # largest microseconds per point
 BOUNDS = {"amplitude": (0.0, 12.0), "frequency": (1.2, 3.0)}
 NOTES = (
-    f"The time of `locus` at steps of {STEP}, at the values of figure 4, A from 0 to 12 and omega from 1.2 to 3, "
-    "includes points of codimension two and ends, and is divided by the number of points; warm, everything compiled, "
-    "processor time.",
+    f"`locus` runs with steps of {STEP} at the values of figure 4, for A from 0 to 12 and omega from 1.2 to 3. The "
+    "processor time of a warm call, with everything compiled, is divided by the number of points. The time includes "
+    "points of codimension two and ends.",
 )
 
 

@@ -70,7 +70,10 @@ def main(directory, quick, out, only):
     found = list(topics(yardstick, Size(quick), only))
     about = (*machine.describe(), f"Hand-written kernel: {line}", *([SMALL] if quick else []))
     if only:
-        found = [topic._replace(notes=(*topic.notes, "Measured separately.", *about[:3])) for topic in found]
+        found = [
+            topic._replace(notes=(*topic.notes, "This part was measured in a separate run:", *about[:3]))
+            for topic in found
+        ]
     else:
         found = [Topic("machine", [], notes=about), *found]
     for topic in found:

@@ -8,14 +8,15 @@ import numpy as np
 import jaxvibro
 from benchmarks import harness, ours, pictures
 from benchmarks.rows import Row, Topic, spread
-from jaxvibro.compiled.kernels import call_as_kernel
+from jaxvibro.compiled.kernel_calls import call_as_kernel
 from jaxvibro.orbits import impact_equations
 from jaxvibro.orbits.orbit_from_impacts import padded_sequence
 
 MANY, REPEATS, ROUNDS = 10_000, 501, 7
 NOTES = (
-    "P111 at A = 2 of figure 4, from impact times that are off by about 0.01. `find_orbit` starts from the state of "
-    "the orbit and includes all checks. One orbit is timed in wall-clock time, many orbits in processor time.",
+    "The orbit is P111 at A = 2 of figure 4. Newton's method starts from impact times that are wrong by 0.01; "
+    "`find_orbit` starts from the state of the orbit and includes all checks.",
+    "One orbit is timed in wall-clock time, many orbits in processor time.",
 )
 
 

@@ -74,15 +74,15 @@ def rows(judged):
 def notes(rounds, judged):
     """Return the notes to the table."""
     return (
-        f"One core. Every row is timed in turn with jaxvibro at tolerance 1e-13, {rounds} rounds; medians and "
-        "quartiles of the processor time. Compilation is excluded; the first call includes it. jaxvibro records no "
-        "impacts, the other methods record the itinerary.",
+        f"One core; medians and quartiles of the processor time over {rounds} rounds. The runs of each row "
+        "alternate with runs of jaxvibro at tolerance 1e-13. Only the time of the first call includes compilation.",
+        "jaxvibro records no impacts; the other methods record the itinerary.",
         f"{BY_SOLVER}: steps of diffrax with the event detection of jaxvibro, as for a force without a Taylor series.",
-        "At equal error: the cheapest setting of jaxvibro whose median error is not larger. For each other method the "
-        "row shows the setting that comes closest to jaxvibro.",
+        "At equal median error: the reference is the cheapest setting of jaxvibro whose median error is not larger. "
+        "For each other method the row shows the setting with the smallest ratio.",
         f"Errors are measured against hand-coded Taylor series in 30 digits on {judged.sum():,} of the first "
-        f"{judged.size:,} states, or as many as a method receives. Excluded are states with an impact slower than "
-        "1e-2, or with a turning point or an end within 1e-8 of a wall.",
+        f"{judged.size:,} states, or on as many as a method receives. The other states have an impact slower "
+        "than 1e-2, or a turning point or an end within 1e-8 of a wall.",
         "Wrong itineraries are counted and excluded from the errors. If a method records no itinerary, an end state "
         f"off by more than {FAR:g} counts as wrong.",
     )

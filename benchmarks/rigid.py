@@ -66,14 +66,14 @@ def cells(side, timing, verdict):
 def notes(rounds, judged):
     """Return the notes to the table."""
     return (
-        "One core. Every other method is timed in turn with jaxvibro without recorded impacts, "
-        f"{rounds} rounds; medians and quartiles of the processor time. Compilation is excluded; the first call "
-        "includes it.",
-        f"The other methods record the itinerary (sides, times) of up to {CAP} impacts, as jaxvibro does in its last "
-        f"row. In the picture, jaxvibro appears with 0, 4 and {CAP} recorded impacts from left to right.",
+        f"One core; medians and quartiles of the processor time over {rounds} rounds. The runs of every other method "
+        "alternate with runs of jaxvibro without recorded impacts. Only the time of the first call includes "
+        "compilation.",
+        f"The other methods record the itinerary (walls and times) of up to {CAP} impacts, as jaxvibro does in its "
+        f"last row. In the picture, jaxvibro appears with 0, 4 and {CAP} recorded impacts from left to right.",
         f"Errors are measured against ball arithmetic on {judged.sum():,} of the first {judged.size:,} states. "
-        "Excluded are states with an impact slower than 1e-2 (all chatter), a turning point within 1e-8 of a wall, or "
-        "an impact within 1e-9 of the end.",
+        "The other states have an impact slower than 1e-2 (as in every chatter), a turning point within 1e-8 of a "
+        "wall, or an impact within 1e-9 of the end.",
         "Wrong itineraries are counted and excluded from the errors. If a method records no itinerary, an end state "
         f"off by more than {truth.FAR:g} counts as wrong.",
     )

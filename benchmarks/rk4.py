@@ -3,7 +3,7 @@
 from benchmarks.work import CAP, GAMMA, OMEGA, RESTITUTION, Strobes
 from jaxvibro.reproduction import fixed_step
 
-DRIVE = fixed_step.DriveParameters(OMEGA, GAMMA, RESTITUTION)
+DRIVE = fixed_step.OscillatorParameters(OMEGA, GAMMA, RESTITUTION)
 
 
 def strobe(states, steps=400):

@@ -40,10 +40,12 @@ KINDS = [
 WALLS = ("no walls", "one wall", "two walls")
 HEAD = ("scene", *(f"ns per map: {name}" for name in ASKED), "compile time (s), no impacts recorded")
 NOTES = (
-    f"{STATES:,} random states like those of figure 4, between moving walls from 0.8 of the gap; one core, medians and "
-    "quartiles, warm. Moving walls have the amplitude 0.1 and the period of the drive. Soft walls have k2 = 1e4 and "
-    "the effective restitution 0.7.",
-    "Compile time: processor time of the first strobe of a fresh process, minus that of a warm one; no compile cache.",
+    f"One core; medians and quartiles of warm calls with {STATES:,} random states like those of figure 4. Between "
+    "moving walls the initial positions lie in the middle 0.8 of the gap.",
+    "Moving walls have the amplitude 0.1 and the period of the drive. Soft walls have k2 = 1e4 and the effective "
+    "restitution 0.7.",
+    "Compile time: processor time of the first strobe of a fresh process without a compile cache, minus that of a "
+    "warm strobe.",
 )
 
 

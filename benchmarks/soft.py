@@ -85,17 +85,18 @@ def notes(rounds, panels):
     """Return the notes to the table."""
     judged = ", ".join(f"{rows[0][2].judged:,}" for rows in panels.values())
     return (
-        f"gamma2 = z sqrt(1 + k2) with z = {SHARE:.4f}, for an effective restitution of {RESTITUTION}. Every other "
-        f"method is timed in turn with jaxvibro, {rounds} rounds on one core; medians and quartiles of the processor "
-        f"time, without compilation. jaxvibro maps {sides.BESIDE:,} states in this comparison, and "
-        f"{soft_rigid.STATES:,} in that with the rigid strobe. All methods receive the first states of the same "
-        "sample.",
-        f"Errors of x and x', not scaled, are measured against ball arithmetic on the first {JUDGED:,} states, or as "
-        f"many as a method receives. Evaluated are {judged} of them; the others have an entry slower than 1e-2.",
-        "Wrong: a different itinerary (sides of the entries in order), or no end state because the integrator gave "
-        f"up or had {CAP} entries. The second number counts those without an end state, evaluated or not. "
-        f"{sides.PLAIN} reports no itinerary; there an end state off by more than {FAR:g} is wrong. Wrong results "
-        "are excluded from the errors.",
+        f"gamma2 = z sqrt(1 + k2) with z = {SHARE:.4f}, for an effective restitution of {RESTITUTION}.",
+        f"One core; medians and quartiles of the processor time over {rounds} rounds, without compilation. The runs "
+        "of every other method alternate with runs of jaxvibro.",
+        f"jaxvibro maps {sides.BESIDE:,} states in this comparison and {soft_rigid.STATES:,} in the comparison with "
+        "the rigid strobe. All methods receive the first states of the same sample.",
+        f"Absolute errors of x and x' are measured against ball arithmetic on the first {JUDGED:,} states, or on as "
+        f"many as a method receives. In the order of the stiffnesses, {judged} states are evaluated; the "
+        "other states have an entry slower than 1e-2.",
+        "Wrong: a different itinerary (walls of the entries in order), or no end state because the integrator gave "
+        f"up or had {CAP} entries. {sides.PLAIN} reports no itinerary; it is wrong if its end state is off by more "
+        f"than {FAR:g}. Wrong results are excluded from the errors.",
+        "Unfinished: all results without an end state, evaluated or not.",
     )
 
 

@@ -1,7 +1,8 @@
 """Take many pseudo-arclength steps along a branch of F(z) = 0 in one compiled call.
 
-z = (u, p) consists of n unknowns and the parameter; F has n equations. A step predicts along the tangent and corrects
-in the plane perpendicular to it. Lengths are weighted: the length of dz is the norm of ``scale*dz``.
+z = (u, p) consists of n unknowns and the parameter; F has n equations. A step predicts a point along the tangent and
+corrects it in the hyperplane perpendicular to the tangent. Lengths are weighted: the length of dz is the norm of
+``scale*dz``.
 """
 
 from typing import NamedTuple
@@ -62,7 +63,7 @@ class TrackState(NamedTuple):
     z : array_like
         Last point. Array of shape (n + 1,).
     tangent : array_like
-        Unit tangent there. Array of shape (n + 1,).
+        Unit tangent at z. Array of shape (n + 1,).
     step : float
         Length of the next step.
     status : int
@@ -87,13 +88,15 @@ class Point(NamedTuple):
     step : ndarray
         Step length from the previous point.
     residual : ndarray
-        Largest entry of F before the last Newton step.
+        Largest magnitude of the entries of F before the last Newton step.
     determinant : ndarray
-        Determinant of dF/dz bordered by the previous tangent as the last row.
+        Determinant of dF/dz with the additional last row ``scale**2`` times the previous tangent, before the last
+        Newton step.
     converged : ndarray
         True if Newton's method converged.
     accepted : ndarray
-        True if the step was taken: it converged and did not turn or deviate too far.
+        True if the step is accepted: Newton's method converged, and the turn of the tangent and the correction are
+        within their limits.
     """
 
     z: Float[Array, "*points unknowns"]
@@ -106,7 +109,7 @@ class Point(NamedTuple):
 
 
 def solve_bordered(jacobian, last_row, rhs):
-    """Solve a linear system of an n by n + 1 matrix and one additional row.
+    """Solve a linear system whose matrix consists of an n by n + 1 matrix and one additional row.
 
     Parameters
     ----------
@@ -130,120 +133,133 @@ def normalise_tangent(tangent, scale):
     return tangent / jnp.linalg.norm(scale * tangent)
 
 
-def correct_step(function, solve, state, step, control, args, allow_far=False):
+def correct_step(
+    residual_and_jacobian, solve_bordered_system, state, step, control, constants, ignore_max_distance=False
+):
     """Compute the point of the branch one step away along the tangent.
 
-    `function` maps (z, args) to (F, derivative); `solve` has the signature of `solve_bordered`. Returns the `Point`,
-    the cosine of the angle between the old and the new tangent, and the length of the correction.
+    `residual_and_jacobian` maps (z, constants) to (F, derivative); `solve_bordered_system` has the signature of
+    `solve_bordered`. Returns the `Point`, the cosine of the angle between the old and the new tangent, and the length
+    of the correction. `ignore_max_distance` removes the limit of the distance between the point and the guess.
     """
     tangent_row = control.scale * control.scale * state.tangent
     guess = state.z + step * state.tangent
     tangent_rhs = jnp.zeros_like(guess).at[-1].set(1.0)
 
     # A step beyond this distance would be rejected, and an evaluation there may take very long.
-    max_distance = jnp.where(allow_far | (step == 0), jnp.inf, DISTANCE_FACTOR * abs(step) + DISTANCE_OFFSET)
+    max_distance = jnp.where(ignore_max_distance | (step == 0), jnp.inf, DISTANCE_FACTOR * abs(step) + DISTANCE_OFFSET)
 
     def is_unfinished(carry):
-        _, _, change, _, _, n_steps = carry
-        return (change > control.tolerance) & (n_steps < MAX_NEWTON_STEPS)
+        _, _, change_length, _, _, n_steps = carry
+        return (change_length > control.tolerance) & (n_steps < MAX_NEWTON_STEPS)
 
     def newton_step(carry):
         z, _, _, _, _, n_steps = carry
-        residual_vector, jacobian = function(z, args)
+        residual_vector, jacobian = residual_and_jacobian(z, constants)
         extended_residual = jnp.concatenate([residual_vector, jnp.sum(tangent_row * (z - guess))[None]])
-        solution = solve(jacobian, tangent_row, jnp.stack([extended_residual, tangent_rhs], 1))
-        change, tangent = solution.x[:, 0], solution.x[:, 1]
-        change_length = jnp.linalg.norm(control.scale * change)
-        z = z - change
-        is_near = jnp.isfinite(change_length) & (jnp.linalg.norm(control.scale * (z - guess)) <= max_distance)
+        solution = solve_bordered_system(jacobian, tangent_row, jnp.stack([extended_residual, tangent_rhs], 1))
+        minus_change, tangent = solution.x[:, 0], solution.x[:, 1]
+        change_length = jnp.linalg.norm(control.scale * minus_change)
+        z = z - minus_change
+        is_within_distance = jnp.isfinite(change_length) & (
+            jnp.linalg.norm(control.scale * (z - guess)) <= max_distance
+        )
         change_length, n_steps = (
-            jnp.where(is_near, change_length, jnp.inf),
-            jnp.where(is_near, n_steps + 1, MAX_NEWTON_STEPS),
+            jnp.where(is_within_distance, change_length, jnp.inf),
+            jnp.where(is_within_distance, n_steps + 1, MAX_NEWTON_STEPS),
         )
         return z, tangent, change_length, jnp.max(abs(residual_vector)), solution.determinant, n_steps
 
     zero = jnp.zeros_like(step)
-    initial = (guess, state.tangent, zero + jnp.inf, zero, zero, 0)
-    z, tangent, change, residual, determinant, _ = lax.while_loop(is_unfinished, newton_step, initial)
-    at_roundoff = residual <= ROUNDOFF_FACTOR * jnp.finfo(z.dtype).eps * (1.0 + jnp.max(abs(z)))
-    converged = (change <= control.tolerance) | (at_roundoff & (change <= LOOSE_TOLERANCE))
+    initial_carry = (guess, state.tangent, zero + jnp.inf, zero, zero, 0)
+    z, tangent, change_length, residual, determinant, _ = lax.while_loop(is_unfinished, newton_step, initial_carry)
+    is_residual_roundoff = residual <= ROUNDOFF_FACTOR * jnp.finfo(z.dtype).eps * (1.0 + jnp.max(abs(z)))
+    converged = (change_length <= control.tolerance) | (is_residual_roundoff & (change_length <= LOOSE_TOLERANCE))
     point = Point(z, normalise_tangent(tangent, control.scale), step, residual, determinant, converged, converged)
     return point, jnp.sum(tangent_row * point.tangent), jnp.linalg.norm(control.scale * (z - guess))
 
 
-def track(function, solve, state, control, args, capacity, max_steps=None):
-    """Attempt up to `capacity` steps along a branch.
+def track_branch(residual_and_jacobian, solve_bordered_system, state, control, constants, max_rows, max_steps=None):
+    """Attempt up to `max_rows` steps along a branch.
 
     Parameters
     ----------
-    function : callable
+    residual_and_jacobian : callable
         Function of (z, args) that returns F and its derivative.
-    solve : callable
+    solve_bordered_system : callable
         Solver of bordered systems, as `solve_bordered`.
     state : TrackState
         State to start from.
     control : StepControl
         Step sizes, tolerance and bounds.
-    args : Any
-        Further argument of `function`.
-    capacity : int
+    constants : Any
+        Further argument of `residual_and_jacobian`.
+    max_rows : int
         Number of rows of the result.
     max_steps : int, optional
-        Number of attempted steps, if less than `capacity`.
+        Largest number of attempted steps. None stands for `max_rows`. If it is 1, the distance between the point and
+        its guess is not limited.
 
     Returns
     -------
     state : TrackState
         Final state.
     points : Point
-        One row per attempted step; rows after the end are blank.
+        One row per attempted step, followed by rows of zeros.
     """
-    max_steps = capacity if max_steps is None else max_steps
+    max_steps = max_rows if max_steps is None else max_steps
 
     def attempt_step(state):
         is_running = state.status == RUNNING  # under vmap one lane may end before the others
         step = jnp.where(is_running, state.step, 0.0)
-        point, cosine, correction_length = correct_step(
-            function, solve, state, step, control, args, allow_far=jnp.equal(max_steps, 1)
+        point, tangent_cosine, correction_length = correct_step(
+            residual_and_jacobian,
+            solve_bordered_system,
+            state,
+            step,
+            control,
+            constants,
+            ignore_max_distance=jnp.equal(max_steps, 1),
         )
-        angle = jnp.sqrt(jnp.maximum(2.0 * (1.0 - cosine), 0.0))  # nan where the tangent is not finite
-        is_acceptable = point.converged & (angle < MAX_ANGLE) & (correction_length < MAX_DEVIATION * abs(step))
+        tangent_angle = jnp.sqrt(jnp.maximum(2.0 * (1.0 - tangent_cosine), 0.0))  # nan where the tangent is not finite
+        is_acceptable = point.converged & (tangent_angle < MAX_ANGLE) & (correction_length < MAX_DEVIATION * abs(step))
         accepted = is_running & is_acceptable
-        step_factor = jnp.where(
+        step_growth = jnp.where(
             is_acceptable,
-            jnp.minimum(jnp.maximum(TARGET_ANGLE / angle, MIN_STEP_GROWTH), MAX_STEP_GROWTH),
+            jnp.minimum(jnp.maximum(TARGET_ANGLE / tangent_angle, MIN_STEP_GROWTH), MAX_STEP_GROWTH),
             MIN_STEP_GROWTH,
         )
-        next_step = jnp.minimum(state.step * step_factor, control.max_step)
+        next_step_length = jnp.minimum(state.step * step_growth, control.max_step)
         is_out_of_bounds = (point.z[-1] < control.lower) | (point.z[-1] > control.upper)
         failure_status = jnp.where(jnp.isfinite(point.residual), UNDERFLOW, NONFINITE)
         status = jnp.where(
-            accepted & is_out_of_bounds, OUTSIDE, jnp.where(next_step < control.min_step, failure_status, RUNNING)
+            accepted & is_out_of_bounds,
+            OUTSIDE,
+            jnp.where(next_step_length < control.min_step, failure_status, RUNNING),
         )
         status = jnp.where(is_running, status, state.status)
         next_state = TrackState(
             jnp.where(accepted, point.z, state.z),
             jnp.where(accepted, point.tangent, state.tangent),
-            jnp.where(is_running, next_step, state.step),
+            jnp.where(is_running, next_step_length, state.step),
             status,
         )
         return next_state, point._replace(accepted=accepted)
 
-    def advance(carry):
-        k, state, points = carry
+    def attempt_and_store(carry):
+        row, state, points = carry
         state, point = attempt_step(state)
         updated_fields = [
-            lax.dynamic_update_index_in_dim(*array_and_entry, k, 0)
-            for array_and_entry in zip(points, point, strict=True)
+            lax.dynamic_update_index_in_dim(*array_and_row, row, 0) for array_and_row in zip(points, point, strict=True)
         ]
-        return k + 1, state, Point(*updated_fields)
+        return row + 1, state, Point(*updated_fields)
 
     def is_unfinished(carry):
-        k, state, _ = carry
-        return (k < max_steps) & (state.status == RUNNING)
+        row, state, _ = carry
+        return (row < max_steps) & (state.status == RUNNING)
 
-    blank_vectors, blank_scalars = (jnp.zeros((capacity, *shape), state.z.dtype) for shape in (state.z.shape, ()))
+    blank_vectors, blank_scalars = (jnp.zeros((max_rows, *shape), state.z.dtype) for shape in (state.z.shape, ()))
     blank_points = Point(
         blank_vectors, blank_vectors, blank_scalars, blank_scalars, blank_scalars, blank_scalars > 0, blank_scalars > 0
     )
-    return lax.while_loop(is_unfinished, advance, (0, state, blank_points))[1:]
+    return lax.while_loop(is_unfinished, attempt_and_store, (0, state, blank_points))[1:]

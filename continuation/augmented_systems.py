@@ -1,9 +1,9 @@
-"""Locate special points to rounding by Newton's method on minimally augmented systems.
+"""Locate special points to rounding accuracy by Newton's method on minimally augmented systems.
 
-If a matrix A is singular, the g of ``(A, b; c, 0) (v; g) = (0; 1)`` is zero, for any b and c that make the bordered
-matrix regular. Its gradient is ``-w (A') v``, with (w, g) from the transposed system (Govaerts, Numerical Methods for
-Bifurcations of Dynamical Equilibria, 3.3). A branch has few special points, so the linear algebra uses NumPy, gradients
-use finite differences, and only the functions of the problem are compiled.
+Let (v, g) solve ``(A, b; c, 0) (v; g) = (0; 1)``, with vectors b and c that make the bordered matrix regular. g is zero
+where the matrix A is singular. The gradient of g is ``-w (A') v``, where (w, g) solves the transposed system (Govaerts,
+Numerical Methods for Bifurcations of Dynamical Equilibria, 3.3). A branch has few special points. Linear algebra
+therefore uses NumPy, gradients use finite differences, and only the functions of the problem are compiled.
 """
 
 from typing import NamedTuple
@@ -22,27 +22,27 @@ JACOBIAN_BATCH = 8  # number of points at which one call computes derivatives
 STEP_TOLERANCE = 1e-9  # Newton step, relative to 1 + abs(z), after which the next step leaves only rounding errors
 
 
-class PointSolution(NamedTuple):
+class RootAndResidual(NamedTuple):
     """Result of locating a special point.
 
     Attributes
     ----------
     z : ndarray or None
-        The point; None if Newton's method does not converge.
+        The point; None if Newton's method does not converge or the root is not valid.
     residual : float
-        Largest residual of its equations.
+        Largest magnitude of the residuals before the last Newton step; nan if `z` is None.
     """
 
     z: Float[np.ndarray, " unknowns"] | None
     residual: float
 
 
-def _evaluate_uncompiled(problem, z, args):
-    return problem.dense_function(z, args)
+def _evaluate_uncompiled(problem, z, constants):
+    return problem.dense_function(z, constants)
 
 
 @persistent_jit(static_argnums=0, compiler_options=FAST_COMPILE, numpy_first=_evaluate_uncompiled)
-def evaluate(problem, z, args):
+def evaluate_problem(problem, z, constants):
     """Evaluate a problem.
 
     Parameters
@@ -51,59 +51,61 @@ def evaluate(problem, z, args):
         The problem.
     z : array_like
         Point of shape (n + 1,).
-    args : Any
-        Further argument of its functions.
+    constants : Any
+        Further argument of the functions of the problem.
 
     Returns
     -------
     tuple
         F and dF/dz.
     """
-    return problem.runner(problem.dense_function, z, args)
+    return problem.runner(problem.dense_function, z, constants)
 
 
-def jacobian_at(problem, z, args):
+def jacobian_at(problem, z, constants):
     """Compute dF/dz of a problem as a NumPy array."""
-    return np.asarray(evaluate(problem, z, args)[1])
+    return np.asarray(evaluate_problem(problem, z, constants)[1])
 
 
 @persistent_jit(static_argnums=0, compiler_options=FAST_COMPILE, numpy_first=True)
-def _compute_jacobians(problem, zs, n_points, args):
-    return problem.runner(_loop_jacobians, zs, n_points, args, problem=problem)
+def _compute_jacobians(problem, zs, n_points, constants):
+    return problem.runner(_loop_jacobians, zs, n_points, constants, problem=problem)
 
 
-def _loop_jacobians(zs, n_points, args, problem):
+def _loop_jacobians(zs, n_points, constants, problem):
     """Compute dF/dz at the first `n_points` points."""
 
     def store_jacobian(index, jacobians):
-        jacobian = problem.dense_function(lax.dynamic_index_in_dim(zs, index, keepdims=False), args)[1]
+        jacobian = problem.dense_function(lax.dynamic_index_in_dim(zs, index, keepdims=False), constants)[1]
         return lax.dynamic_update_index_in_dim(jacobians, jacobian, index, 0)
 
     shape = len(zs), zs.shape[1] - 1, zs.shape[1]
     return lax.fori_loop(0, n_points, store_jacobian, jnp.zeros(shape, zs.dtype))
 
 
-def bilinear_gradients(problem, z, args, left_vector, right_vectors):
+def bilinear_gradients(problem, z, constants, left_vector, right_vectors):
     """Compute the gradients of ``left_vector @ F'(z) @ right`` for one or two right vectors.
 
-    They equal the derivatives of ``left_vector @ F'`` in the direction of `right`, because second derivatives commute.
-    Differences over four points each approximate them, all in one call.
+    Each gradient equals the derivative of ``left_vector @ F'`` in the direction of a right vector, because second
+    derivatives commute. Four-point differences approximate the derivatives. One call evaluates all points.
     """
-    steps = [FOUR_POINT_STEP * (1.0 + abs(z).max()) / abs(right).max() for right in right_vectors]
-    offsets = [
-        multiple * step * right
-        for step, right in zip(steps, right_vectors, strict=True)
-        for multiple in (1.0, -1.0, 2.0, -2.0)
+    difference_steps = [
+        FOUR_POINT_STEP * (1.0 + abs(z).max()) / abs(right_vector).max() for right_vector in right_vectors
     ]
-    projections = left_vector @ jacobians_at(problem, z + np.stack(offsets), args)
-    samples = zip(steps, projections.reshape(-1, 4, len(z)), strict=True)
+    z_offsets = [
+        step_multiple * difference_step * right_vector
+        for difference_step, right_vector in zip(difference_steps, right_vectors, strict=True)
+        for step_multiple in (1.0, -1.0, 2.0, -2.0)
+    ]
+    projected_jacobians = left_vector @ jacobians_at(problem, z + np.stack(z_offsets), constants)
+    steps_and_samples = zip(difference_steps, projected_jacobians.reshape(-1, 4, len(z)), strict=True)
     return [
-        (8.0 * (plus - minus) - (double_plus - double_minus)) / (12.0 * step)
-        for step, (plus, minus, double_plus, double_minus) in samples
+        (8.0 * (sample_plus - sample_minus) - (sample_double_plus - sample_double_minus)) / (12.0 * difference_step)
+        for difference_step, (sample_plus, sample_minus, sample_double_plus, sample_double_minus) in steps_and_samples
     ]
 
 
-def jacobians_at(problem, zs, args):
+def jacobians_at(problem, zs, constants):
     """Compute dF/dz at up to `JACOBIAN_BATCH` points in one call.
 
     Parameters
@@ -112,8 +114,8 @@ def jacobians_at(problem, zs, args):
         The problem.
     zs : array_like
         Points of shape (points, n + 1).
-    args : Any
-        Further argument of its functions.
+    constants : Any
+        Further argument of the functions of the problem.
 
     Returns
     -------
@@ -121,11 +123,11 @@ def jacobians_at(problem, zs, args):
         Derivatives of shape (points, n, n + 1).
     """
     zs = np.asarray(zs)
-    padded = np.concatenate([zs, np.repeat(zs[-1:], JACOBIAN_BATCH - len(zs), axis=0)])
-    return np.asarray(_compute_jacobians(problem, padded, np.int32(len(zs)), args))[: len(zs)]
+    padded_zs = np.concatenate([zs, np.repeat(zs[-1:], JACOBIAN_BATCH - len(zs), axis=0)])
+    return np.asarray(_compute_jacobians(problem, padded_zs, np.int32(len(zs)), constants))[: len(zs)]
 
 
-def central_differences(function, z, indices=None):
+def two_point_derivative(function, z, entry_indices=None):
     """Differentiate a function of z by central differences.
 
     Parameters
@@ -134,53 +136,57 @@ def central_differences(function, z, indices=None):
         Function of z that returns a number or an array.
     z : ndarray
         Point of shape (n,).
-    indices : sequence of int, optional
+    entry_indices : sequence of int, optional
         Indices of the entries of z on which the function depends. None stands for all.
 
     Returns
     -------
     ndarray
-        Derivative of shape (..., n), accurate to about nine digits. Newton's method still reaches rounding, with one
-        additional step.
+        Derivative of shape (..., n), accurate to about nine digits. With this derivative, Newton's method needs one
+        additional step to reach rounding accuracy.
     """
-    indices = range(len(z)) if indices is None else indices
+    entry_indices = range(len(z)) if entry_indices is None else entry_indices
 
     def partial_derivative(index):
         step = np.zeros(len(z))
         step[index] = DIFFERENCE_STEP * (1.0 + abs(z[index]))
         return (function(z + step) - function(z - step)) / (2.0 * step[index])
 
-    partials = [partial_derivative(index) for index in indices]
-    derivative = np.zeros((*np.shape(partials[0]), len(z)))
-    derivative[..., list(indices)] = np.stack(partials, axis=-1)
-    return derivative
+    partial_derivatives = [partial_derivative(index) for index in entry_indices]
+    full_derivative = np.zeros((*np.shape(partial_derivatives[0]), len(z)))
+    full_derivative[..., list(entry_indices)] = np.stack(partial_derivatives, axis=-1)
+    return full_derivative
 
 
-def _map_test_matrix_direct(problem, test, zs, args):
-    return _map_test_matrix(zs, args, test)
+def _test_matrices_on_host(problem, test_function, zs, constants):
+    return _evaluate_test_matrices(zs, constants, test_function)
 
 
-@persistent_jit(static_argnums=(0, 1), compiler_options=FAST_COMPILE, numpy_first=_map_test_matrix_direct)
-def _compute_test_matrices(problem, test, zs, args):
-    return problem.runner(_map_test_matrix, zs, args, test=test)
+@persistent_jit(static_argnums=(0, 1), compiler_options=FAST_COMPILE, numpy_first=_test_matrices_on_host)
+def _compute_test_matrices(problem, test_function, zs, constants):
+    return problem.runner(_evaluate_test_matrices, zs, constants, test_function=test_function)
 
 
-def _map_test_matrix(zs, args, test):
-    return lax.map(lambda z: test.matrix(z, args), zs)
+def _evaluate_test_matrices(zs, constants, test_function):
+    return lax.map(lambda z: test_function.matrix(z, constants), zs)
 
 
-def matrix_and_derivative(problem, test, z, args):
-    """Compute the matrix of a `TestFunction` and its z-derivative, shape (..., len(z)), by central differences."""
-    steps = np.diag(DIFFERENCE_STEP * (1.0 + abs(z)))
-    samples = np.asarray(_compute_test_matrices(problem, test, np.concatenate([z[None], z + steps, z - steps]), args))
-    n_unknowns = len(z)
-    return samples[0], np.moveaxis(samples[1 : n_unknowns + 1] - samples[n_unknowns + 1 :], 0, -1) / (
-        2.0 * np.diag(steps)
+def matrix_and_derivative(problem, test_function, z, constants):
+    """Compute the matrix of a `TestFunction` and, by central differences, its derivative of shape (..., len(z))."""
+    difference_steps = np.diag(DIFFERENCE_STEP * (1.0 + abs(z)))
+    matrix_samples = np.asarray(
+        _compute_test_matrices(
+            problem, test_function, np.concatenate([z[None], z + difference_steps, z - difference_steps]), constants
+        )
+    )
+    z_size = len(z)
+    return matrix_samples[0], np.moveaxis(matrix_samples[1 : z_size + 1] - matrix_samples[z_size + 1 :], 0, -1) / (
+        2.0 * np.diag(difference_steps)
     )
 
 
-def locate_fold(problem, z, args, max_distance=np.inf):
-    """Locate the fold near a point, where the branch turns back in the parameter.
+def locate_fold(problem, z, constants, max_distance=np.inf):
+    """Locate the fold near a point. At a fold the branch turns back in the parameter.
 
     Parameters
     ----------
@@ -188,28 +194,32 @@ def locate_fold(problem, z, args, max_distance=np.inf):
         The problem.
     z : ndarray
         Approximate fold.
-    args : Any
-        Further argument of its functions.
+    constants : Any
+        Further argument of the functions of the problem.
     max_distance : float or array_like, optional
         Largest distance of each unknown from `z`.
 
     Returns
     -------
-    PointSolution
+    RootAndResidual
         The fold.
     """
 
-    def system(z):
-        residual, jacobian = _evaluate_numpy(problem, z, args)
-        left_null, bordered_value, right_null, _ = _bordered_null_vectors(jacobian[:, :-1], border)
-        (gradient,) = bilinear_gradients(problem, z, args, left_null, [np.append(right_null, 0.0)])
-        return np.append(residual, bordered_value), np.vstack([jacobian, -gradient])
+    def augmented_system(z):
+        residual, jacobian = _evaluate_on_host(problem, z, constants)
+        left_null_vector, singularity_measure, right_null_vector, _ = _bordered_null_vectors(
+            jacobian[:, :-1], border_vectors
+        )
+        (minus_measure_gradient,) = bilinear_gradients(
+            problem, z, constants, left_null_vector, [np.append(right_null_vector, 0.0)]
+        )
+        return np.append(residual, singularity_measure), np.vstack([jacobian, -minus_measure_gradient])
 
-    border = _border_vectors(_evaluate_numpy(problem, z, args)[1][:, :-1])
-    return solve_newton(system, z, max_distance)
+    border_vectors = _border_vectors(_evaluate_on_host(problem, z, constants)[1][:, :-1])
+    return solve_newton(augmented_system, z, max_distance)
 
 
-def locate_branch_point(problem, z, args, max_distance=np.inf):
+def locate_branch_point(problem, z, constants, max_distance=np.inf):
     """Locate the branch point near a point.
 
     Parameters
@@ -218,133 +228,161 @@ def locate_branch_point(problem, z, args, max_distance=np.inf):
         The problem.
     z : ndarray
         Approximate branch point.
-    args : Any
-        Further argument of its functions.
+    constants : Any
+        Further argument of the functions of the problem.
     max_distance : float or array_like, optional
         Largest distance of each unknown from `z`.
 
     Returns
     -------
-    PointSolution
+    RootAndResidual
         The branch point.
 
     Notes
     -----
-    Unknowns are z and an unfolding parameter mu that vanishes at the solution of ``F + mu b = 0``, g = 0 and
-    ``w F_p = 0``. This system is regular at pitchforks too.
+    The unknowns are z and an unfolding parameter mu. The equations are ``F + mu b = 0``, ``g = 0`` and ``w F_p = 0``,
+    with b, g and w of the bordered matrix of dF/du. mu is zero at a branch point. The system is also regular at
+    pitchforks.
     """
     n_unknowns = len(z) - 1
 
-    def system(y):
-        z = y[:-1]
-        residual, jacobian = _evaluate_numpy(problem, z, args)
-        left_null, bordered_value, right_null, solve_bordered = _bordered_null_vectors(jacobian[:, :-1], border)
-        transversal = np.append(-solve_bordered(jacobian[:, -1]), 1.0)
-        null_gradient, transversal_gradient = bilinear_gradients(
-            problem, z, args, left_null, [np.append(right_null, 0.0), transversal]
+    def augmented_system(z_and_unfolding):
+        z = z_and_unfolding[:-1]
+        residual, jacobian = _evaluate_on_host(problem, z, constants)
+        left_null_vector, singularity_measure, right_null_vector, solve_bordered = _bordered_null_vectors(
+            jacobian[:, :-1], border_vectors
         )
-        matrix = np.zeros((n_unknowns + 2, n_unknowns + 2))
-        matrix[:n_unknowns, :-1], matrix[:n_unknowns, -1], matrix[n_unknowns:, :-1] = (
+        transversal_vector = np.append(-solve_bordered(jacobian[:, -1]), 1.0)
+        minus_measure_gradient, transversal_gradient = bilinear_gradients(
+            problem, z, constants, left_null_vector, [np.append(right_null_vector, 0.0), transversal_vector]
+        )
+        augmented_jacobian = np.zeros((n_unknowns + 2, n_unknowns + 2))
+        (
+            augmented_jacobian[:n_unknowns, :-1],
+            augmented_jacobian[:n_unknowns, -1],
+            augmented_jacobian[n_unknowns:, :-1],
+        ) = (
             jacobian,
-            border[0],
-            [-null_gradient, transversal_gradient],
+            border_vectors[0],
+            [-minus_measure_gradient, transversal_gradient],
         )
-        return np.concatenate([residual + y[-1] * border[0], [bordered_value, left_null @ jacobian[:, -1]]]), matrix
+        return np.concatenate(
+            [
+                residual + z_and_unfolding[-1] * border_vectors[0],
+                [singularity_measure, left_null_vector @ jacobian[:, -1]],
+            ]
+        ), augmented_jacobian
 
-    border = _border_vectors(_evaluate_numpy(problem, z, args)[1][:, :-1])
-    solution = solve_newton(system, np.append(z, 0.0), np.append(np.broadcast_to(max_distance, z.shape), np.inf))
+    border_vectors = _border_vectors(_evaluate_on_host(problem, z, constants)[1][:, :-1])
+    solution = solve_newton(
+        augmented_system, np.append(z, 0.0), np.append(np.broadcast_to(max_distance, z.shape), np.inf)
+    )
     is_branch_point = solution.z is not None and abs(solution.z[-1]) <= STEP_TOLERANCE * (1.0 + abs(solution.z).max())
-    return PointSolution(solution.z[:-1], solution.residual) if is_branch_point else PointSolution(None, np.nan)
+    return RootAndResidual(solution.z[:-1], solution.residual) if is_branch_point else RootAndResidual(None, np.nan)
 
 
-def locate_singularity(problem, test, z, args, max_distance=np.inf):
+def locate_singularity(problem, test_function, z, constants, max_distance=np.inf):
     """Locate the point near z where the matrix of a `TestFunction` is singular.
 
     Parameters
     ----------
     problem : Problem
         The problem.
-    test : TestFunction
+    test_function : TestFunction
         Test function.
     z : ndarray
         Approximate point.
-    args : Any
-        Further argument of its functions.
+    constants : Any
+        Further argument of the functions of the problem.
     max_distance : float or array_like, optional
         Largest distance of each unknown from `z`.
 
     Returns
     -------
-    PointSolution
+    RootAndResidual
         The point.
     """
 
-    def system(z):
-        residual, jacobian = _evaluate_numpy(problem, z, args)
-        matrix, matrix_derivative = matrix_and_derivative(problem, test, z, args)
-        left_null, bordered_value, right_null, _ = _bordered_null_vectors(matrix, border)
-        return np.append(residual, bordered_value), np.vstack(
-            [jacobian, -np.einsum("i,ijk,j->k", left_null, matrix_derivative, right_null)]
+    def augmented_system(z):
+        residual, jacobian = _evaluate_on_host(problem, z, constants)
+        matrix, matrix_derivative = matrix_and_derivative(problem, test_function, z, constants)
+        left_null_vector, singularity_measure, right_null_vector, _ = _bordered_null_vectors(matrix, border_vectors)
+        return np.append(residual, singularity_measure), np.vstack(
+            [jacobian, -np.einsum("i,ijk,j->k", left_null_vector, matrix_derivative, right_null_vector)]
         )
 
-    border = _border_vectors(matrix_and_derivative(problem, test, z, args)[0])
-    return solve_newton(system, z, max_distance)
+    border_vectors = _border_vectors(matrix_and_derivative(problem, test_function, z, constants)[0])
+    return solve_newton(augmented_system, z, max_distance)
 
 
-def solve_newton(system, start, max_distance=np.inf):
+def solve_newton(residual_and_jacobian, initial_guess, max_distance=np.inf):
     """Solve a small system by Newton's method in NumPy.
 
     Parameters
     ----------
-    system : callable
+    residual_and_jacobian : callable
         Function of y that returns (value, derivative).
-    start : ndarray
+    initial_guess : ndarray
         Initial guess.
     max_distance : float or array_like, optional
-        Largest distance of each unknown from the start; the iteration fails beyond.
+        Largest distance of each unknown from the initial guess. The iteration fails beyond this distance.
 
     Returns
     -------
-    PointSolution
-        The zero near the start.
+    RootAndResidual
+        The root near the initial guess.
     """
-    y, previous_step = start, np.inf
+    unknowns, previous_step_size = initial_guess, np.inf
     for _ in range(MAX_NEWTON_STEPS):
         try:
-            value, jacobian = system(y)
-            change = np.linalg.solve(jacobian, value)
+            residual_vector, jacobian = residual_and_jacobian(unknowns)
+            minus_change = np.linalg.solve(jacobian, residual_vector)
         except np.linalg.LinAlgError:  # a singular matrix, possibly inside `system`
             break
-        y, step = y - change, abs(change).max()
-        if not np.isfinite(step) or (abs(y - start) > max_distance).any():
+        unknowns, step_size = unknowns - minus_change, abs(minus_change).max()
+        if not np.isfinite(step_size) or (abs(unknowns - initial_guess) > max_distance).any():
             break
-        if previous_step <= STEP_TOLERANCE * (1.0 + abs(y).max()):
-            return PointSolution(y, float(abs(value).max()))
-        previous_step = step
-    return PointSolution(None, np.nan)
+        if previous_step_size <= STEP_TOLERANCE * (1.0 + abs(unknowns).max()):
+            return RootAndResidual(unknowns, float(abs(residual_vector).max()))
+        previous_step_size = step_size
+    return RootAndResidual(None, np.nan)
 
 
-def _evaluate_numpy(problem, z, args):
-    return tuple(np.asarray(array) for array in evaluate(problem, z, args))
+def _evaluate_on_host(problem, z, constants):
+    return tuple(np.asarray(array) for array in evaluate_problem(problem, z, constants))
 
 
 def _border_vectors(matrix):
-    """Return (b, c), the nearly null vectors of a matrix's transpose and of the matrix; nan if it is not finite."""
+    """Return (b, c), the left and right singular vectors of the smallest singular value of a matrix.
+
+    The entries are nan if the matrix is not finite.
+    """
     if not np.isfinite(matrix).all():
         return 2 * (np.full(len(matrix), np.nan),)
-    left_vectors, _, right_vectors = np.linalg.svd(matrix)
-    return left_vectors[:, -1], right_vectors[-1]
+    left_singular_vectors, _, right_singular_vectors = np.linalg.svd(matrix)
+    return left_singular_vectors[:, -1], right_singular_vectors[-1]
 
 
-def _bordered_null_vectors(matrix, border):
-    """Return (w, g, v) and a function of y that solves ``A x + b s = y``, ``c x = 0`` for x."""
-    size = len(matrix)
-    bordered = np.zeros((size + 1, size + 1))
-    bordered[:size, :size], (bordered[:size, -1], bordered[-1, :size]) = matrix, border
-    unit_rhs = np.zeros(size + 1)
+def _bordered_null_vectors(matrix, border_vectors):
+    """Return (w, g, v) of the bordered matrix, and a function of y that solves ``A x + b s = y``, ``c x = 0`` for x."""
+    matrix_size = len(matrix)
+    bordered_matrix = np.zeros((matrix_size + 1, matrix_size + 1))
+    (
+        bordered_matrix[:matrix_size, :matrix_size],
+        (bordered_matrix[:matrix_size, -1], bordered_matrix[-1, :matrix_size]),
+    ) = matrix, border_vectors
+    unit_rhs = np.zeros(matrix_size + 1)
     unit_rhs[-1] = 1.0
-    right_null, left_null = np.linalg.solve(bordered, unit_rhs), np.linalg.solve(bordered.T, unit_rhs)
-    return left_null[:-1], left_null[-1], right_null[:-1], lambda y: np.linalg.solve(bordered, np.append(y, 0.0))[:-1]
+    right_null_vector, left_null_vector = (
+        np.linalg.solve(bordered_matrix, unit_rhs),
+        np.linalg.solve(bordered_matrix.T, unit_rhs),
+    )
+    return (
+        left_null_vector[:-1],
+        left_null_vector[-1],
+        right_null_vector[:-1],
+        lambda y: np.linalg.solve(bordered_matrix, np.append(y, 0.0))[:-1],
+    )
 
 
 def null_vector(matrix):

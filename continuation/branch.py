@@ -52,8 +52,9 @@ class Special:
     names : tuple of str
         Continuation parameters of the branch.
     eigenvalues : ndarray
-        Eigenvalues of dF/du for equilibria, multipliers for maps and periodic orbits (without the trivial multiplier of
-        an orbit), in descending order. Complex array of shape (n,), (n - 1,) for the n equations of a periodic orbit.
+        Eigenvalues of dF/du for equilibria, in descending order of their real parts. Multipliers for maps and periodic
+        orbits, in descending order of their moduli, without the trivial multiplier of a periodic orbit. Complex array
+        of shape (n,), or (n - 1,) for a periodic orbit of n differential equations.
     residual : float
         Largest residual of the equations of the point.
     place : int
@@ -101,17 +102,17 @@ class Branch:
     Attributes
     ----------
     system : System
-        System whose solutions these are.
+        System of the solutions.
     kind : str or None
         Kind of the special points of a curve; None for a branch of solutions.
     names : tuple of str
-        Continuation parameters: one for a branch, one more than the held functions if there are any, two for a curve.
+        Continuation parameters. A branch has one parameter, and one more for each held function. A curve has two.
     u : ndarray
         Solutions. Array of shape (points, n).
     p : dict of str to ndarray
         Values of the continuation parameters. Arrays of shape (points,).
     eigenvalues : ndarray
-        Eigenvalues or multipliers as in `Special`, in descending order. Complex array of shape (points, n).
+        Eigenvalues or multipliers, as in `Special`. Complex array with one row per point.
     residual : ndarray
         Largest residual at each point. Array of shape (points,).
     special : tuple of Special
@@ -143,13 +144,13 @@ class Branch:
         return len(self.u)
 
     def __repr__(self) -> str:
-        kinds = " ".join(special.kind for special in self.special)
+        special_kinds = " ".join(special.kind for special in self.special)
         kind_prefix = f"{self.kind} " if self.kind else ""
-        return f"Branch({kind_prefix}along {' and '.join(self.names)}, {len(self)} points, {kinds})"
+        return f"Branch({kind_prefix}along {' and '.join(self.names)}, {len(self)} points, {special_kinds})"
 
     @property
     def stable(self) -> Bool[np.ndarray, " points"]:
-        """Stability of each solution, bool array of shape (points,).
+        """Stability of each solution, bool array of shape (points,), True if the solution is stable.
 
         An equilibrium is stable if all eigenvalues have negative real parts. A fixed point or periodic orbit is stable
         if all multipliers lie inside the unit circle.
@@ -190,8 +191,8 @@ class Branch:
         for special in self.special:
             parameter_texts = [f"{special.p[name]:.12g}" for name in self.names]
             u_texts = [f"{entry:.6g}" for entry in special.u[:MAX_SHOWN]] + ["..."] * (len(special.u) > MAX_SHOWN)
-            norm = f"{np.linalg.norm(special.u):.9g}"
-            rows.append((special.kind, *parameter_texts, norm, " ".join(u_texts), f"{special.residual:.1e}"))
-        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-        lines = ["  ".join(map(str.ljust, row, widths)).rstrip() for row in rows]
-        return "\n".join([*lines, *(f"{end} point: {reason}" for end, reason in self.reason.items())])
+            norm_text = f"{np.linalg.norm(special.u):.9g}"
+            rows.append((special.kind, *parameter_texts, norm_text, " ".join(u_texts), f"{special.residual:.1e}"))
+        column_widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+        lines = ["  ".join(map(str.ljust, row, column_widths)).rstrip() for row in rows]
+        return "\n".join([*lines, *(f"{end_name} point: {reason}" for end_name, reason in self.reason.items())])

@@ -1,4 +1,4 @@
-"""Save branches in NumPy archives of arrays and JSON; loading neither evaluates nor unpickles anything."""
+"""Save and load branches as NumPy archives of arrays and JSON; loading executes no code from the file."""
 
 import json
 import os
@@ -26,7 +26,8 @@ def save(branch: Branch, path: str | PathLike[str]) -> None:
     branch : Branch
         Branch to write. Its system and `args` are not stored.
     path : str or path-like
-        File to write. It is written under a temporary name in the same folder and then renamed.
+        File to write. The content is written to a temporary file in the same folder, which is then renamed. An existing
+        file is replaced.
 
     Raises
     ------
@@ -47,7 +48,9 @@ def save(branch: Branch, path: str | PathLike[str]) -> None:
     ...     print(co.load(os.path.join(folder, "branch.npz"), system).reasons == branch.reasons)
     True
     """
-    special_records = [{key: getattr(special, key) for key in SPECIAL_FIELDS} for special in branch.special]
+    special_records = [
+        {field_name: getattr(special, field_name) for field_name in SPECIAL_FIELDS} for special in branch.special
+    ]
     metadata: dict[str, Any] = {
         "form": FORMAT_VERSION,
         "kind": branch.kind,
@@ -63,10 +66,10 @@ def save(branch: Branch, path: str | PathLike[str]) -> None:
         "residual": branch.residual,
         "tangents": tangents,
     }
-    arrays |= {f"p.{name}": values for name, values in branch.p.items()}
-    descriptor, temporary_path = tempfile.mkstemp(dir=os.path.dirname(os.path.abspath(path)), suffix=".npz")
+    arrays |= {f"p.{name}": parameter_values for name, parameter_values in branch.p.items()}
+    file_descriptor, temporary_path = tempfile.mkstemp(dir=os.path.dirname(os.path.abspath(path)), suffix=".npz")
     try:
-        with os.fdopen(descriptor, "wb") as file:
+        with os.fdopen(file_descriptor, "wb") as file:
             np.savez(file, plain=np.array(json.dumps(metadata)), **arrays)
         os.replace(temporary_path, path)
     except BaseException:
@@ -83,19 +86,19 @@ def load(path: str | PathLike[str], system: System, args: Any = None) -> Branch:
     path : str or path-like
         File to read.
     system : System
-        System with which the branch was computed. The file does not contain its function.
+        System with which the branch was computed. The file does not contain the function of the system.
     args : Any, optional
         Further argument of the function, as in `trace`.
 
     Returns
     -------
     Branch
-        The branch, with the same numbers.
+        The saved branch, with identical numbers.
 
     Raises
     ------
     ContinuationError
-        If the file is damaged or belongs to a system of another kind.
+        If the file is damaged, or belongs to a system of another kind or with another number of segments.
     OSError
         If the file cannot be read.
 
@@ -116,8 +119,11 @@ def load(path: str | PathLike[str], system: System, args: Any = None) -> Branch:
     """
     try:
         with np.load(path, allow_pickle=False) as file:
-            metadata, arrays = json.loads(str(file["plain"])), {key: file[key] for key in file.files if key != "plain"}
-        return _branch(metadata, arrays, system, args)
+            metadata, arrays = (
+                json.loads(str(file["plain"])),
+                {array_name: file[array_name] for array_name in file.files if array_name != "plain"},
+            )
+        return _make_branch(metadata, arrays, system, args)
     except (zipfile.BadZipFile, LookupError, ValueError, TypeError, EOFError) as error:
         if isinstance(error, ContinuationError):
             raise
@@ -126,27 +132,29 @@ def load(path: str | PathLike[str], system: System, args: Any = None) -> Branch:
         ) from None
 
 
-def _branch(metadata, arrays, system, args):
+def _make_branch(metadata, arrays, system, args):
     """Make the `Branch` of a file's metadata and arrays."""
     if metadata["form"] != FORMAT_VERSION:
         raise ValueError("unknown format version")
-    kind, times, segments, within = metadata["system"]
-    if not isinstance(system, System) or (system.kind, system.segments) != (kind, segments):
+    system_kind, n_iterations, n_segments, restricts_to_symmetric = metadata["system"]
+    if not isinstance(system, System) or (system.kind, system.segments) != (system_kind, n_segments):
         raise ContinuationError(
-            "system", f"must be a system of {kind} with {segments} segments, as in the file", system
+            "system", f"must be a system of {system_kind} with {n_segments} segments, as in the file", system
         )
-    system = system._replace(times=times, within=within)
-    names, n_points = tuple(metadata["names"]), len(arrays["u"])
-    parameter_columns = {name: arrays[f"p.{name}"] for name in names}
+    system = system._replace(times=n_iterations, within=restricts_to_symmetric)
+    param_names, n_points = tuple(metadata["names"]), len(arrays["u"])
+    parameter_columns = {name: arrays[f"p.{name}"] for name in param_names}
     if any(
         len(column) != n_points for column in (arrays["eigenvalues"], arrays["residual"], *parameter_columns.values())
     ):
         raise ValueError("arrays of different lengths")
-    special = []
+    special_points = []
     for special_record, tangent in zip(metadata["special"], arrays["tangents"], strict=True):
-        bounds = {name: (lower, upper) for name, (lower, upper) in special_record["bounds"].items()}
+        bounds = {
+            name: (lower_bound, upper_bound) for name, (lower_bound, upper_bound) in special_record["bounds"].items()
+        }
         row = special_record["place"]
-        special_values = (
+        special_fields = (
             arrays["u"][row],
             special_record["p"],
             tuple(special_record["names"]),
@@ -154,7 +162,7 @@ def _branch(metadata, arrays, system, args):
             special_record["residual"],
             row,
         )
-        special.append(Special(special_record["kind"], *special_values, system, args, bounds, tangent))
+        special_points.append(Special(special_record["kind"], *special_fields, system, args, bounds, tangent))
     reasons = tuple(metadata["reasons"])
     point_arrays = arrays["u"], parameter_columns, arrays["eigenvalues"], arrays["residual"]
-    return Branch(system, metadata["kind"], names, *point_arrays, tuple(special), reasons)
+    return Branch(system, metadata["kind"], param_names, *point_arrays, tuple(special_points), reasons)

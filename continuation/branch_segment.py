@@ -1,4 +1,4 @@
-"""Define a segment of a branch with its special points and termination reason; reverse and join segments."""
+"""Define, reverse and join segments of branches, with their special points and termination reasons."""
 
 from enum import Enum
 from typing import Any, NamedTuple
@@ -17,15 +17,15 @@ class SpecialIndex(NamedTuple):
     kind : str
         Kind of special point.
     residual : float
-        Largest residual of its equations.
-    details : Any
-        Further result of the `driver.EventDetector`.
+        Largest residual of the equations of the point.
+    detector_details : Any
+        Additional result of the `continuation_loop.EventDetector` for this point.
     """
 
     row: int
     kind: str
     residual: float
-    details: Any = None
+    detector_details: Any = None
 
 
 class BranchSegment(NamedTuple):
@@ -34,19 +34,19 @@ class BranchSegment(NamedTuple):
     Attributes
     ----------
     args : Any
-        Further argument of the equations of its points.
+        Further argument of the equations.
     points : Point
         Points, one row each.
     diagnostics : Any
-        Diagnostics of the `driver.EventDetector`, one row per point.
+        Diagnostics of the `continuation_loop.EventDetector`, one row per point.
     specials : tuple of SpecialIndex
         Special points in order.
     end : Enum or None
         Termination reason; None if the branch continues.
     end_param_index : int
-        Index in the bounds of the parameter that ends the branch.
+        Index in z of the parameter that the termination reason reports; -1 for the last parameter.
     end_value : float
-        Value of this parameter at the end.
+        Value of this parameter at the end of the segment.
     """
 
     args: Any
@@ -71,11 +71,11 @@ def reverse_segment(segment):
 
 
 def join_segments(segments):
-    """Join `BranchSegment` objects of the same equations, each of which begins at the end of the previous one."""
-    specials, first_row = [], 0
+    """Join `BranchSegment` objects of the same equations, each of which starts at the end of the previous segment."""
+    specials, row_offset = [], 0
     for segment in segments:
-        specials += [special._replace(row=special.row + first_row) for special in segment.specials]
-        first_row += len(segment.points.z) - 1
+        specials += [special._replace(row=special.row + row_offset) for special in segment.specials]
+        row_offset += len(segment.points.z) - 1
     points, diagnostics = (
         join_rows([segment.points for segment in segments]),
         join_rows([segment.diagnostics for segment in segments]),

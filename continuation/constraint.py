@@ -1,7 +1,8 @@
-"""Continue solutions along which functions keep their values, with one parameter more for each: z = (u, parameters).
+"""Define the equations of solutions along which functions are held at constant values.
 
-Equations h(u, p) - value = 0 augment F(u, p) = 0, one for each function. The branch is regular where dF/du is singular,
-so that a further test function detects folds; turning points of the last parameter are not folds.
+Each held function h adds an equation h(u, p) - value = 0 to F(u, p) = 0, and a continuation parameter to the unknowns z
+= (u, parameters). The branch may be regular and not turn where dF/du is singular. An additional test function therefore
+detects folds. A turning point of the last parameter is in general not a fold.
 """
 
 from collections.abc import Callable, Mapping
@@ -15,14 +16,24 @@ from jaxtyping import ArrayLike
 
 from .arclength import solve_bordered
 from .errors import ContinuationError
-from .problem import Problem, System, TestFunction, problem_of, residual_and_jacobian, singular_matrix, split_unknowns
+from .problem import Problem, System, TestFunction, make_problem, residual_and_jacobian, singular_matrix, split_unknowns
 
 FOLD = "fold"  # label of points with singular dF/du; SN denotes turning points of the last parameter
 ConstraintFunction = Callable[[Any, Any, Any], ArrayLike]  # function of (u, p, args)
 
 
 class HoldConstants(NamedTuple):
-    """`Constants` of a system and the values at which functions are held."""
+    """Constants of a `System` with held functions along a branch.
+
+    Attributes
+    ----------
+    fixed_params : dict of str to float
+        Values of the parameters that are not continued.
+    args : Any
+        Further argument of the functions.
+    values : tuple of float
+        Values of the held functions.
+    """
 
     fixed_params: dict[str, float]
     args: Any
@@ -30,28 +41,33 @@ class HoldConstants(NamedTuple):
 
 
 @lru_cache
-def make_problem(system: System, constraints: tuple[ConstraintFunction, ...], names: tuple[str, ...]) -> Problem:
-    """Make the `Problem` with held functions, in one parameter more than functions; its args are `HoldConstants`."""
+def make_constrained_problem(
+    system: System, constraint_functions: tuple[ConstraintFunction, ...], param_names: tuple[str, ...]
+) -> Problem:
+    """Make the `Problem` with n held functions in n + 1 parameters. The args of the problem are `HoldConstants`."""
 
     def constraint_residual(z, constants):
-        u, p = split_unknowns(names, z, constants)
-        return jnp.stack([jnp.asarray(constraint(u, p, constants.args)) for constraint in constraints]) - jnp.stack(
-            constants.values
-        )
+        u, p = split_unknowns(param_names, z, constants)
+        return jnp.stack(
+            [jnp.asarray(constraint(u, p, constants.args)) for constraint in constraint_functions]
+        ) - jnp.stack(constants.values)
 
-    def function(z, constants):
-        residual, jacobian = residual_and_jacobian(system, names, z, constants)
+    def augmented_function(z, constants):
+        residual, jacobian = residual_and_jacobian(system, param_names, z, constants)
         constraint_jacobian = jax.jacfwd(constraint_residual)(z, constants)
         return jnp.concatenate([residual, constraint_residual(z, constants)]), jnp.concatenate(
             [jacobian, constraint_jacobian]
         )
 
-    base_problem = problem_of(system, names)
-    test_functions = (TestFunction(FOLD, partial(singular_matrix, system, "SN", names)), *base_problem.test_functions)
+    base_problem = make_problem(system, param_names)
+    test_functions = (
+        TestFunction(FOLD, partial(singular_matrix, system, "SN", param_names)),
+        *base_problem.test_functions,
+    )
     return Problem(
-        function,
+        augmented_function,
         solve_bordered,
-        function,
+        augmented_function,
         test_functions,
         compile_at_once=base_problem.compile_at_once,
         noise_floor=base_problem.noise_floor,
@@ -59,23 +75,29 @@ def make_problem(system: System, constraints: tuple[ConstraintFunction, ...], na
 
 
 def resolve_constraints(
-    hold: Mapping[Any, float] | None, monitors: Mapping[str, ConstraintFunction] | None, names: tuple[str, ...]
+    hold: Mapping[Any, float] | None, monitors: Mapping[str, ConstraintFunction] | None, param_names: tuple[str, ...]
 ) -> dict[ConstraintFunction, float]:
-    """Return {function: value} for the held functions; monitors may be given by name. Raises ContinuationError."""
-    constraints = {}
-    for key, value in (hold or {}).items():
-        function = (monitors or {}).get(key) if isinstance(key, str) else key
+    """Return {function: value} of the held functions; a key of `hold` may be the name of a monitor.
+
+    Raises ContinuationError if `hold` is invalid, or if the number of different parameters is not one more than the
+    number of held functions.
+    """
+    value_by_function = {}
+    for function_or_name, value in (hold or {}).items():
+        function = (monitors or {}).get(function_or_name) if isinstance(function_or_name, str) else function_or_name
         if not callable(function):
             raise ContinuationError(
-                "hold", f"must have functions or names of monitors ({', '.join(monitors or {})}) as keys", key
+                "hold",
+                f"must have functions or names of monitors ({', '.join(monitors or {})}) as keys",
+                function_or_name,
             )
         if not (isinstance(value, int | float) and np.isfinite(value)):
             raise ContinuationError("hold", "must map functions to finite numbers", value)
-        constraints[function] = float(value)
-    if len(names) != len(constraints) + 1 or len(set(names)) != len(names):
+        value_by_function[function] = float(value)
+    if len(param_names) != len(value_by_function) + 1 or len(set(param_names)) != len(param_names):
         raise ContinuationError(
             "along",
-            f"must name {len(constraints) + 1} different parameter(s), one more than functions in `hold`",
-            names,
+            f"must name {len(value_by_function) + 1} different parameter(s), one more than functions in `hold`",
+            param_names,
         )
-    return constraints
+    return value_by_function

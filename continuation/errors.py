@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from .argument_types import check_arguments
+from .argument_checks import check_arguments
 
 
 class ContinuationError(ValueError):
@@ -36,7 +36,7 @@ class ContinuationError(ValueError):
         return f"{self.key}: {self.rule}; got {value_text if len(value_text) <= 80 else value_text[:77] + '...'}"
 
 
-def first_line(error: Exception) -> str:
+def error_summary(error: Exception) -> str:
     """Return the type of an exception and the first line of its message.
 
     Parameters

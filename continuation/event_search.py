@@ -30,13 +30,13 @@ class Event(NamedTuple):
     kind : str
         "SN", "BP" or the label of a test function.
     row_before : int
-        Row of the point before.
+        Row of the point before the special point.
     length : float
-        Length from that point along its tangent.
+        Length from the point before, along the tangent of that point.
     z : ndarray
         The special point.
     residual : float
-        Largest residual of its equations.
+        Largest residual of the equations of the special point.
     """
 
     kind: str
@@ -46,7 +46,7 @@ class Event(NamedTuple):
     residual: float
 
 
-def unit_tangent(problem, z, scale, args, direction=None):
+def unit_tangent(problem, z, scale, constants, reference_direction=None):
     """Compute the unit tangent at a regular point.
 
     Parameters
@@ -57,9 +57,9 @@ def unit_tangent(problem, z, scale, args, direction=None):
         Point of shape (n + 1,).
     scale : ndarray
         Weights of the length.
-    args : Any
-        Further argument of its functions.
-    direction : ndarray, optional
+    constants : Any
+        Further argument of the functions of the problem.
+    reference_direction : ndarray, optional
         Direction with which the tangent encloses an acute angle. None stands for increasing parameter.
 
     Returns
@@ -67,62 +67,68 @@ def unit_tangent(problem, z, scale, args, direction=None):
     ndarray
         Tangent of shape (n + 1,).
     """
-    jacobian = np.asarray(augmented_systems.evaluate(problem, z, args)[1])
-    return oriented_null_vector(jacobian, scale, direction)
+    jacobian = np.asarray(augmented_systems.evaluate_problem(problem, z, constants)[1])
+    return oriented_null_vector(jacobian, scale, reference_direction)
 
 
-def oriented_null_vector(jacobian, scale, direction=None):
-    """Return the unit null vector of an (n, n + 1) matrix, without columns of weight 0, oriented along a direction."""
-    is_used = scale > 0
+def oriented_null_vector(jacobian, scale, reference_direction=None):
+    """Return the unit null vector of an (n, n + 1) matrix, oriented along a reference direction.
+
+    The null vector and the direction enclose an acute angle. None stands for increasing parameter. Columns of weight 0
+    are excluded.
+    """
+    has_weight = scale > 0
     null_vector = np.zeros(len(scale))
-    null_vector[is_used] = np.linalg.svd(jacobian[:, is_used])[2][-1]
-    if direction is None:
-        direction = np.zeros(len(scale))
-        direction[-1] = 1.0
-    sign = np.sign(np.sum(scale * scale * null_vector * direction)) or 1.0
-    return sign * null_vector / np.linalg.norm(scale * null_vector)
+    null_vector[has_weight] = np.linalg.svd(jacobian[:, has_weight])[2][-1]
+    if reference_direction is None:
+        reference_direction = np.zeros(len(scale))
+        reference_direction[-1] = 1.0
+    orientation_sign = np.sign(np.sum(scale * scale * null_vector * reference_direction)) or 1.0
+    return orientation_sign * null_vector / np.linalg.norm(scale * null_vector)
 
 
-def _track_uncompiled(problem, state, control, args, capacity, max_steps):
-    return arclength.track(problem.function, problem.solve, state, control, args, capacity, max_steps)
+def _track_uncompiled(problem, state, control, constants, capacity, max_steps):
+    return arclength.track_branch(problem.function, problem.solve, state, control, constants, capacity, max_steps)
 
 
 @persistent_jit(static_argnums=(0, 4), numpy_first=_track_uncompiled)
-def _track_chunk(problem, state, control, args, capacity, max_steps):
-    return problem.runner(_track_with_runner, state, control, args, max_steps, problem=problem, capacity=capacity)
+def _track_chunk(problem, state, control, constants, capacity, max_steps):
+    return problem.runner(
+        _track_inside_runner, state, control, constants, max_steps, problem=problem, capacity=capacity
+    )
 
 
-def _track_with_runner(state, control, args, max_steps, problem, capacity):
-    return _track_uncompiled(problem, state, control, args, capacity, max_steps)
+def _track_inside_runner(state, control, constants, max_steps, problem, capacity):
+    return _track_uncompiled(problem, state, control, constants, capacity, max_steps)
 
 
-def take_step(problem, point, length, control, args):
+def take_step(problem, base_point, length, control, constants):
     """Take one step from a point.
 
     Parameters
     ----------
     problem : Problem
         The problem.
-    point : Point
+    base_point : Point
         Point and its tangent.
     length : float
         Length of the step along the tangent.
     control : StepControl
         Step sizes and tolerance.
-    args : Any
-        Further argument of its functions.
+    constants : Any
+        Further argument of the functions of the problem.
 
     Returns
     -------
     Point
         The point of the branch; `converged` states whether Newton's method succeeded.
     """
-    state = TrackState(point.z, point.tangent, np.float64(length), np.int32(RUNNING))
-    return row_at(_track_chunk(problem, state, control, args, CHUNK_SIZE, np.int32(1))[1], 0)
+    state = TrackState(base_point.z, base_point.tangent, np.float64(length), np.int32(RUNNING))
+    return row_at(_track_chunk(problem, state, control, constants, CHUNK_SIZE, np.int32(1))[1], 0)
 
 
-def solve_with_fixed_entry(problem, z, index, value, control, args):
-    """Solve for the point near z with one entry fixed, to rounding.
+def solve_with_fixed_entry(problem, z, index, value, control, constants):
+    """Compute the point near z with one fixed entry, to rounding accuracy.
 
     Parameters
     ----------
@@ -133,11 +139,11 @@ def solve_with_fixed_entry(problem, z, index, value, control, args):
     index : int
         Index of the fixed entry of z.
     value : float
-        Its value.
+        Value of the fixed entry.
     control : StepControl
         Step sizes and tolerance.
-    args : Any
-        Further argument of its functions.
+    constants : Any
+        Further argument of the functions of the problem.
 
     Returns
     -------
@@ -153,16 +159,19 @@ def solve_with_fixed_entry(problem, z, index, value, control, args):
         Point(z_guess, pinning_row, *[np.zeros(())] * 3, *[np.True_] * 2),
         0.0,
         polishing_control(problem, control),
-        args,
+        constants,
     )
 
 
 def polishing_control(problem, control):
-    """Return the `StepControl` with which Newton's method ends at rounding, or at the noise of the equations."""
+    """Return a `StepControl` for points that are accurate to rounding errors or to the noise of the equations.
+
+    The tolerance is `POLISH_TOLERANCE`, or `Problem.noise_floor` if this is larger.
+    """
     return control._replace(tolerance=np.float64(max(POLISH_TOLERANCE, problem.noise_floor)))
 
 
-def track_chunks(problem, state, control, args, first_steps=CHUNK_SIZE):
+def track_chunks(problem, state, control, constants, n_first_steps=CHUNK_SIZE):
     """Compute a branch chunk by chunk.
 
     Parameters
@@ -173,29 +182,29 @@ def track_chunks(problem, state, control, args, first_steps=CHUNK_SIZE):
         State to start from.
     control : StepControl
         Step sizes, tolerance and bounds.
-    args : Any
-        Further argument of its functions.
-    first_steps : int, optional
+    constants : Any
+        Further argument of the functions of the problem.
+    n_first_steps : int, optional
         Number of steps attempted in the first chunk. It doubles with each chunk up to `CHUNK_SIZE`.
 
     Yields
     ------
     points : Point
-        Rows of points, the first of which is the last of the previous chunk.
+        Points of a chunk, one row each. The first row is the last row of the previous chunk.
     status : int
-        Status of `arclength`; the iteration ends when it is not RUNNING.
+        Status of `arclength`; the iteration ends when the status is not RUNNING.
     """
-    start, max_steps = _first_point(problem, state, control, args), first_steps
+    start_point, max_steps = _evaluate_start(problem, state, control, constants), n_first_steps
     while True:
-        state, points = _track_chunk(problem, state, control, args, CHUNK_SIZE, np.int32(max_steps))
-        chunk, max_steps = _accepted_points(start, points), min(2 * max_steps, CHUNK_SIZE)
-        yield chunk, int(state.status)
+        state, attempted_points = _track_chunk(problem, state, control, constants, CHUNK_SIZE, np.int32(max_steps))
+        chunk_points, max_steps = _join_accepted_points(start_point, attempted_points), min(2 * max_steps, CHUNK_SIZE)
+        yield chunk_points, int(state.status)
         if state.status != RUNNING:
             return
-        start = row_at(chunk, -1)
+        start_point = row_at(chunk_points, -1)
 
 
-def track_branches(problem, states, controls, args, on_chunk):
+def track_branches(problem, states, controls, constants, on_chunk):
     """Compute several branches chunk by chunk, as the lanes of one compiled call.
 
     Parameters
@@ -206,37 +215,42 @@ def track_branches(problem, states, controls, args, on_chunk):
         State of each lane.
     controls : list of StepControl
         Control of each lane.
-    args : list
-        Further argument of each lane, alike in their shapes.
+    constants : list
+        Further argument of each lane. The arguments of all lanes have the same shapes.
     on_chunk : callable
-        Takes a lane's index and the points and status that `track_chunks` yields. It returns True to continue the lane,
-        False or None to end it, or a `TrackState` to continue from.
+        Function of the index of a lane and the points and status that `track_chunks` yields. It returns True to
+        continue the lane, False or None to end the lane, or a `TrackState` from which the lane continues.
 
     Notes
     -----
     The number of lanes is padded to a power of two.
     """
-    starts = [_first_point(problem, *inputs) for inputs in zip(states, controls, args, strict=True)]
-    n_idle = (1 << (len(states) - 1).bit_length()) - len(states)
-    idle_states = [states[-1]._replace(status=np.int32(OUTSIDE))] * n_idle
+    start_points = [
+        _evaluate_start(problem, *lane_inputs) for lane_inputs in zip(states, controls, constants, strict=True)
+    ]
+    n_idle_lanes = (1 << (len(states) - 1).bit_length()) - len(states)
+    idle_states = [states[-1]._replace(status=np.int32(OUTSIDE))] * n_idle_lanes
     states = jax.tree.map(lambda *leaves: np.stack(leaves), *states, *idle_states)
-    controls, args = (
-        jax.tree.map(lambda *leaves: np.stack(leaves), *inputs, *inputs[-1:] * n_idle) for inputs in (controls, args)
+    controls, constants = (
+        jax.tree.map(lambda *leaves: np.stack(leaves), *lane_inputs, *lane_inputs[-1:] * n_idle_lanes)
+        for lane_inputs in (controls, constants)
     )
     while (states.status == RUNNING).any():
-        lanes = np.flatnonzero(states.status == RUNNING)
-        states, points = _track_lanes_chunk(problem, states, controls, args, CHUNK_SIZE)
+        running_lanes = np.flatnonzero(states.status == RUNNING)
+        states, attempted_points = _track_lanes_chunk(problem, states, controls, constants, CHUNK_SIZE)
         status = np.array(states.status)
-        for lane in lanes:
-            chunk = _accepted_points(starts[lane], jax.tree.map(lambda leaf, lane=lane: leaf[lane], points))
-            starts[lane] = row_at(chunk, -1)
-            next_state = on_chunk(int(lane), chunk, int(status[lane]))
+        for lane in running_lanes:
+            chunk_points = _join_accepted_points(
+                start_points[lane], jax.tree.map(lambda leaf, lane=lane: leaf[lane], attempted_points)
+            )
+            start_points[lane] = row_at(chunk_points, -1)
+            next_state = on_chunk(int(lane), chunk_points, int(status[lane]))
             if isinstance(next_state, TrackState):
                 states = jax.tree.map(
                     lambda leaf, entry, lane=lane: _replace_lane(leaf, lane, entry), states, next_state
                 )
-                starts[lane], status[lane] = (
-                    _first_point(problem, next_state, *_lane_inputs(controls, args, lane)),
+                start_points[lane], status[lane] = (
+                    _evaluate_start(problem, next_state, *_select_lane_inputs(controls, constants, lane)),
                     RUNNING,
                 )
             elif not next_state:
@@ -244,209 +258,258 @@ def track_branches(problem, states, controls, args, on_chunk):
         states = states._replace(status=status)
 
 
-def _replace_lane(leaf, lane, entry):
-    leaf = np.array(leaf)
-    leaf[lane] = entry
-    return leaf
+def _replace_lane(lane_array, lane, lane_value):
+    lane_array = np.array(lane_array)
+    lane_array[lane] = lane_value
+    return lane_array
 
 
-def _lane_inputs(controls, args, lane):
-    return jax.tree.map(lambda leaf: leaf[lane], (controls, args))
+def _select_lane_inputs(controls, constants, lane):
+    return jax.tree.map(lambda leaf: leaf[lane], (controls, constants))
 
 
 @persistent_jit(static_argnums=(0, 4), numpy_first=True)
-def _track_lanes_chunk(problem, states, controls, args, capacity):
-    def track_lane(*inputs):
-        return arclength.track(problem.function, problem.solve, *inputs, capacity)
+def _track_lanes_chunk(problem, states, controls, constants, capacity):
+    def track_lane(*lane_inputs):
+        return arclength.track_branch(problem.function, problem.solve, *lane_inputs, capacity)
 
-    return jax.vmap(track_lane)(states, controls, args)
+    return jax.vmap(track_lane)(states, controls, constants)
 
 
-def _first_point(problem, state, control, args):
+def _evaluate_start(problem, state, control, constants):
     """Return the `Point` at the start of a branch."""
     zero = np.zeros_like(state.step)
-    start = take_step(problem, Point(state.z, state.tangent, *[zero] * 3, *[np.True_] * 2), 0.0, control, args)
-    return start._replace(z=state.z, tangent=state.tangent, step=zero, accepted=np.True_)
+    start_point = take_step(
+        problem, Point(state.z, state.tangent, *[zero] * 3, *[np.True_] * 2), 0.0, control, constants
+    )
+    return start_point._replace(z=state.z, tangent=state.tangent, step=zero, accepted=np.True_)
 
 
-def _accepted_points(start, points):
-    """Join a start and the accepted points of a chunk."""
+def _join_accepted_points(start_point, points):
+    """Join the starting point and the accepted points of a chunk."""
     return map_fields(
-        lambda start_leaf, leaf: np.concatenate([np.asarray(start_leaf)[None], leaf[points.accepted]]), start, points
+        lambda start_leaf, leaf: np.concatenate([np.asarray(start_leaf)[None], leaf[points.accepted]]),
+        start_point,
+        points,
     )
 
 
 @persistent_jit(static_argnums=(0, 1), numpy_first=True)
-def _test_determinants(problem, test, zs, args):
-    return jax.vmap(lambda z: jnp.linalg.det(test.matrix(z, args)))(zs)
+def _test_determinants(problem, test_function, zs, constants):
+    return jax.vmap(lambda z: jnp.linalg.det(test_function.matrix(z, constants)))(zs)
 
 
-def test_function_values(problem, points, args):
-    """Return {label: determinant at each point} for the test functions of a problem."""
-    n_rows = -(-len(points.z) // (CHUNK_SIZE + 1)) * (CHUNK_SIZE + 1)
-    padded = np.concatenate([points.z, np.repeat(points.z[-1:], n_rows - len(points.z), axis=0)])
+def test_function_values(problem, points, constants):
+    """Return {label: determinants of the matrix at the points} for the test functions of a problem."""
+    n_padded_rows = -(-len(points.z) // (CHUNK_SIZE + 1)) * (CHUNK_SIZE + 1)
+    padded_zs = np.concatenate([points.z, np.repeat(points.z[-1:], n_padded_rows - len(points.z), axis=0)])
     return {
-        test.label: np.asarray(_test_determinants(problem, test, padded, args))[: len(points.z)]
-        for test in problem.test_functions
+        test_function.label: np.asarray(_test_determinants(problem, test_function, padded_zs, constants))[
+            : len(points.z)
+        ]
+        for test_function in problem.test_functions
     }
 
 
-def locate_events(problem, points, values, control, args, branch_points=None):
+def locate_events(problem, points, test_values, control, constants, known_branch_points=None):
     """Locate the special points between points, in order.
 
-    `values` are {label: values of the test function at each point}; `branch_points` are those that `find_jump` located.
-    An event at the first point is omitted: it belongs to the points before, or the branch starts there.
+    `test_values` is {label: values of a test function at the points}. `known_branch_points` contains the branch points
+    that `find_jump` located. An event at the first point is omitted: it belongs to the previous chunk, or is the start
+    of the branch.
     """
-    events, values_by_kind = [], {"BP": points.determinant, "SN": points.tangent[:, -1]} | values
+    events, values_by_kind = [], {"BP": points.determinant, "SN": points.tangent[:, -1]} | test_values
     for kind, kind_values in values_by_kind.items():
-        signs = _signs_without_zeros(kind_values)
-        for row_before in np.flatnonzero(signs[:-1] * signs[1:] < 0):
+        test_signs = _signs_without_zeros(kind_values)
+        for row_before in np.flatnonzero(test_signs[:-1] * test_signs[1:] < 0):
             # At a branch point the tangent may turn without a fold.
-            crosses = kind == "SN" and any(other.row_before == row_before for other in events)
-            event = (branch_points or {}).get(int(row_before)) if kind == "BP" else None
+            has_branch_point = kind == "SN" and any(other_event.row_before == row_before for other_event in events)
+            event = (known_branch_points or {}).get(int(row_before)) if kind == "BP" else None
             if event is None:
                 event = _locate_event(
-                    problem, kind, points, int(row_before), kind_values, control, args, 1 if crosses else MAX_HALVINGS
+                    problem,
+                    kind,
+                    points,
+                    int(row_before),
+                    kind_values,
+                    control,
+                    constants,
+                    1 if has_branch_point else MAX_HALVINGS,
                 )
             if event is not None and np.linalg.norm(control.scale * (event.z - points.z[0])) > START_DISTANCE:
                 events.append(event)
     return _remove_spurious_folds(events, control)
 
 
-def find_jump(problem, points, control, args, is_past_singularity=None):
+def find_jump(problem, points, control, constants, is_past_singularity=None):
     """Find the first point that lies on another branch than the point before it.
 
-    Returns its row, or None, and the branch points before it by the row before each. At a jump the determinant changes
-    sign without a branch point. `is_past_singularity` marks points that lie beyond a known singularity; these count as
-    jumps.
+    Returns the row of this point, or None, and {row before: `Event`} of the branch points before it. At a jump the
+    determinant changes sign without a branch point. `is_past_singularity` marks points beyond a known singularity. A
+    change of sign at a marked point counts as a jump. Changes of sign over steps up to `MIN_JUMP_STEP` are ignored.
     """
-    signs, branch_points = _signs_without_zeros(points.determinant), {}
-    for row_before in np.flatnonzero((signs[:-1] * signs[1:] < 0) & (points.step[1:] > MIN_JUMP_STEP)):
+    determinant_signs, known_branch_points = _signs_without_zeros(points.determinant), {}
+    for row_before in np.flatnonzero(
+        (determinant_signs[:-1] * determinant_signs[1:] < 0) & (points.step[1:] > MIN_JUMP_STEP)
+    ):
         event = None
         if is_past_singularity is None or not is_past_singularity[row_before + 1]:
-            event = _locate_event(problem, "BP", points, int(row_before), points.determinant, control, args)
+            event = _locate_event(problem, "BP", points, int(row_before), points.determinant, control, constants)
         if event is None:
-            return int(row_before) + 1, branch_points
-        branch_points[int(row_before)] = event
-    return None, branch_points
+            return int(row_before) + 1, known_branch_points
+        known_branch_points[int(row_before)] = event
+    return None, known_branch_points
 
 
 def _signs_without_zeros(values):
-    """Return the signs of values; a zero takes the sign before it, at the start the first one after it."""
+    """Return the signs of values, without zeros.
+
+    A value counts as zero if its magnitude is at most `DETERMINANT_ROUNDOFF` times the largest magnitude. A zero takes
+    the preceding sign; zeros at the start take the first nonzero sign.
+    """
     signs = np.where(abs(values) <= DETERMINANT_ROUNDOFF * abs(values).max(), 0.0, np.sign(values))
     for index in np.flatnonzero(signs == 0):
         signs[index] = signs[index - 1] if index else next((sign for sign in signs if sign), 0.0)
     return signs
 
 
-def _locate_event(problem, kind, points, row_before, values, control, args, max_halvings=MAX_HALVINGS):
-    """Locate the event between two points; None if Newton's method does not converge there."""
-    base = row_at(points, row_before)
-    lower, upper = 0.0, float(points.step[row_before + 1])
-    guess = upper * values[row_before] / (values[row_before] - values[row_before + 1])
-    for halving in range(max_halvings):
-        trial = take_step(problem, base, guess, control, args)
-        if halving % NEWTON_EVERY == 0:
-            event = _event_between(problem, kind, base, row_before, (lower, upper), trial, guess, control, args)
+def _locate_event(problem, kind, points, row_before, test_values, control, constants, max_halvings=MAX_HALVINGS):
+    """Locate the event between two points; None if Newton's method does not converge between them."""
+    base_point = row_at(points, row_before)
+    lower_length, upper_length = 0.0, float(points.step[row_before + 1])
+    length_guess = upper_length * test_values[row_before] / (test_values[row_before] - test_values[row_before + 1])
+    for n_halvings in range(max_halvings):
+        trial_point = take_step(problem, base_point, length_guess, control, constants)
+        if n_halvings % NEWTON_EVERY == 0:
+            event = _event_between(
+                problem,
+                kind,
+                base_point,
+                row_before,
+                (lower_length, upper_length),
+                trial_point,
+                length_guess,
+                control,
+                constants,
+            )
             if event is not None:
                 return event
-        if trial.converged and _event_sign(problem, kind, base, args) * _event_sign(problem, kind, trial, args) > 0:
-            lower = guess
+        if (
+            trial_point.converged
+            and _event_function_sign(problem, kind, base_point, constants)
+            * _event_function_sign(problem, kind, trial_point, constants)
+            > 0
+        ):
+            lower_length = length_guess
         else:
-            upper = guess
-        guess = 0.5 * (lower + upper)
+            upper_length = length_guess
+        length_guess = 0.5 * (lower_length + upper_length)
     return None
 
 
-def _event_between(problem, kind, base, row_before, interval, trial, guess, control, args):
-    """Return the event to which Newton's method converges from a guess; None if it is not between two lengths."""
-    lower, upper = interval
-    z = trial.z if trial.converged else base.z + guess * base.tangent
+def _event_between(
+    problem, kind, base_point, row_before, length_interval, trial_point, length_guess, control, constants
+):
+    """Return the event to which Newton's method converges from a guess.
+
+    Returns None if the method does not converge or the event lies outside `length_interval`.
+    """
+    lower_length, upper_length = length_interval
+    z = trial_point.z if trial_point.converged else base_point.z + length_guess * base_point.tangent
     with np.errstate(divide="ignore"):  # entries of weight 0 have no largest distance
-        max_distance = SEARCH_RADIUS_FACTOR * upper / control.scale
-    solution = _polish_event(problem, kind, z, args, max_distance)
+        max_distance = SEARCH_RADIUS_FACTOR * upper_length / control.scale
+    solution = _polish_event(problem, kind, z, constants, max_distance)
     if solution.z is None:
         return None
-    length = float(np.sum(control.scale**2 * base.tangent * (solution.z - base.z)))
-    margin = 0.05 * (upper - lower)
-    if not lower - margin <= length <= upper + margin:
+    length = float(np.sum(control.scale**2 * base_point.tangent * (solution.z - base_point.z)))
+    length_margin = 0.05 * (upper_length - lower_length)
+    if not lower_length - length_margin <= length <= upper_length + length_margin:
         return None
-    return Event(kind, row_before, min(max(length, lower), upper), solution.z, solution.residual)
+    return Event(kind, row_before, min(max(length, lower_length), upper_length), solution.z, solution.residual)
 
 
-def _event_sign(problem, kind, point, args):
-    """Return the sign that changes at events of a kind."""
+def _event_function_sign(problem, kind, point, constants):
+    """Return the sign, at a point, of the function that changes sign at events of a kind."""
     if kind in ("SN", "BP"):
         return np.sign(point.tangent[-1] if kind == "SN" else point.determinant)
-    (test,) = (test for test in problem.test_functions if test.label == kind)
-    return np.linalg.slogdet(augmented_systems.matrix_and_derivative(problem, test, point.z, args)[0])[0]
+    (test_function,) = (test_function for test_function in problem.test_functions if test_function.label == kind)
+    return np.linalg.slogdet(augmented_systems.matrix_and_derivative(problem, test_function, point.z, constants)[0])[0]
 
 
-def _polish_event(problem, kind, z, args, max_distance):
-    """Locate an event by Newton's method; the `PointSolution` has no z if it is invalid."""
+def _polish_event(problem, kind, z, constants, max_distance):
+    """Locate an event by Newton's method; z of the `RootAndResidual` is None if the event is invalid."""
     if kind == "SN":
-        solution = augmented_systems.locate_fold(problem, z, args, max_distance)
+        solution = augmented_systems.locate_fold(problem, z, constants, max_distance)
     elif kind == "BP":
-        solution = augmented_systems.locate_branch_point(problem, z, args, max_distance)
+        solution = augmented_systems.locate_branch_point(problem, z, constants, max_distance)
     else:
-        solution = _polish_test_event(problem, kind, z, args, max_distance)
+        solution = _polish_test_event(problem, kind, z, constants, max_distance)
     return (
         solution
-        if solution.z is None or problem.is_valid(solution.z, args)
-        else augmented_systems.PointSolution(None, np.nan)
+        if solution.z is None or problem.is_valid(solution.z, constants)
+        else augmented_systems.RootAndResidual(None, np.nan)
     )
 
 
-def _polish_test_event(problem, kind, z, args, max_distance):
-    (test,) = (test for test in problem.test_functions if test.label == kind)
-    solution = augmented_systems.locate_singularity(problem, test, z, args, max_distance)
-    if solution.z is None or test.is_valid(solution.z, args):
+def _polish_test_event(problem, kind, z, constants, max_distance):
+    (test_function,) = (test_function for test_function in problem.test_functions if test_function.label == kind)
+    solution = augmented_systems.locate_singularity(problem, test_function, z, constants, max_distance)
+    if solution.z is None or test_function.is_valid(solution.z, constants):
         return solution
-    return augmented_systems.PointSolution(None, np.nan)
+    return augmented_systems.RootAndResidual(None, np.nan)
 
 
 def _remove_spurious_folds(events, control):
     """Sort events and remove folds that coincide with branch points.
 
-    If a branch is crossed at its own turning point, both are detected; the event is a branch point.
+    If another branch crosses a branch at a turning point, a fold and a branch point are detected. Only the branch point
+    is genuine.
     """
-    crossings = [event for event in events if event.kind == "BP"]
-    genuine = [
+    branch_points = [event for event in events if event.kind == "BP"]
+    genuine_events = [
         event
         for event in events
         if event.kind != "SN"
         or not any(
-            np.linalg.norm(control.scale * (event.z - crossing.z)) < SAME_POINT_DISTANCE for crossing in crossings
+            np.linalg.norm(control.scale * (event.z - branch_point.z)) < SAME_POINT_DISTANCE
+            for branch_point in branch_points
         )
     ]
-    return sorted(genuine, key=lambda event: (event.row_before, event.length))
+    return sorted(genuine_events, key=lambda event: (event.row_before, event.length))
 
 
-def find_near_passes(points, targets, control):
-    """Return (row before, length, index of the target) where points pass close to targets in z.
+def find_near_passes(points, target_zs, control):
+    """Return (row before, length from this row, index of the target) where the branch passes close to target points.
 
-    The targets may lie on the same branch; confirm with `take_step`.
+    The branch need not contain the target points. `find_first_pass` checks this by computing points of the branch.
     """
-    passes = []
-    weights = control.scale**2
-    for target_index, target in enumerate(targets):
-        offsets = target - points.z[:-1]
-        lengths = np.einsum("ik,ik->i", offsets, weights * points.tangent[:-1])
-        distances = np.linalg.norm(control.scale * (offsets - lengths[:, None] * points.tangent[:-1]), axis=1)
+    near_passes = []
+    squared_scale = control.scale**2
+    for target_index, target_z in enumerate(target_zs):
+        target_offsets = target_z - points.z[:-1]
+        projected_lengths = np.einsum("ik,ik->i", target_offsets, squared_scale * points.tangent[:-1])
+        tangent_distances = np.linalg.norm(
+            control.scale * (target_offsets - projected_lengths[:, None] * points.tangent[:-1]), axis=1
+        )
         step_lengths = points.step[1:]
-        is_ahead = lengths > 0
+        is_ahead = projected_lengths > 0
         if points.step[0] == 0:  # the branch begins at the first point: a target within rounding is that point
-            is_ahead[:1] = lengths[:1] > START_DISTANCE
-        for row_before in np.flatnonzero(is_ahead & (lengths <= step_lengths) & (distances < 0.5 * step_lengths)):
-            passes.append((int(row_before), float(lengths[row_before]), target_index))
-    return sorted(passes)
+            is_ahead[:1] = projected_lengths[:1] > START_DISTANCE
+        for row_before in np.flatnonzero(
+            is_ahead & (projected_lengths <= step_lengths) & (tangent_distances < 0.5 * step_lengths)
+        ):
+            near_passes.append((int(row_before), float(projected_lengths[row_before]), target_index))
+    return sorted(near_passes)
 
 
-def find_pass(problem, points, targets, control, args):
-    """Return (row before, length from it) where the branch first passes through one of the targets, or None."""
-    for row_before, length, target_index in find_near_passes(points, targets, control):
-        base = row_at(points, row_before)
-        point = take_step(problem, base, length, control, args)
-        if point.converged and np.linalg.norm(control.scale * (point.z - targets[target_index])) < SAME_POINT_DISTANCE:
+def find_first_pass(problem, points, target_points, control, constants):
+    """Return (row before, length from this row) where the branch first passes through a target point, or None."""
+    for row_before, length, target_index in find_near_passes(points, target_points, control):
+        base_point = row_at(points, row_before)
+        point = take_step(problem, base_point, length, control, constants)
+        if (
+            point.converged
+            and np.linalg.norm(control.scale * (point.z - target_points[target_index])) < SAME_POINT_DISTANCE
+        ):
             return row_before, length
     return None

@@ -1,8 +1,8 @@
-"""Differentiate roots of F(u, p, fixed) = 0 as functions of p by the implicit function theorem.
+"""Differentiate roots of F(u, p, constants) = 0 as functions of p by the implicit function theorem.
 
-Any algorithm may compute the root; only F is differentiated: ``u' = -F_u^-1 F_p``. Repeated differentiation gives
-derivatives of any order. They are computed in forward mode (`forward_differentiable`), so that F may contain loops of
-data-dependent length. `fixed` is a pytree of constants.
+Any algorithm may compute the root, because only F is differentiated: ``u' = -F_u^-1 F_p``. Repeated differentiation
+gives derivatives of any order. Derivatives are computed in forward mode (`force_forward_mode`), so that F may
+contain loops of data-dependent length. The constants are a pytree.
 """
 
 from collections.abc import Callable
@@ -23,10 +23,10 @@ Parameters = Float[Array, " numbers"]
 Runner = Callable[..., Any]  # calls (function, *arrays), as `problem.Problem.runner`
 
 
-def loop_over_lanes(function: Callable[..., Any], runner: Runner = call_directly) -> Callable[..., Any]:
+def make_lane_loop_function(function: Callable[..., Any], runner: Runner = call_directly) -> Callable[..., Any]:
     """Make a function whose vmap is a loop over lanes.
 
-    Lanes do not wait for each other, and the compiled program is small.
+    Lanes are the elements of a batch. They do not wait for each other, and the compiled program is small.
 
     Parameters
     ----------
@@ -38,77 +38,80 @@ def loop_over_lanes(function: Callable[..., Any], runner: Runner = call_directly
     Returns
     -------
     callable
-        The function.
+        Function with the same arguments and result.
     """
     return sequential_vmap(lambda *arrays: runner(function, *arrays))
 
 
-def forward_differentiable(
+def force_forward_mode(
     function: Callable[[Parameters, Any], Any], runner: Runner = call_directly
 ) -> Callable[[Parameters, Any], Any]:
-    """Make a function of (vector, fixed) whose derivatives with respect to the vector are computed in forward mode.
+    """Make a function of (vector, constants) whose derivatives by the vector are computed in forward mode.
 
     Parameters
     ----------
     function : callable
-        Function of (vector, fixed).
+        Function of (vector, constants).
     runner : callable, optional
         Calls (function, arrays), as `problem.Problem.runner`.
 
     Returns
     -------
     callable
-        The function. Derivatives of any order, in reverse mode too, use the full Jacobian from forward mode.
+        Function of (vector, constants). Derivatives of any order, also in reverse mode, use the full Jacobian from
+        forward mode.
     """
-    primal_function = jax.custom_jvp(loop_over_lanes(function, runner))
+    primal_function = jax.custom_jvp(make_lane_loop_function(function, runner))
 
     @primal_function.defjvp
-    def _(primals, tangents):
-        (z, constants), (z_tangent, _) = primals, tangents
-        derivatives = forward_differentiable(jax.jacfwd(function), runner)(z, constants)
-        return primal_function(z, constants), jax.tree.map(lambda derivative: derivative @ z_tangent, derivatives)
+    def jvp_rule(primals, tangents):
+        (vector, constants), (vector_tangent, _) = primals, tangents
+        forward_jacobians = force_forward_mode(jax.jacfwd(function), runner)(vector, constants)
+        return primal_function(vector, constants), jax.tree.map(
+            lambda derivative: derivative @ vector_tangent, forward_jacobians
+        )
 
     return primal_function
 
 
-def implicit_root(
+def make_implicit_root(
     function: Callable[[Unknowns, Parameters, Any], Unknowns],
     find_root: Callable[[Parameters, Any], tuple[Unknowns, Any]],
     runner: Runner = call_directly,
 ) -> Callable[[Parameters, Any], tuple[Unknowns, Any]]:
-    """Make a differentiable root function of (p, fixed).
+    """Make a differentiable root function of (p, constants).
 
     Parameters
     ----------
     function : callable
-        F of (u, p, fixed), with as many entries as u.
+        F of (u, p, constants), with as many entries as u.
     find_root : callable
-        Function of (p, fixed) that returns (u, aux): a root u of F, if there is one, and a pytree of real numbers.
+        Function of (p, constants) that returns (u, aux): a root u of F, if one exists, and a pytree of real numbers.
     runner : callable, optional
         Calls (function, arrays), as `problem.Problem.runner`.
 
     Returns
     -------
     callable
-        Function of (p, fixed) that returns (u, aux). u has derivatives with respect to p of any order, in forward and
-        reverse mode; aux counts as constant.
+        Function of (p, constants) that returns (u, aux). u has derivatives with respect to p of any order, in forward
+        and reverse mode; aux counts as constant.
     """
-    primal_root = jax.custom_jvp(loop_over_lanes(find_root, runner))
+    primal_root_function = jax.custom_jvp(make_lane_loop_function(find_root, runner))
 
-    @primal_root.defjvp
-    def _(primals, tangents):
+    @primal_root_function.defjvp
+    def jvp_rule(primals, tangents):
         (p, constants), (tangent, _) = primals, tangents
-        u, aux = primal_root(p, constants)
+        u, aux = primal_root_function(p, constants)
 
-        def implicit_derivative(z, constants):
+        def root_jacobian(root_and_params, constants):
             n_unknowns = len(u)
-            jacobian = jax.jacfwd(lambda z: function(z[:n_unknowns], z[n_unknowns:], constants))(z)
+            jacobian = jax.jacfwd(lambda z: function(z[:n_unknowns], z[n_unknowns:], constants))(root_and_params)
             return -solve(jacobian[:, :n_unknowns], jacobian[:, n_unknowns:]).x
 
-        tangent = forward_differentiable(implicit_derivative, runner)(jnp.concatenate([u, p]), constants) @ tangent
+        tangent = force_forward_mode(root_jacobian, runner)(jnp.concatenate([u, p]), constants) @ tangent
         return (u, aux), (tangent, jax.tree.map(jnp.zeros_like, aux))
 
-    return primal_root
+    return primal_root_function
 
 
 class RootContinuation(NamedTuple):
@@ -117,12 +120,12 @@ class RootContinuation(NamedTuple):
     Attributes
     ----------
     u : Array
-        Root of shape (n,).
+        Root at the end of the line, of shape (n,). If no root was found there, u is the last root along the line.
     residual : Array
-        Largest entry of F.
+        Largest magnitude of the entries of F before the last Newton step.
     kind : Array
-        CONTINUED; JUMPED if Newton's method converged from the last point of an interrupted path, so that u may be
-        another root; FAILED if no root was found.
+        CONTINUED if the path is complete. JUMPED if the path is interrupted and Newton's method converged from its last
+        point, so that u may be another root. FAILED if no root was found.
     """
 
     u: Unknowns
@@ -138,7 +141,31 @@ MAX_NEWTON_STEPS = 12  # Newton steps after a stride; three times as many after 
 
 
 class _PathState(NamedTuple):
-    """State of the loop: Newton iterate `u` from `guess` at `trial_fraction`; last root, its tangent and fraction."""
+    """State of the loop in `continue_root`.
+
+    Attributes
+    ----------
+    u : Array
+        Newton iterate at `trial_fraction`. Array of shape (n,).
+    guess : Array
+        Initial guess of Newton's method at `trial_fraction`.
+    trial_fraction : Array
+        Fraction of the line at which a root is computed.
+    n_steps : Array
+        Number of Newton steps from the guess.
+    step : Array
+        Largest magnitude of the entries of the last Newton step.
+    root : Array
+        Last accepted root.
+    tangent : Array
+        Derivative of the root with respect to the fraction, at the last accepted root.
+    last_fraction : Array
+        Fraction of the line at the last accepted root.
+    residual : Array
+        Largest magnitude of the entries of F before the last step of the last completed Newton iteration.
+    kind : Array
+        TRACKING, RESTARTED, CONTINUED, JUMPED or FAILED.
+    """
 
     u: Unknowns
     guess: Unknowns
@@ -147,7 +174,7 @@ class _PathState(NamedTuple):
     step: Float[Array, ""]
     root: Unknowns
     tangent: Unknowns
-    fraction: Float[Array, ""]
+    last_fraction: Float[Array, ""]
     residual: Float[Array, ""]
     kind: Float[Array, ""]
 
@@ -181,48 +208,63 @@ def continue_root(
 
     Notes
     -----
-    The first stride covers the whole line. A stride is halved if Newton's method fails or its correction is larger than
-    the tangent predicts. If the stride becomes too short, Newton's method starts from the last root at the end of the
-    line. F occurs once in one loop: it is compiled once, and lanes do not wait for each other.
+    The first stride covers the whole line. A stride is halved if Newton's method fails or its correction exceeds a
+    bound that depends on the predicted change. Otherwise the next stride is twice as long. If the stride becomes too
+    short, Newton's method is applied at the end of the line, starting at the last root. F occurs once in a single loop,
+    so that it is compiled once and lanes do not wait for each other.
     """
     n_unknowns, eps = len(start_root), jnp.finfo(start_root.dtype).eps
 
-    def residual_with_aux(z):
-        value = function(z[:n_unknowns], start_params + z[n_unknowns] * (end_params - start_params), constants)
-        return value, value
+    def residual_at_fraction(root_and_fraction):
+        residual_vector = function(
+            root_and_fraction[:n_unknowns],
+            start_params + root_and_fraction[n_unknowns] * (end_params - start_params),
+            constants,
+        )
+        return residual_vector, residual_vector
 
-    def advance(state):
-        jacobian, value = jax.jacfwd(residual_with_aux, has_aux=True)(jnp.append(state.u, state.trial_fraction))
-        solution = solve(jacobian[:, :n_unknowns], jnp.stack([value, jacobian[:, n_unknowns]], 1)).x
-        u, step, scale = state.u - solution[:, 0], jnp.max(abs(solution[:, 0])), 1.0 + jnp.max(abs(state.root))
-        is_tracking, converged, n_steps = state.kind == TRACKING, state.step <= eps**0.7 * scale, state.n_steps + 1.0
-        max_correction = CORRECTION_FACTOR * jnp.max(abs(state.guess - state.root)) + CORRECTION_OFFSET * scale
-        is_finished = (
-            ~jnp.isfinite(step)
+    def advance_path(state):
+        jacobian, residual_vector = jax.jacfwd(residual_at_fraction, has_aux=True)(
+            jnp.append(state.u, state.trial_fraction)
+        )
+        solution = solve(jacobian[:, :n_unknowns], jnp.stack([residual_vector, jacobian[:, n_unknowns]], 1)).x
+        u, step_size, root_scale = (
+            state.u - solution[:, 0],
+            jnp.max(abs(solution[:, 0])),
+            1.0 + jnp.max(abs(state.root)),
+        )
+        is_tracking, converged, n_steps = (
+            state.kind == TRACKING,
+            state.step <= eps**0.7 * root_scale,
+            state.n_steps + 1.0,
+        )
+        max_correction = CORRECTION_FACTOR * jnp.max(abs(state.guess - state.root)) + CORRECTION_OFFSET * root_scale
+        is_newton_finished = (
+            ~jnp.isfinite(step_size)
             | converged
             | (n_steps >= jnp.where(is_tracking, MAX_NEWTON_STEPS, 3 * MAX_NEWTON_STEPS))
         )
         is_acceptable = (
-            converged & jnp.isfinite(step) & (~is_tracking | (jnp.max(abs(u - state.guess)) <= max_correction))
+            converged & jnp.isfinite(step_size) & (~is_tracking | (jnp.max(abs(u - state.guess)) <= max_correction))
         )
-        stride = jnp.where(
+        next_stride = jnp.where(
             is_acceptable,
-            jnp.where(state.trial_fraction > 0, 2.0 * (state.trial_fraction - state.fraction), 1.0),
-            0.5 * (state.trial_fraction - state.fraction),
+            jnp.where(state.trial_fraction > 0, 2.0 * (state.trial_fraction - state.last_fraction), 1.0),
+            0.5 * (state.trial_fraction - state.last_fraction),
         )
         root, tangent = (
-            jnp.where(is_acceptable, *new_and_old)
-            for new_and_old in ((u, state.root), (-solution[:, 1], state.tangent))
+            jnp.where(is_acceptable, *new_and_old_value)
+            for new_and_old_value in ((u, state.root), (-solution[:, 1], state.tangent))
         )
-        fraction = jnp.where(is_acceptable, state.trial_fraction, state.fraction)
-        end_kind = jnp.where(
+        fraction = jnp.where(is_acceptable, state.trial_fraction, state.last_fraction)
+        kind_if_path_ends = jnp.where(
             is_tracking, jnp.where(is_acceptable, CONTINUED, RESTARTED), jnp.where(is_acceptable, JUMPED, FAILED)
         )
-        keeps_tracking = is_tracking & jnp.where(is_acceptable, fraction < 1.0, stride >= MIN_STRIDE)
-        kind = jnp.where(is_finished & ~keeps_tracking, end_kind, state.kind)
-        trial_fraction = jnp.where(keeps_tracking, jnp.minimum(1.0, fraction + stride), 1.0)
+        keeps_tracking = is_tracking & jnp.where(is_acceptable, fraction < 1.0, next_stride >= MIN_STRIDE)
+        kind = jnp.where(is_newton_finished & ~keeps_tracking, kind_if_path_ends, state.kind)
+        trial_fraction = jnp.where(keeps_tracking, jnp.minimum(1.0, fraction + next_stride), 1.0)
         guess = root + jnp.where(keeps_tracking, trial_fraction - fraction, 0.0) * tangent
-        restarted_state = _PathState(
+        next_stride_state = _PathState(
             guess,
             guess,
             trial_fraction,
@@ -231,14 +273,14 @@ def continue_root(
             root,
             tangent,
             fraction,
-            jnp.max(abs(value)),
+            jnp.max(abs(residual_vector)),
             kind,
         )
-        advanced_state = state._replace(u=u, n_steps=n_steps, step=step)
+        next_newton_state = state._replace(u=u, n_steps=n_steps, step=step_size)
         return jax.tree.map(
-            lambda restarted_leaf, advanced_leaf: jnp.where(is_finished, restarted_leaf, advanced_leaf),
-            restarted_state,
-            advanced_state,
+            lambda restarted_leaf, advanced_leaf: jnp.where(is_newton_finished, restarted_leaf, advanced_leaf),
+            next_stride_state,
+            next_newton_state,
         )
 
     zero = jnp.zeros((), start_root.dtype)
@@ -254,5 +296,5 @@ def continue_root(
         zero + jnp.nan,
         zero + TRACKING,
     )
-    final_state = lax.while_loop(lambda state: state.kind < CONTINUED, advance, initial_state)
+    final_state = lax.while_loop(lambda state: state.kind < CONTINUED, advance_path, initial_state)
     return RootContinuation(final_state.root, final_state.residual, final_state.kind)

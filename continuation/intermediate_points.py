@@ -1,14 +1,14 @@
-"""Compute points between those of a branch."""
+"""Compute points between the points of a branch, and truncate branches at such points."""
 
 import numpy as np
 
 from . import event_search
 from .arclength import Point
-from .point_rows import head, insert_row, row_at
+from .point_rows import first_rows, insert_row, row_at
 
 
-def start_point(z, tangent):
-    """Make the `Point` from which steps begin.
+def make_start_point(z, tangent):
+    """Make the starting `Point` of a continuation.
 
     Parameters
     ----------
@@ -50,7 +50,9 @@ def point_at_length(task, points, row_before, length):
 
 
 def point_from_z(task, points, row_before, z):
-    """Make a point with given z and the tangent and determinant of the branch there.
+    """Make the `Point` at z, with the tangent and determinant of the branch at z.
+
+    If the step to z fails, the tangent and determinant are those of the row before.
 
     Parameters
     ----------
@@ -76,8 +78,8 @@ def point_from_z(task, points, row_before, z):
     return point._replace(z=z, step=np.float64(length), converged=np.True_, accepted=np.True_)
 
 
-def truncate_at_value(task, points, last_row, index, value):
-    """Truncate points where an entry of z has a value.
+def truncate_at_value(task, points, row_beyond, z_index, target_value):
+    """Truncate points where an entry of z reaches a value.
 
     Parameters
     ----------
@@ -85,37 +87,39 @@ def truncate_at_value(task, points, last_row, index, value):
         The task.
     points : Point
         Points, one row each.
-    last_row : int
+    row_beyond : int
         First row beyond the value.
-    index : int
+    z_index : int
         Index of the entry of z.
-    value : float
+    target_value : float
         The value.
 
     Returns
     -------
     points : Point
-        Points up to the value.
-    found : bool
+        Points up to the value, or up to the row before the value if no point with the value was located.
+    is_located : bool
         True if the point with the value was located.
     """
-    (value_before, value_after) = points.z[last_row - 1 : last_row + 1, index]
-    fraction = (value - value_before) / (value_after - value_before)
-    guess = point_at_length(task, points, last_row - 1, fraction * float(points.step[last_row]))
-    guess = (
-        points.z[last_row - 1] + fraction * (points.z[last_row] - points.z[last_row - 1]) if guess is None else guess.z
+    (value_before, value_after) = points.z[row_beyond - 1 : row_beyond + 1, z_index]
+    fraction = (target_value - value_before) / (value_after - value_before)
+    z_guess = point_at_length(task, points, row_beyond - 1, fraction * float(points.step[row_beyond]))
+    z_guess = (
+        points.z[row_beyond - 1] + fraction * (points.z[row_beyond] - points.z[row_beyond - 1])
+        if z_guess is None
+        else z_guess.z
     )
-    point = event_search.solve_with_fixed_entry(task.problem, guess, index, value, task.control, task.args)
-    truncated = head(points, last_row)
+    point = event_search.solve_with_fixed_entry(task.problem, z_guess, z_index, target_value, task.control, task.args)
+    points_before = first_rows(points, row_beyond)
     if not point.converged:
-        return truncated, False
+        return points_before, False
     z = np.array(point.z)
-    z[index] = value  # exactly, without a rounding error
-    return insert_row(truncated, last_row, point_from_z(task, points, last_row - 1, z)), True
+    z[z_index] = target_value  # exactly, without a rounding error
+    return insert_row(points_before, row_beyond, point_from_z(task, points, row_beyond - 1, z)), True
 
 
 def truncate_at_length(task, points, row_before, length):
-    """Truncate points at a length after a row."""
+    """Truncate points at a length after a row, or at the row if Newton's method fails."""
     point = point_at_length(task, points, row_before, length)
-    truncated = head(points, row_before + 1)
-    return truncated if point is None else insert_row(truncated, row_before + 1, point)
+    points_before = first_rows(points, row_before + 1)
+    return points_before if point is None else insert_row(points_before, row_before + 1, point)

@@ -45,25 +45,31 @@ def solve(matrix, rhs):
     size = len(rhs)
     row_indices = jnp.arange(size)
 
-    def eliminate_column(k, carry):
-        augmented, min_pivot, max_pivot, determinant = carry
-        column = lax.dynamic_index_in_dim(augmented, k, 1, keepdims=False)
-        pivot_index = jnp.argmax(jnp.where(row_indices >= k, abs(column), -1.0))
-        pivot_row = lax.dynamic_index_in_dim(augmented, pivot_index, 0, keepdims=False)
-        swapped_row = lax.dynamic_index_in_dim(augmented, k, 0, keepdims=False)
-        augmented = jnp.where((row_indices == pivot_index)[:, None], swapped_row, augmented)
-        pivot = lax.dynamic_index_in_dim(pivot_row, k, keepdims=False)
+    def eliminate_column(column_index, carry):
+        augmented_matrix, min_pivot, max_pivot, determinant = carry
+        pivot_column = lax.dynamic_index_in_dim(augmented_matrix, column_index, 1, keepdims=False)
+        pivot_index = jnp.argmax(jnp.where(row_indices >= column_index, abs(pivot_column), -1.0))
+        pivot_row = lax.dynamic_index_in_dim(augmented_matrix, pivot_index, 0, keepdims=False)
+        swapped_row = lax.dynamic_index_in_dim(augmented_matrix, column_index, 0, keepdims=False)
+        augmented_matrix = jnp.where((row_indices == pivot_index)[:, None], swapped_row, augmented_matrix)
+        pivot = lax.dynamic_index_in_dim(pivot_row, column_index, keepdims=False)
         pivot_row = pivot_row / pivot
-        column = jnp.where(row_indices == pivot_index, lax.dynamic_index_in_dim(swapped_row, k, keepdims=False), column)
-        augmented = jnp.where((row_indices == k)[:, None], pivot_row, augmented - column[:, None] * pivot_row)
-        determinant = determinant * jnp.where(pivot_index == k, pivot, -pivot)
-        return augmented, jnp.minimum(min_pivot, abs(pivot)), jnp.maximum(max_pivot, abs(pivot)), determinant
+        pivot_column = jnp.where(
+            row_indices == pivot_index,
+            lax.dynamic_index_in_dim(swapped_row, column_index, keepdims=False),
+            pivot_column,
+        )
+        augmented_matrix = jnp.where(
+            (row_indices == column_index)[:, None], pivot_row, augmented_matrix - pivot_column[:, None] * pivot_row
+        )
+        determinant = determinant * jnp.where(pivot_index == column_index, pivot, -pivot)
+        return augmented_matrix, jnp.minimum(min_pivot, abs(pivot)), jnp.maximum(max_pivot, abs(pivot)), determinant
 
     rhs_columns = rhs[:, None] if rhs.ndim == 1 else rhs
-    augmented = jnp.concatenate([matrix, rhs_columns], 1)
-    zero = jnp.zeros((), augmented.dtype)
-    initial = (augmented, zero + jnp.inf, zero, zero + 1.0)
-    augmented, min_pivot, max_pivot, determinant = lax.fori_loop(0, size, eliminate_column, initial)
+    augmented_matrix = jnp.concatenate([matrix, rhs_columns], 1)
+    zero = jnp.zeros((), augmented_matrix.dtype)
+    initial_carry = (augmented_matrix, zero + jnp.inf, zero, zero + 1.0)
+    augmented_matrix, min_pivot, max_pivot, determinant = lax.fori_loop(0, size, eliminate_column, initial_carry)
     pivot_ratio = min_pivot / max_pivot
-    x = augmented[:, size:].reshape(rhs.shape)
+    x = augmented_matrix[:, size:].reshape(rhs.shape)
     return LinearSolution(x, jnp.where(jnp.isnan(pivot_ratio), 0.0, pivot_ratio), determinant)

@@ -1,8 +1,9 @@
-"""Compute the leading normal-form coefficient at a special point; its sign decides the criticality.
+"""Compute the leading normal-form coefficient at a special point.
 
-(Kuznetsov, Elements of Applied Bifurcation Theory: SN 5.24 and 5.4, HB 5.4, PD and NS 5.4.) B and C are the second and
-third derivatives of the function with respect to u; q and p are the null vectors of the matrix and its transpose, with
-``p q = 1``.
+At HB, NS, PD and SB the sign of the coefficient determines the criticality. At SN the coefficient is zero at a cusp.
+The formulas are those of Kuznetsov, Elements of Applied Bifurcation Theory (SN: 5.24 and 5.4; HB, PD and NS: 5.4). B
+and C are the second and third derivatives of the function with respect to u. q and p are null vectors of the matrix and
+of its transpose.
 """
 
 from functools import partial
@@ -12,72 +13,88 @@ import jax.numpy as jnp
 import numpy as np
 
 from .persistent_jit import FAST_COMPILE, persistent_jit
-from .problem import matrix_at, residual_at
+from .problem import matrix_of_kind, residual_at
 
 
-def _directional_derivative(function, direction, u):
+def _derivative_along(function, direction, u):
     return jax.jvp(function, (u,), (direction,))[1]
 
 
-def _mixed_derivatives(system, names, z, constants, directions):
-    n_unknowns = len(z) - len(names)
+def _directional_derivatives(system, param_names, z, constants, direction_sets):
+    n_unknowns = len(z) - len(param_names)
 
-    def differentiate(direction_list):
-        function = lambda u: residual_at(system, names, jnp.concatenate([u, z[n_unknowns:]]), constants)  # noqa: E731
-        for direction in direction_list:
-            function = partial(_directional_derivative, function, direction)
+    def differentiate(directions):
+        def function(u):
+            return residual_at(system, param_names, jnp.concatenate([u, z[n_unknowns:]]), constants)
+
+        for direction in directions:
+            function = partial(_derivative_along, function, direction)
         return function(z[:n_unknowns])
 
-    return jax.vmap(differentiate)(directions)
+    return jax.vmap(differentiate)(direction_sets)
 
 
 @persistent_jit(static_argnums=(0, 1), compiler_options=FAST_COMPILE, numpy_first=True)
-def mixed_derivatives(system, names, z, constants, directions):
-    """Compute derivatives of F with respect to u along directions, an array of shape (count, order, n)."""
-    return _mixed_derivatives(system, names, z, constants, directions)
+def directional_derivatives(system, param_names, z, constants, direction_sets):
+    """Compute derivatives of F with respect to u along sets of directions.
+
+    `direction_sets` has shape (count, order, n). Each derivative has the given order, with one direction for each
+    differentiation. The result has shape (count, n).
+    """
+    return _directional_derivatives(system, param_names, z, constants, direction_sets)
 
 
 def border_vectors(matrix):
-    """Return (b, c), the nearly null vectors of a matrix's transpose and of the matrix."""
-    left_vectors, _, right_vectors = np.linalg.svd(np.asarray(matrix))
-    return left_vectors[:, -1], right_vectors[-1]
+    """Return (b, c), the left and right singular vectors of the smallest singular value of a matrix."""
+    left_singular_vectors, _, right_singular_vectors = np.linalg.svd(np.asarray(matrix))
+    return left_singular_vectors[:, -1], right_singular_vectors[-1]
 
 
-def normal_form_coefficient(system, kind, names, z, constants, border_reference):
+def normal_form_coefficient(system, kind, param_names, z, constants, reference_borders):
     """Compute the leading coefficient at SN, PD or SB.
 
-    It is ``p B(q, q)`` at SN and ``p (C(q, q, q) - 3 B(q, A^-1 B(q, q))) / (6 p q)`` at PD and SB, where A is the
-    derivative of F, at SB its symmetric block. The bordered systems with a reference (b, c) define (p, q), so that the
-    coefficient is a smooth function of z.
+    The coefficient is ``p B(q, q)`` at SN and ``p (C(q, q, q) - 3 B(q, A^-1 B(q, q))) / (6 p q)`` at PD and SB. A is
+    the derivative of F, at SB the symmetric block of this derivative. Systems bordered by the reference vectors (b, c)
+    define (p, q), so that the coefficient is a smooth function of z.
     """
-    matrix = matrix_at(system, kind, names, z, constants)
-    left_border, right_border = border_reference
-    bordered = np.block([[matrix, left_border[:, None]], [right_border[None], np.zeros((1, 1))]])
+    matrix = matrix_of_kind(system, kind, param_names, z, constants)
+    left_border, right_border = reference_borders
+    bordered_matrix = np.block([[matrix, left_border[:, None]], [right_border[None], np.zeros((1, 1))]])
     unit_rhs = np.append(np.zeros(len(right_border)), 1.0)
-    q, p = np.linalg.solve(bordered, unit_rhs)[:-1], np.linalg.solve(bordered.T, unit_rhs)[:-1]
-    # At PD the matrix is A + 2, so that the operator is -A.
-    full_system, operator = system._replace(within=False), 2.0 * np.eye(len(q)) - matrix
-    (quadratic_term,) = mixed_derivatives(full_system, names, z, constants, np.array([[q, q]]))
-    if kind == "SN":
-        return float(p @ quadratic_term)
-    if kind == "SB":
-        operator = -matrix_at(system._replace(within=True), "SN", names, z, constants)
-    h = np.linalg.solve(operator, quadratic_term)
-    (mixed_term,), (cubic_term,) = (
-        mixed_derivatives(full_system, names, z, constants, np.array([directions]))
-        for directions in ([q, h], [q, q, q])
+    right_null_vector, left_null_vector = (
+        np.linalg.solve(bordered_matrix, unit_rhs)[:-1],
+        np.linalg.solve(bordered_matrix.T, unit_rhs)[:-1],
     )
-    return float(p @ (cubic_term + 3.0 * mixed_term) / (6.0 * (p @ q)))
+    # At PD the matrix is A + 2, so that the operator is -A.
+    unrestricted_system, minus_jacobian = system._replace(within=False), 2.0 * np.eye(len(right_null_vector)) - matrix
+    (quadratic_term,) = directional_derivatives(
+        unrestricted_system, param_names, z, constants, np.array([[right_null_vector, right_null_vector]])
+    )
+    if kind == "SN":
+        return float(left_null_vector @ quadratic_term)
+    if kind == "SB":
+        minus_jacobian = -matrix_of_kind(system._replace(within=True), "SN", param_names, z, constants)
+    quadratic_response = np.linalg.solve(minus_jacobian, quadratic_term)
+    (mixed_term,), (cubic_term,) = (
+        directional_derivatives(unrestricted_system, param_names, z, constants, np.array([directions]))
+        for directions in (
+            [right_null_vector, quadratic_response],
+            [right_null_vector, right_null_vector, right_null_vector],
+        )
+    )
+    return float(left_null_vector @ (cubic_term + 3.0 * mixed_term) / (6.0 * (left_null_vector @ right_null_vector)))
 
 
 def critical_eigenvalue(kind, eigenvalues):
-    """Return the eigenvalue closest to criticality, HB or NS, with positive imaginary part; nan if none is complex."""
-    pairs = eigenvalues[eigenvalues.imag > 0]
-    critical_distances = abs(pairs.real) if kind == "HB" else abs(abs(pairs) - 1.0)
-    return pairs[int(np.argmin(critical_distances))] if len(pairs) else complex(np.nan, np.nan)
+    """Return the eigenvalue with positive imaginary part that is closest to criticality (HB or NS), or nan."""
+    complex_eigenvalues = eigenvalues[eigenvalues.imag > 0]
+    critical_distances = abs(complex_eigenvalues.real) if kind == "HB" else abs(abs(complex_eigenvalues) - 1.0)
+    return (
+        complex_eigenvalues[int(np.argmin(critical_distances))] if len(complex_eigenvalues) else complex(np.nan, np.nan)
+    )
 
 
-def lyapunov_coefficient(system, kind, names, z, constants):
+def lyapunov_coefficient(system, kind, param_names, z, constants):
     """Compute the first Lyapunov coefficient of a Hopf or Neimark-Sacker point.
 
     Parameters
@@ -86,58 +103,100 @@ def lyapunov_coefficient(system, kind, names, z, constants):
         The system.
     kind : {"HB", "NS"}
         Kind of the point.
-    names : tuple of str
+    param_names : tuple of str
         Continuation parameters.
     z : ndarray
         The point.
-    constants : Constants
-        Other parameters and args.
+    constants : SystemConstants
+        Values of the other parameters, and args.
 
     Returns
     -------
     float
-        Coefficient, negative if the emanating solutions are stable; nan if no eigenvalue is complex.
+        Coefficient, negative if the bifurcation is supercritical; nan if no eigenvalue is complex.
 
     Notes
     -----
-    The coefficient is ``Re(g) / (2 omega)`` at HB, with the frequency omega, and ``Re(conj(mu) g) / 2`` at NS, with the
-    multiplier mu. q has length 1 and ``p q = 1``; ``*`` denotes the conjugate and A the matrix with the eigenvalue mu::
+    The critical eigenvalue mu is i omega at HB and a multiplier at NS. The coefficient is ``Re(g) / (2 omega)`` at HB
+    and ``Re(conj(mu) g) / 2`` at NS. q has length 1 and ``p q = 1``; ``*`` denotes the conjugate and A the matrix with
+    the eigenvalue mu::
 
         g = p (C(q, q, q*) + 2 B(q, (s - A)^-1 B(q, q*)) + B(q*, (r - A)^-1 B(q, q)))
 
     with s = 0 and r = 2 mu at HB, s = 1 and r = mu^2 at NS.
     """
-    matrix = matrix_at(system, "", names, z, constants)
-    eigenvalue, identity = critical_eigenvalue(kind, np.linalg.eigvals(matrix).astype(complex)), np.eye(len(matrix))
-    if not np.isfinite(eigenvalue):
-        return np.nan
-    left_vectors, _, right_vectors = np.linalg.svd(matrix - eigenvalue * identity)
-    q, p = right_vectors[-1].conj(), left_vectors[:, -1].conj()
-    q_real, q_imag = q.real, q.imag
-    b_rr, b_ri, b_ii = mixed_derivatives(
-        system, names, z, constants, np.array([[q_real, q_real], [q_real, q_imag], [q_imag, q_imag]])
+    jacobian = matrix_of_kind(system, "", param_names, z, constants)
+    critical_value, identity_matrix = (
+        critical_eigenvalue(kind, np.linalg.eigvals(jacobian).astype(complex)),
+        np.eye(len(jacobian)),
     )
-    mean_shift, double_shift = (0.0, 2.0 * eigenvalue) if kind == "HB" else (1.0, eigenvalue * eigenvalue)
-    h_mean = np.linalg.solve(mean_shift * identity - matrix, b_rr + b_ii)
-    h_double = np.linalg.solve(double_shift * identity - matrix, b_rr - b_ii + 2j * b_ri)
-    direction_pairs = [
-        (q_real, h_mean),
-        (q_imag, h_mean),
-        (q_real, h_double.real),
-        (q_imag, h_double.imag),
-        (q_real, h_double.imag),
-        (q_imag, h_double.real),
-    ]
-    b_real_mean, b_imag_mean, *b_double = mixed_derivatives(system, names, z, constants, np.array(direction_pairs))
-    c_rrr, c_rri, c_rii, c_iii = mixed_derivatives(
+    if not np.isfinite(critical_value):
+        return np.nan
+    left_singular_vectors, _, right_singular_vectors = np.linalg.svd(jacobian - critical_value * identity_matrix)
+    right_null_vector, left_null_vector = right_singular_vectors[-1].conj(), left_singular_vectors[:, -1].conj()
+    null_vector_real, null_vector_imag = right_null_vector.real, right_null_vector.imag
+    quadratic_rr, quadratic_ri, quadratic_ii = directional_derivatives(
         system,
-        names,
+        param_names,
         z,
         constants,
         np.array(
-            [[q_real, q_real, q_real], [q_real, q_real, q_imag], [q_real, q_imag, q_imag], [q_imag, q_imag, q_imag]]
+            [
+                [null_vector_real, null_vector_real],
+                [null_vector_real, null_vector_imag],
+                [null_vector_imag, null_vector_imag],
+            ]
         ),
     )
-    cubic_term, mixed_term = c_rrr + c_rii + 1j * (c_rri + c_iii), 2.0 * (b_real_mean + 1j * b_imag_mean)
-    g = p @ (cubic_term + mixed_term + b_double[0] + b_double[1] + 1j * (b_double[2] - b_double[3])) / (p @ q)
-    return float(g.real / (2.0 * eigenvalue.imag) if kind == "HB" else 0.5 * (eigenvalue.conjugate() * g).real)
+    mean_resolvent_shift, double_resolvent_shift = (
+        (0.0, 2.0 * critical_value) if kind == "HB" else (1.0, critical_value * critical_value)
+    )
+    mean_response = np.linalg.solve(mean_resolvent_shift * identity_matrix - jacobian, quadratic_rr + quadratic_ii)
+    double_response = np.linalg.solve(
+        double_resolvent_shift * identity_matrix - jacobian, quadratic_rr - quadratic_ii + 2j * quadratic_ri
+    )
+    direction_pairs = [
+        (null_vector_real, mean_response),
+        (null_vector_imag, mean_response),
+        (null_vector_real, double_response.real),
+        (null_vector_imag, double_response.imag),
+        (null_vector_real, double_response.imag),
+        (null_vector_imag, double_response.real),
+    ]
+    mixed_real_mean, mixed_imag_mean, *mixed_double_terms = directional_derivatives(
+        system, param_names, z, constants, np.array(direction_pairs)
+    )
+    cubic_rrr, cubic_rri, cubic_rii, cubic_iii = directional_derivatives(
+        system,
+        param_names,
+        z,
+        constants,
+        np.array(
+            [
+                [null_vector_real, null_vector_real, null_vector_real],
+                [null_vector_real, null_vector_real, null_vector_imag],
+                [null_vector_real, null_vector_imag, null_vector_imag],
+                [null_vector_imag, null_vector_imag, null_vector_imag],
+            ]
+        ),
+    )
+    cubic_term, mixed_term = (
+        cubic_rrr + cubic_rii + 1j * (cubic_rri + cubic_iii),
+        2.0 * (mixed_real_mean + 1j * mixed_imag_mean),
+    )
+    cubic_coefficient = (
+        left_null_vector
+        @ (
+            cubic_term
+            + mixed_term
+            + mixed_double_terms[0]
+            + mixed_double_terms[1]
+            + 1j * (mixed_double_terms[2] - mixed_double_terms[3])
+        )
+        / (left_null_vector @ right_null_vector)
+    )
+    return float(
+        cubic_coefficient.real / (2.0 * critical_value.imag)
+        if kind == "HB"
+        else 0.5 * (critical_value.conjugate() * cubic_coefficient).real
+    )

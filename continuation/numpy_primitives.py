@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from jax import lax
 
-from .numpy_indexing import NoRuleError, gather, scatter
+from .numpy_gather_scatter import NoRuleError, gather, scatter
 
 Rule = Callable[..., Any]
 UNSUPPORTED = {"atan2": "c", "clamp": "c"}  # kinds of operands for which NumPy's function is missing or differs
@@ -19,7 +19,7 @@ rules: dict[str, Callable[..., Rule]] = {}
 
 
 def register_rule(*names):
-    """Register a function of a primitive's parameters as its rule."""
+    """Make a decorator that registers a function of a primitive's parameters as the rule of this primitive."""
 
     def register(rule_factory):
         rules.update(dict.fromkeys(names, rule_factory))
@@ -28,7 +28,7 @@ def register_rule(*names):
     return register
 
 
-def _constant_rule(function, **_):
+def _elementwise_rule(function, **_):
     return function
 
 
@@ -36,35 +36,35 @@ def _reduction_rule(function, axes, **_):
     return partial(_reduce, function.reduce, tuple(axes))
 
 
-def _reduce(reduce, axes, x):
-    return reduce(x, axis=axes, dtype=x.dtype) if axes else x
+def _reduce(reduce_ufunc, axes, x):
+    return reduce_ufunc(x, axis=axes, dtype=x.dtype) if axes else x
 
 
-def _argument_rule(function, axes, index_dtype, **_):
+def _arg_extremum_rule(function, axes, index_dtype, **_):
     return lambda x: np.asarray(function(x, axis=axes[0])).astype(index_dtype)[()]
 
 
 def _cumulative_rule(function, axis, reverse, **_):
     def run(x):
-        flipped = np.flip(x, axis) if reverse else x
-        cumulated = function(flipped, axis, dtype=x.dtype)
-        return np.flip(cumulated, axis) if reverse else cumulated
+        oriented_array = np.flip(x, axis) if reverse else x
+        cumulative = function(oriented_array, axis, dtype=x.dtype)
+        return np.flip(cumulative, axis) if reverse else cumulative
 
     return run
 
 
 def _divide(x, y):
-    """Divide; integers are truncated, and division by zero gives -1 (all bits set) as in XLA."""
+    """Divide; integer quotients are truncated, and integer division by zero sets all bits, as in XLA."""
     if y.dtype.kind not in "iu":
         return x / y
     floor_quotient = np.floor_divide(x, y)
-    rounds_down = (np.multiply(floor_quotient, y) != x) & ((x < 0) != (y < 0))
-    quotient = np.where(y == 0, ~np.zeros_like(y), floor_quotient + rounds_down.astype(y.dtype))
+    needs_increment = (np.multiply(floor_quotient, y) != x) & ((x < 0) != (y < 0))
+    quotient = np.where(y == 0, ~np.zeros_like(y), floor_quotient + needs_increment.astype(y.dtype))
     return quotient.astype(y.dtype)[()]
 
 
 def _remainder(x, y):
-    """Return the remainder with the sign of x; integer division by zero gives x as in XLA."""
+    """Return the remainder with the sign of x; for integers and y = 0 return x, as in XLA."""
     remainder = np.fmod(x, y)
     return remainder if y.dtype.kind == "f" else np.where(y == 0, x, remainder).astype(y.dtype)[()]
 
@@ -133,19 +133,19 @@ REDUCTIONS = {
     "reduce_prod": np.multiply,
     "reduce_sum": np.add,
 }
-rules |= {name: partial(_constant_rule, function) for name, function in ELEMENTWISE.items()}
+rules |= {name: partial(_elementwise_rule, function) for name, function in ELEMENTWISE.items()}
 rules |= {name: partial(_reduction_rule, function) for name, function in REDUCTIONS.items()}
-rules |= {"argmax": partial(_argument_rule, np.argmax), "argmin": partial(_argument_rule, np.argmin)}
+rules |= {"argmax": partial(_arg_extremum_rule, np.argmax), "argmin": partial(_arg_extremum_rule, np.argmin)}
 rules |= {"cumsum": partial(_cumulative_rule, np.cumsum), "cumprod": partial(_cumulative_rule, np.cumprod)}
 
 
 @register_rule("integer_pow")
 def _integer_pow(y, **_):
     def power(x):
-        product = x
+        repeated_product = x
         for _ in range(abs(y) - 1):
-            product = product * x
-        return product if y > 0 else 1 / product
+            repeated_product = repeated_product * x
+        return repeated_product if y > 0 else 1 / repeated_product
 
     if y == 0:
         return np.ones_like
@@ -167,17 +167,23 @@ def _convert_element_type(new_dtype, **_):
 
     def run(x):
         x_real = x.real if x.dtype.kind == "c" and dtype.kind != "c" else x
-        return _truncate(x_real, dtype) if x_real.dtype.kind == "f" and dtype.kind in "iu" else x_real.astype(dtype)
+        return (
+            _truncate_to_integers(x_real, dtype)
+            if x_real.dtype.kind == "f" and dtype.kind in "iu"
+            else x_real.astype(dtype)
+        )
 
     return run
 
 
-def _truncate(x, dtype):
+def _truncate_to_integers(x, dtype):
     """Convert floats to integers; values out of range are clipped, nan becomes 0."""
     limits = np.iinfo(dtype)
-    is_below, is_above = x <= float(limits.min), x >= float(limits.max)
-    truncated = np.where(is_below | is_above | np.isnan(x), 0.0, x).astype(dtype)
-    return np.where(is_above, dtype.type(limits.max), np.where(is_below, dtype.type(limits.min), truncated))[()]
+    is_below_range, is_above_range = x <= float(limits.min), x >= float(limits.max)
+    truncated = np.where(is_below_range | is_above_range | np.isnan(x), 0.0, x).astype(dtype)
+    return np.where(
+        is_above_range, dtype.type(limits.max), np.where(is_below_range, dtype.type(limits.min), truncated)
+    )[()]
 
 
 @register_rule("bitcast_convert_type")
@@ -205,11 +211,11 @@ def _select_n(**_):
 @register_rule("broadcast_in_dim")
 def _broadcast_in_dim(shape, broadcast_dimensions, **_):
     def run(x):
-        unit_shape = [1] * len(shape)
+        shape_with_ones = [1] * len(shape)
         for axis, size in zip(broadcast_dimensions, x.shape, strict=True):
-            unit_shape[axis] = size
+            shape_with_ones[axis] = size
         result = np.empty(shape, x.dtype)
-        result[...] = x.reshape(unit_shape)
+        result[...] = x.reshape(shape_with_ones)
         return result
 
     return run
@@ -238,21 +244,23 @@ def _slice(start_indices, limit_indices, strides, **_):
     return lambda x: x[slices]
 
 
-def _window_slices(starts, shape, sizes):
-    origins = (min(max(int(start), 0), length - size) for start, length, size in zip(starts, shape, sizes, strict=True))
-    return tuple(slice(origin, origin + size) for origin, size in zip(origins, sizes, strict=True))
+def _slices_of_clipped_window(starts, shape, sizes):
+    window_origins = (
+        min(max(int(start), 0), length - size) for start, length, size in zip(starts, shape, sizes, strict=True)
+    )
+    return tuple(slice(origin, origin + size) for origin, size in zip(window_origins, sizes, strict=True))
 
 
 @register_rule("dynamic_slice")
 def _dynamic_slice(slice_sizes, **_):
-    return lambda x, *starts: x[_window_slices(starts, x.shape, slice_sizes)]
+    return lambda x, *starts: x[_slices_of_clipped_window(starts, x.shape, slice_sizes)]
 
 
 @register_rule("dynamic_update_slice")
 def _dynamic_update_slice(**_):
     def run(x, window, *starts):
         result = x.copy()
-        result[_window_slices(starts, x.shape, window.shape)] = window
+        result[_slices_of_clipped_window(starts, x.shape, window.shape)] = window
         return result
 
     return run
@@ -285,8 +293,8 @@ def _tile(reps, **_):
 
 @register_rule("iota")
 def _iota(dtype, shape, dimension, **_):
-    unit_shape = [-1 if axis == dimension else 1 for axis in range(len(shape))]
-    result = np.broadcast_to(np.arange(shape[dimension], dtype=dtype).reshape(unit_shape), shape)
+    shape_with_ones = [-1 if axis == dimension else 1 for axis in range(len(shape))]
+    result = np.broadcast_to(np.arange(shape[dimension], dtype=dtype).reshape(shape_with_ones), shape)
     return lambda: result
 
 
@@ -306,12 +314,12 @@ def _pad(padding_config, **_):
         raise NoRuleError("padding by less than nothing")
 
     def run(x, value):
-        spans = [
+        axis_spans = [
             (low_padding, low_padding + max(size - 1, 0) * (spacing + 1) + min(size, 1), high_padding, spacing + 1)
             for size, (low_padding, high_padding, spacing) in zip(x.shape, padding_config, strict=True)
         ]
-        padded = np.full([stop + high_padding for _, stop, high_padding, _ in spans], value, x.dtype)
-        padded[tuple(slice(low_padding, stop, spacing) for low_padding, stop, _, spacing in spans)] = x
+        padded = np.full([stop + high_padding for _, stop, high_padding, _ in axis_spans], value, x.dtype)
+        padded[tuple(slice(low_padding, stop, spacing) for low_padding, stop, _, spacing in axis_spans)] = x
         return padded
 
     return run
@@ -319,26 +327,28 @@ def _pad(padding_config, **_):
 
 @register_rule("dot_general")
 def _dot_general(dimension_numbers, **_):
-    (x_summed, y_summed), (x_batch, y_batch) = dimension_numbers
+    (x_summed_axes, y_summed_axes), (x_batch_axes, y_batch_axes) = dimension_numbers
 
     def run(x, y):
         x_labels = list(range(x.ndim))
         y_labels = [x.ndim + axis for axis in range(y.ndim)]
-        for x_axis, y_axis in zip((*x_summed, *x_batch), (*y_summed, *y_batch), strict=True):
+        for x_axis, y_axis in zip((*x_summed_axes, *x_batch_axes), (*y_summed_axes, *y_batch_axes), strict=True):
             y_labels[y_axis] = x_labels[x_axis]
-        summed_labels = {x_labels[axis] for axis in x_summed}
-        batch_labels = [x_labels[axis] for axis in x_batch]
-        free = [label for label in (*x_labels, *y_labels) if label not in summed_labels and label not in batch_labels]
-        return np.einsum(x, x_labels, y, y_labels, batch_labels + list(dict.fromkeys(free)))
+        summed_labels = {x_labels[axis] for axis in x_summed_axes}
+        batch_labels = [x_labels[axis] for axis in x_batch_axes]
+        free_labels = [
+            label for label in (*x_labels, *y_labels) if label not in summed_labels and label not in batch_labels
+        ]
+        return np.einsum(x, x_labels, y, y_labels, batch_labels + list(dict.fromkeys(free_labels)))
 
     return run
 
 
 @register_rule("sort")
 def _sort(dimension, num_keys, **_):
-    def run(*columns):
-        order = np.lexsort(columns[:num_keys][::-1], axis=dimension)
-        return [np.take_along_axis(column, order, dimension) for column in columns]
+    def run(*operands):
+        order = np.lexsort(operands[:num_keys][::-1], axis=dimension)
+        return [np.take_along_axis(operand, order, dimension) for operand in operands]
 
     return run
 

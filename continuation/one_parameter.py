@@ -8,20 +8,29 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike, Real
 
-from . import branch_exits, constraint, driver, event_search, hopf
+from . import constraint, continuation_loop, emanating_branches, event_search, hopf_orbits
 from .arclength import StepControl
 from .branch import Branch, Special
 from .branch_closure import SystemEventDetector
 from .branch_segment import join_segments, reverse_segment
-from .driver import ContinuationTask, End
+from .computation_limits import make_limits
+from .continuation_loop import ContinuationTask, End
 from .errors import ContinuationError, check_types
 from .event_search import Event
-from .intermediate_points import point_at_length, start_point
-from .limits import limits_of
+from .intermediate_points import make_start_point, point_at_length
 from .newton import ADVICE, newton
 from .persistent_jit import persistent_jit
-from .problem import EQUILIBRIA, ORBITS, Constants, System, matrix_at, noise_floor, problem_of, stability_matrix
-from .roots import find_sign_change
+from .problem import (
+    EQUILIBRIA,
+    ORBITS,
+    System,
+    SystemConstants,
+    make_problem,
+    matrix_of_kind,
+    newton_step_floor,
+    stability_matrix,
+)
+from .roots import find_bracketed_root
 from .validation import require_settings, require_system, validate_start
 
 TOLERANCE = 1e-10  # tolerance of Newton's method, a length
@@ -33,50 +42,54 @@ Monitors = Mapping[str, Callable[[Any, Any, Any], ArrayLike]]  # functions of (u
 
 
 class BranchEventDetector(SystemEventDetector):
-    """Detector of special points of a branch: the test functions of the problem and user-defined monitors."""
+    """Event detector that locates sign changes of the test functions of a problem and of user-defined monitors."""
 
-    def __init__(self, system, names, monitors):
-        super().__init__(system, names)
+    def __init__(self, system, param_names, monitors):
+        super().__init__(system, param_names)
         self.monitors = monitors
 
     def find_early_end(self, task, points):
-        return hopf.find_hopf_end(self.system, self.names, task, points) if self.system.kind == ORBITS else None
+        return hopf_orbits.find_hopf_end(self.system, self.names, task, points) if self.system.kind == ORBITS else None
 
-    def find_events(self, task, points, diagnostics, branch_points, termination):
-        signs = _test_signs(self.system, self.names, points.z, task.args)
-        events = event_search.locate_events(task.problem, points, signs, task.control, task.args, branch_points)
-        if constraint.FOLD in signs:
+    def find_events(self, task, points, diagnostics, known_branch_points, termination):
+        test_signs = _test_signs(self.system, self.names, points.z, task.args)
+        events = event_search.locate_events(
+            task.problem, points, test_signs, task.control, task.args, known_branch_points
+        )
+        if constraint.FOLD in test_signs:
             events = [
                 event._replace(kind="SN") if event.kind == constraint.FOLD else event
                 for event in events
                 if event.kind != "SN"
             ]
-        for kind in self.monitors:
-            values = np.array([self.monitor_value(kind, z, task.args) for z in points.z])
-            for row_before in np.flatnonzero(values[:-1] * values[1:] < 0):
-                events.append(self.locate_monitor_event(kind, task, points, int(row_before)))
+        for monitor_name in self.monitors:
+            monitor_values = np.array([self.monitor_value(monitor_name, z, task.args) for z in points.z])
+            for row_before in np.flatnonzero(monitor_values[:-1] * monitor_values[1:] < 0):
+                events.append(self.locate_monitor_event(monitor_name, task, points, int(row_before)))
         return events
 
-    def monitor_value(self, kind, z, constants):
+    def monitor_value(self, monitor_name, z, constants):
         """Evaluate a monitor at a point."""
         n_unknowns = len(z) - len(self.names)
         p = {**constants.fixed_params, **dict(zip(self.names, z[n_unknowns:], strict=True))}
-        return float(self.monitors[kind](z[:n_unknowns], p, constants.args))
+        return float(self.monitors[monitor_name](z[:n_unknowns], p, constants.args))
 
-    def locate_monitor_event(self, kind, task, points, row_before):
+    def locate_monitor_event(self, monitor_name, task, points, row_before):
         """Locate the zero of a monitor between two points."""
 
-        def value_at_length(length):
+        def monitor_at_length(length):
             point = point_at_length(task, points, row_before, length)
             if point is None:
                 raise ContinuationError(
-                    "monitors", "must be evaluated between two points, where Newton's method does not converge", kind
+                    "monitors",
+                    "must be evaluated between two points, where Newton's method does not converge",
+                    monitor_name,
                 )
-            return self.monitor_value(kind, point.z, task.args)
+            return self.monitor_value(monitor_name, point.z, task.args)
 
-        length = find_sign_change(value_at_length, float(points.step[row_before + 1]))
+        length = find_bracketed_root(monitor_at_length, float(points.step[row_before + 1]))
         point = point_at_length(task, points, row_before, length)
-        return Event(kind, row_before, length, point.z, float(point.residual))
+        return Event(monitor_name, row_before, length, point.z, float(point.residual))
 
 
 @check_types
@@ -120,21 +133,21 @@ def trace(
     args : Any, optional
         Pytree of numbers and arrays passed to the function of the system.
     direction : {"both", "forward", "backward"}, optional
-        Direction of the first step: towards larger values (forward), smaller values (backward), or one branch in each
-        direction (both). With several parameters it refers to the last one.
+        Direction of the first step: towards larger values (forward), smaller values (backward), or both. With several
+        parameters the values are those of the last parameter.
     first_step : float, optional
         Length of the first step, measured in (u, parameter).
     largest_step : float, optional
         Largest step length, measured in (u, parameter).
     tolerance : float, optional
-        Tolerance of Newton's method, measured in (u, parameter). None stands for 1e-10, and for periodic orbits for at
-        least 10 times the tolerance of their integrator.
+        Tolerance of Newton's method, measured in (u, parameter). None stands for 1e-10, or for 10 times the tolerance
+        of the integrator of periodic orbits if this is larger.
     monitors : mapping of str to callable, optional
         Functions of (u, p, args) whose sign changes are located as special points of the given names.
     stop : sequence of str, optional
-        Kinds of special point at which the continuation ends.
+        Kinds of special point, or names of monitors, at which the continuation ends.
     hold : mapping, optional
-        Functions of (u, p, args), or names of monitors, and the values at which they are held along the branch.
+        Values at which functions are held along the branch. Keys are functions of (u, p, args) or names of monitors.
     max_points : int, optional
         Largest number of points of the branch. None stands for no limit.
     max_seconds : float, optional
@@ -145,7 +158,7 @@ def trace(
     Returns
     -------
     Branch
-        The branch with its special points. Its `reasons` state why it ends, a limit that is reached included.
+        The branch with its special points. `Branch.reasons` contains the termination reasons, such as a limit.
 
     Raises
     ------
@@ -159,8 +172,9 @@ def trace(
 
     Notes
     -----
-    With `hold`, the start keeps the value in `at` of the last parameter of `along`; Newton's method adjusts the others.
-    A turning point of the last parameter is then no fold: an SN is a point at which dF/du is singular.
+    With `hold`, the start keeps the value in `at` of the last parameter of `along`; Newton's method adjusts u and the
+    other parameters. An SN is then a point at which dF/du is singular. A turning point of the last parameter is in
+    general not such a point.
 
     Examples
     --------
@@ -171,30 +185,38 @@ def trace(
     >>> branch.reason["last"]
     'a reached its bound 2'
     """
-    limits = limits_of(max_points, max_seconds, progress, ContinuationError)
-    u_start, at = validate_start(u, at)
+    limits = make_limits(max_points, max_seconds, progress, ContinuationError)
+    start_u, at = validate_start(u, at)
     require_settings(direction, monitors, stop)
-    require_system(system, u_start, at, args)
-    system = restrict_to_symmetric(system, u_start, at, args)
-    names = (along,) if isinstance(along, str) else tuple(along)
-    constraints = constraint.resolve_constraints(hold, monitors, names)
-    bounds_by_name = bounds if isinstance(bounds, Mapping) else dict.fromkeys(names, bounds)
-    if set(bounds_by_name) != set(names):
-        raise ContinuationError("bounds", f"must contain the interval of each parameter: {', '.join(names)}", bounds)
-    bounds = validate_bounds(at, {name: bounds_by_name[name] for name in names})
-    p_rest = {name: value for name, value in at.items() if name not in names}
+    require_system(system, start_u, at, args)
+    system = restrict_to_symmetric(system, start_u, at, args)
+    param_names = (along,) if isinstance(along, str) else tuple(along)
+    constraints = constraint.resolve_constraints(hold, monitors, param_names)
+    bounds_by_name = bounds if isinstance(bounds, Mapping) else dict.fromkeys(param_names, bounds)
+    if set(bounds_by_name) != set(param_names):
+        raise ContinuationError(
+            "bounds", f"must contain the interval of each parameter: {', '.join(param_names)}", bounds
+        )
+    bounds = validate_bounds(at, {name: bounds_by_name[name] for name in param_names})
+    fixed_params = {name: value for name, value in at.items() if name not in param_names}
     constants = (
-        constraint.HoldConstants(p_rest, args, tuple(constraints.values())) if constraints else Constants(p_rest, args)
+        constraint.HoldConstants(fixed_params, args, tuple(constraints.values()))
+        if constraints
+        else SystemConstants(fixed_params, args)
     )
-    z = np.append(u_start, [at[name] for name in names])
-    problem = constraint.make_problem(system, tuple(constraints), names) if constraints else problem_of(system, names)
-    z = _correct_start(problem, z, constants)
-    validate_bounds(dict(zip(names, z[len(u_start) :].tolist(), strict=True)), bounds)
-    task = make_task(system, z, bounds, constants, first_step, largest_step, tolerance, monitors, stop)
+    start_z = np.append(start_u, [at[name] for name in param_names])
+    problem = (
+        constraint.make_constrained_problem(system, tuple(constraints), param_names)
+        if constraints
+        else make_problem(system, param_names)
+    )
+    start_z = _correct_start(problem, start_z, constants)
+    validate_bounds(dict(zip(param_names, start_z[len(start_u) :].tolist(), strict=True)), bounds)
+    task = make_task(system, start_z, bounds, constants, first_step, largest_step, tolerance, monitors, stop)
     task = task._replace(problem=problem, limits=limits)
-    tangent = event_search.unit_tangent(task.problem, z, task.control.scale, constants)
-    backward, forward = follow_both_directions(task, z, tangent, direction)
-    return assemble_branch(system, None, bounds, constants, backward, forward)
+    tangent = event_search.unit_tangent(task.problem, start_z, task.control.scale, constants)
+    backward_segment, forward_segment = follow_both_directions(task, start_z, tangent, direction)
+    return assemble_branch(system, None, bounds, constants, backward_segment, forward_segment)
 
 
 @check_types
@@ -229,7 +251,7 @@ def switch(
     monitors : mapping of str to callable, optional
         Functions of (u, p, args) whose sign changes are located as special points.
     stop : sequence of str, optional
-        Kinds of special point at which the continuation ends.
+        Kinds of special point, or names of monitors, at which the continuation ends.
     orbits : System, optional
         System of periodic orbits of the same field, made by `continuation.shooting.periodic_orbits`. Required at HB.
     max_points : int, optional
@@ -242,13 +264,16 @@ def switch(
     Returns
     -------
     tuple of Branch
-        Branches that begin at the point, without the branch on which it lies: both halves of the crossing branch at BP
-        and SB, the branch of doubled period at PD, the branch of periodic orbits at HB.
+        Branches that start at the special point, without the branch of the special point: both halves of the crossing
+        branch at BP and SB, the branch of doubled period at PD, the branch of periodic orbits at HB.
 
     Raises
     ------
     ContinuationError
-        If the point is of another kind, or `orbits` is missing at HB.
+        If an argument is invalid, if the point is of another kind or on a branch in several parameters, if `orbits` is
+        missing at HB, or if `first_step` does not lead to a periodic orbit at HB.
+    ValueError
+        If no other branch crosses the branch at BP or SB.
 
     See Also
     --------
@@ -262,209 +287,270 @@ def switch(
     >>> [half.reason["last"] for half in halves]
     ['a reached its bound 1', 'a reached its bound 1']
     """
-    if not isinstance(special, Special) or special.kind not in branch_exits.KINDS or len(special.names) != 1:
+    if not isinstance(special, Special) or special.kind not in emanating_branches.KINDS or len(special.names) != 1:
         raise ContinuationError(
             "special",
-            f"must be a special point of kind {', '.join(branch_exits.KINDS)} on a branch in one parameter",
+            f"must be a special point of kind {', '.join(emanating_branches.KINDS)} on a branch in one parameter",
             special,
         )
     if special.kind == "HB" and (not isinstance(orbits, System) or orbits.kind != ORBITS):
         raise ContinuationError(
             "orbits", "must be the `periodic_orbits` system of the field with the Hopf point", orbits
         )
-    limits = limits_of(max_points, max_seconds, progress, ContinuationError)
+    limits = make_limits(max_points, max_seconds, progress, ContinuationError)
     bounds = bounds or special.bounds
     require_settings("both", monitors, stop)
-    system, z, constants, tangents = branch_exits.emanating_directions(special, orbits)
-    task = make_task(system, z, bounds, constants, first_step, largest_step, tolerance, monitors, stop)
+    system, start_z, constants, tangents = emanating_branches.emanating_directions(special, orbits)
+    task = make_task(system, start_z, bounds, constants, first_step, largest_step, tolerance, monitors, stop)
     task = task._replace(starts=(), limits=limits)
-    starts = [start_point(z, tangent) for tangent in tangents]
+    start_points = [make_start_point(start_z, tangent) for tangent in tangents]
     if special.kind == "HB":
-        starts = [hopf.first_orbit(task, half) for half in starts]
-    segments = [driver.follow_branch(task, half) for half in starts]
-    return tuple(assemble_branch(system, None, bounds, constants, None, half) for half in segments)
+        start_points = [hopf_orbits.first_orbit(task, branch_half) for branch_half in start_points]
+    segments = [continuation_loop.follow_branch(task, branch_half) for branch_half in start_points]
+    return tuple(assemble_branch(system, None, bounds, constants, None, branch_half) for branch_half in segments)
 
 
 def follow_both_directions(task, z, tangent, direction="both"):
     """Continue from a solution in the requested directions.
 
-    Returns (`BranchSegment` backward, `BranchSegment` forward). An entry is None if its direction is not requested, or
-    if the forward branch closes, so that the backward one is not needed.
+    Returns (backward `BranchSegment`, forward `BranchSegment`). A segment is None if its direction is not requested.
+    The backward segment is also None if the forward segment closes.
     """
     limits = task.limits
-    forward_task = task._replace(limits=limits.halved() if direction == "both" else limits)
-    forward = driver.follow_branch(forward_task, start_point(z, tangent)) if direction != "backward" else None
-    is_closed = forward is not None and forward.end is End.CLOSED
-    task = task._replace(limits=limits.after(0 if forward is None else len(forward.points.z) - 1))
-    backward = None if direction == "forward" or is_closed else driver.follow_branch(task, start_point(z, -tangent))
-    return backward, forward
-
-
-def assemble_branch(system, kind, bounds, constants, backward, forward):
-    """Make the `Branch` of the segments backward and forward from a start; either may be None."""
-    names = tuple(bounds)
-    segment = (
-        forward
-        if backward is None
-        else reverse_segment(backward)
-        if forward is None
-        else join_segments([reverse_segment(backward), forward])
+    forward_task = task._replace(limits=limits.half_points() if direction == "both" else limits)
+    forward_segment = (
+        continuation_loop.follow_branch(forward_task, make_start_point(z, tangent)) if direction != "backward" else None
     )
-    z, n_u = segment.points.z, segment.points.z.shape[1] - len(names)
-    eigenvalues = _eigenvalues(system, names, z, constants)
-    specials = {part.row: (_kind_of(system, z[part.row, :n_u], part.kind), part.residual) for part in segment.specials}
-    for row in (0, len(z) - 1):
-        specials.setdefault(row, ("EP", float(segment.points.residual[row])))
-    special = tuple(
+    is_closed = forward_segment is not None and forward_segment.end is End.CLOSED
+    task = task._replace(
+        limits=limits.after_points(0 if forward_segment is None else len(forward_segment.points.z) - 1)
+    )
+    backward_segment = (
+        None
+        if direction == "forward" or is_closed
+        else continuation_loop.follow_branch(task, make_start_point(z, -tangent))
+    )
+    return backward_segment, forward_segment
+
+
+def assemble_branch(system, kind, bounds, constants, backward_segment, forward_segment):
+    """Make the `Branch` of the segments backward and forward from a start; either segment may be None."""
+    param_names = tuple(bounds)
+    full_segment = (
+        forward_segment
+        if backward_segment is None
+        else reverse_segment(backward_segment)
+        if forward_segment is None
+        else join_segments([reverse_segment(backward_segment), forward_segment])
+    )
+    zs, n_unknowns = full_segment.points.z, full_segment.points.z.shape[1] - len(param_names)
+    eigenvalues = _sorted_eigenvalues(system, param_names, zs, constants)
+    kind_and_residual_by_row = {
+        segment_special.row: (
+            _kind_with_symmetry(system, zs[segment_special.row, :n_unknowns], segment_special.kind),
+            segment_special.residual,
+        )
+        for segment_special in full_segment.specials
+    }
+    for row in (0, len(zs) - 1):
+        kind_and_residual_by_row.setdefault(row, ("EP", float(full_segment.points.residual[row])))
+    special_points = tuple(
         Special(
-            specials[row][0],
-            z[row, :n_u],
-            {**constants.fixed_params, **dict(zip(names, z[row, n_u:].tolist(), strict=True))},
-            names,
+            kind_and_residual_by_row[row][0],
+            zs[row, :n_unknowns],
+            {**constants.fixed_params, **dict(zip(param_names, zs[row, n_unknowns:].tolist(), strict=True))},
+            param_names,
             eigenvalues[row],
-            specials[row][1],
+            kind_and_residual_by_row[row][1],
             row,
             system,
             constants.args,
             bounds,
-            segment.points.tangent[row],
+            full_segment.points.tangent[row],
         )
-        for row in sorted(specials)
+        for row in sorted(kind_and_residual_by_row)
     )
-    columns = dict(zip(names, z[:, n_u:].T, strict=True))
-    reasons = tuple("the start" if part is None else _end_reason(part, names) for part in (backward, forward))
-    return Branch(system, kind, names, z[:, :n_u], columns, eigenvalues, segment.points.residual, special, reasons)
+    parameter_columns = dict(zip(param_names, zs[:, n_unknowns:].T, strict=True))
+    reasons = tuple(
+        "the start" if segment is None else _format_end_reason(segment, param_names)
+        for segment in (backward_segment, forward_segment)
+    )
+    return Branch(
+        system,
+        kind,
+        param_names,
+        zs[:, :n_unknowns],
+        parameter_columns,
+        eigenvalues,
+        full_segment.points.residual,
+        special_points,
+        reasons,
+    )
 
 
-def _kind_of(system, u, kind):
-    """Return SB for a branch point of a branch of asymmetric solutions at a symmetric solution, else the kind."""
+def _kind_with_symmetry(system, u, kind):
+    """Return SB for a branch point at a symmetric solution of an unrestricted system, else the kind."""
     may_break_symmetry = kind == "BP" and system.symmetry is not None and not system.within
     return "SB" if may_break_symmetry and np.allclose(system.symmetry(u), u, rtol=0, atol=SYMMETRY_TOLERANCE) else kind
 
 
-def restrict_to_symmetric(system, u, params, args):
+def restrict_to_symmetric(system, u, param_values, args):
     """Restrict a system to symmetric solutions if u is symmetric; raise ContinuationError for an invalid symmetry."""
     if not isinstance(system, System) or system.symmetry is None:
         return system
     random_u = u + np.random.default_rng(0).normal(size=len(u))
-    u_back = np.asarray(system.symmetry(system.symmetry(random_u)))
-    f_image, image_f = (
-        system.function(system.symmetry(random_u), params, args),
-        system.symmetry(system.function(random_u, params, args)),
+    twice_mapped_u = np.asarray(system.symmetry(system.symmetry(random_u)))
+    function_of_image, image_of_function = (
+        system.function(system.symmetry(random_u), param_values, args),
+        system.symmetry(system.function(random_u, param_values, args)),
     )
-    if not np.allclose(u_back, random_u, rtol=0, atol=1e-9) or not np.allclose(f_image, image_f, rtol=1e-9, atol=1e-9):
+    if not np.allclose(twice_mapped_u, random_u, rtol=0, atol=1e-9) or not np.allclose(
+        function_of_image, image_of_function, rtol=1e-9, atol=1e-9
+    ):
         raise ContinuationError(
             "symmetry", "must satisfy S(S(u)) = u and function(S(u)) = S(function(u))", system.symmetry
         )
     return system._replace(within=bool(np.allclose(system.symmetry(u), u, rtol=0, atol=SYMMETRY_TOLERANCE)))
 
 
-def validate_bounds(params, bounds):
+def validate_bounds(param_values, bounds):
     """Return the bounds {name: (low, high)} as floats; raise ContinuationError if they are invalid.
 
     Bounds must be finite with low < high and contain the value at the start.
     """
-    intervals = {}
+    interval_by_name = {}
     for name, interval in bounds.items():
-        if name not in params:
-            raise ContinuationError("along", f"must be one of the parameters {', '.join(params)}", name)
-        ends = np.asarray(interval, float) if np.shape(interval) == (2,) else np.array([np.nan, np.nan])
-        if not (np.isfinite(ends).all() and ends[0] < ends[1]):
+        if name not in param_values:
+            raise ContinuationError("along", f"must be one of the parameters {', '.join(param_values)}", name)
+        interval_ends = np.asarray(interval, float) if np.shape(interval) == (2,) else np.array([np.nan, np.nan])
+        if not (np.isfinite(interval_ends).all() and interval_ends[0] < interval_ends[1]):
             raise ContinuationError("bounds", "must be (low, high), two finite numbers with low < high", interval)
-        if not ends[0] <= float(params[name]) <= ends[1]:
+        if not interval_ends[0] <= float(param_values[name]) <= interval_ends[1]:
             raise ContinuationError(
-                "bounds", f"must contain the value of {name} at the start, {float(params[name]):.12g}", interval
+                "bounds", f"must contain the value of {name} at the start, {float(param_values[name]):.12g}", interval
             )
-        intervals[name] = (float(ends[0]), float(ends[1]))
-    return intervals
+        interval_by_name[name] = (float(interval_ends[0]), float(interval_ends[1]))
+    return interval_by_name
 
 
 @persistent_jit(static_argnums=0, numpy_first=True)
-def _solve_start(problem, z, constants):
-    def function(unknowns):
-        value, jacobian = problem.function(jnp.concatenate([unknowns, z[-1:]]), constants)
-        return value, jacobian[:, :-1]
+def _correct_unknowns(problem, z, constants):
+    def residual_and_jacobian(unknowns):
+        residual, jacobian = problem.function(jnp.concatenate([unknowns, z[-1:]]), constants)
+        return residual, jacobian[:, :-1]
 
-    return newton(function, z[:-1])
+    return newton(residual_and_jacobian, z[:-1])
 
 
 def _correct_start(problem, z, constants):
     """Correct all entries of z except the last by Newton's method."""
-    solution = _solve_start(problem, z, constants)
+    solution = _correct_unknowns(problem, z, constants)
     if solution.status:
         raise ContinuationError("u", f"must be near a solution: {ADVICE[int(solution.status)]}", z[:-1])
     return np.append(solution.unknowns, z[-1])
 
 
-def make_task(system, z, bounds, constants, first_step, max_step, tolerance, monitors=None, stop=(), default=TOLERANCE):
+def make_task(
+    system,
+    start_z,
+    bounds,
+    constants,
+    first_step,
+    max_step,
+    tolerance,
+    monitors=None,
+    stop_kinds=(),
+    default_tolerance=TOLERANCE,
+):
     """Make the `ContinuationTask` from z in the parameters of `bounds`; raise ContinuationError for invalid settings.
 
-    The tolerance `default` replaces a tolerance of None.
+    `default_tolerance` is the tolerance that replaces None.
     """
-    noise = noise_floor(system)
+    min_tolerance = newton_step_floor(system)
     if tolerance is None:
-        tolerance = max(default, noise)
-    elif not tolerance >= 0.999 * noise:
-        rule = f"must be at least {noise:g}, 10 times the tolerance of `periodic_orbits`, which may be reduced"
-        raise ContinuationError("tolerance", rule, tolerance)
+        tolerance = max(default_tolerance, min_tolerance)
+    elif not tolerance >= 0.999 * min_tolerance:
+        error_rule = (
+            f"must be at least {min_tolerance:g}, 10 times the tolerance of `periodic_orbits`, which may be reduced"
+        )
+        raise ContinuationError("tolerance", error_rule, tolerance)
     for key, value in (("first_step", first_step), ("largest_step", max_step), ("tolerance", tolerance)):
         if not (np.isscalar(value) and np.isfinite(value) and value > 0):
             raise ContinuationError(key, "must be greater than 0", value)
-    names, intervals = tuple(bounds), tuple(bounds.values())
+    param_names, intervals = tuple(bounds), tuple(bounds.values())
     control_values = (min(MIN_STEP, first_step), max_step, tolerance, *intervals[-1])
-    control = StepControl(np.ones(len(z)), *(np.float64(control_value) for control_value in control_values))
-    detector = BranchEventDetector(system, names, monitors or {})
-    step = min(first_step, max_step)
+    control = StepControl(np.ones(len(start_z)), *(np.float64(control_value) for control_value in control_values))
+    detector = BranchEventDetector(system, param_names, monitors or {})
+    first_step_length = min(first_step, max_step)
     return ContinuationTask(
-        problem_of(system, names), constants, control, step, intervals, detector=detector, stop=tuple(stop), starts=(z,)
+        make_problem(system, param_names),
+        constants,
+        control,
+        first_step_length,
+        intervals,
+        detector=detector,
+        stop=tuple(stop_kinds),
+        starts=(start_z,),
     )
 
 
-def _end_reason(segment, names):
+def _format_end_reason(segment, param_names):
     """Format the termination reason of a `BranchSegment`."""
-    kind = segment.specials[-1].kind if segment.specials else ""
-    return segment.end.value.format(name=names[segment.end_param_index], value=segment.end_value, kind=kind)
+    last_special_kind = segment.specials[-1].kind if segment.specials else ""
+    return segment.end.value.format(
+        name=param_names[segment.end_param_index], value=segment.end_value, kind=last_special_kind
+    )
 
 
-def _test_signs(system, names, zs, constants):
-    """Return {label: values of a test function at the points}, computed from eigenvalues.
+def _test_signs(system, param_names, zs, constants):
+    """Return {label: values of a test function at the points}, computed from eigenvalues except for SB.
 
-    The values change sign where the matrix of the test is singular. For HB and NS the sign changes where the number of
-    unstable eigenvalues changes by two or more, because a pair crosses the imaginary axis, or the unit circle.
+    For the fold, PD and SB the values change sign where the matrix of the test function is singular. For HB and NS they
+    change sign where the number of unstable eigenvalues changes by two or more, as when a pair of eigenvalues crosses
+    the imaginary axis or the unit circle.
     """
-    eigenvalues = _eigenvalues(system, names, zs, constants)
-    is_steady = system.kind == EQUILIBRIA
-    n_unstable = np.sum(eigenvalues.real > 0 if is_steady else abs(eigenvalues) > 1, axis=1)
-    pair_sign = np.cumprod(np.append(1.0, np.where(abs(np.diff(n_unstable)) >= 2, -1.0, 1.0)))
-    signs = (
-        {constraint.FOLD: _signed_product(eigenvalues if is_steady else eigenvalues - 1.0)}
+    eigenvalues = _sorted_eigenvalues(system, param_names, zs, constants)
+    is_equilibrium = system.kind == EQUILIBRIA
+    n_unstable = np.sum(eigenvalues.real > 0 if is_equilibrium else abs(eigenvalues) > 1, axis=1)
+    pair_crossing_signs = np.cumprod(np.append(1.0, np.where(abs(np.diff(n_unstable)) >= 2, -1.0, 1.0)))
+    signs_by_kind = (
+        {constraint.FOLD: _smooth_product_signs(eigenvalues if is_equilibrium else eigenvalues - 1.0)}
         if isinstance(constants, constraint.HoldConstants)
         else {}
     )
     if system.within:
-        signs["SB"] = _symmetry_breaking_signs(system, names, zs, constants)
-    return signs | ({"HB": pair_sign} if is_steady else {"PD": _signed_product(eigenvalues + 1.0), "NS": pair_sign})
+        signs_by_kind["SB"] = _symmetry_breaking_signs(system, param_names, zs, constants)
+    return signs_by_kind | (
+        {"HB": pair_crossing_signs}
+        if is_equilibrium
+        else {"PD": _smooth_product_signs(eigenvalues + 1.0), "NS": pair_crossing_signs}
+    )
 
 
-def _symmetry_breaking_signs(system, names, zs, constants):
+def _symmetry_breaking_signs(system, param_names, zs, constants):
     """Return the sign of the determinant of the SB matrix at each point."""
-    return np.array([np.linalg.slogdet(matrix_at(system, "SB", names, z, constants))[0] for z in zs])
+    return np.array([np.linalg.slogdet(matrix_of_kind(system, "SB", param_names, z, constants))[0] for z in zs])
 
 
-def _signed_product(values):
-    """Return the sign of the product of each row, scaled down where a factor is close to zero."""
-    return np.prod(values / np.maximum(abs(values), EIGENVALUE_FLOOR), axis=1).real
+def _smooth_product_signs(factors):
+    """Return the sign of the product of each row; the result has a modulus below 1 where a factor is nearly zero."""
+    return np.prod(factors / np.maximum(abs(factors), EIGENVALUE_FLOOR), axis=1).real
 
 
 @persistent_jit(static_argnums=(0, 1), numpy_first=True)
-def _matrices(system, names, zs, constants):
-    return jax.vmap(lambda z: stability_matrix(system, names, z, constants))(zs)
+def _stability_matrices(system, param_names, zs, constants):
+    return jax.vmap(lambda z: stability_matrix(system, param_names, z, constants))(zs)
 
 
-def _eigenvalues(system, names, z, constants):
-    """Compute the eigenvalues of the `stability_matrix` at the points, (points, count), in descending order."""
-    n_rows = -(-len(z) // EIGENVALUE_BATCH) * EIGENVALUE_BATCH
-    padded = np.concatenate([z, np.repeat(z[-1:], n_rows - len(z), axis=0)])
-    eigenvalues = np.linalg.eigvals(np.asarray(_matrices(system, names, padded, constants))[: len(z)]).astype(complex)
+def _sorted_eigenvalues(system, param_names, zs, constants):
+    """Compute the eigenvalues of the `stability_matrix` at points, shape (points, count).
+
+    Eigenvalues of equilibria are in descending order of their real parts, multipliers in that of their moduli.
+    """
+    n_padded_rows = -(-len(zs) // EIGENVALUE_BATCH) * EIGENVALUE_BATCH
+    padded_zs = np.concatenate([zs, np.repeat(zs[-1:], n_padded_rows - len(zs), axis=0)])
+    eigenvalues = np.linalg.eigvals(
+        np.asarray(_stability_matrices(system, param_names, padded_zs, constants))[: len(zs)]
+    ).astype(complex)
     sort_key = eigenvalues.real if system.kind == EQUILIBRIA else abs(eigenvalues)
     return np.take_along_axis(eigenvalues, np.argsort(-sort_key, axis=1, kind="stable"), axis=1)

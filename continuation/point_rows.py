@@ -1,4 +1,4 @@
-"""Select, insert and join rows of points or diagnostics: NamedTuples with one array per field."""
+"""Select, insert and join rows of points or diagnostics, which are NamedTuples with one array per field."""
 
 import numpy as np
 
@@ -9,14 +9,14 @@ def map_fields(function, *rows):
     Parameters
     ----------
     function : callable
-        Function of one array of each of the rows.
+        Function of arrays, one from each argument in `rows`.
     *rows : NamedTuple or None
         Rows of one class, with one array per field.
 
     Returns
     -------
     NamedTuple or None
-        The results in the same class; None for None.
+        The results in the class of the rows; None if the rows are None.
 
     Notes
     -----
@@ -26,28 +26,28 @@ def map_fields(function, *rows):
 
 
 def row_at(points, index):
-    """Return one row."""
+    """Return the row at an index."""
     return map_fields(lambda leaf: leaf[index], points)
 
 
-def head(points, n_rows):
-    """Return the first rows."""
+def first_rows(points, n_rows):
+    """Return the first `n_rows` rows."""
     return map_fields(lambda leaf: leaf[:n_rows], points)
 
 
 def insert_row(points, index, row):
-    """Insert a row at an index and shorten the step of the row after it."""
-    extended_rows = map_fields(
+    """Insert a row at an index and shorten the step of the next row by that of the inserted row."""
+    extended_points = map_fields(
         lambda leaf, entry: np.concatenate([leaf[:index], np.asarray(entry)[None], leaf[index:]]), points, row
     )
-    if index + 1 < len(extended_rows.z):
-        extended_rows.step[index + 1] -= row.step
-    return extended_rows
+    if index + 1 < len(extended_points.z):
+        extended_points.step[index + 1] -= row.step
+    return extended_points
 
 
-def join_rows(parts):
-    """Join parts, each of which begins with the last row of the previous one."""
-    return map_fields(lambda *leaves: np.concatenate([leaves[0], *(leaf[1:] for leaf in leaves[1:])]), *parts)
+def join_rows(row_blocks):
+    """Join blocks of rows, each of which starts with the last row of the previous block."""
+    return map_fields(lambda *leaves: np.concatenate([leaves[0], *(leaf[1:] for leaf in leaves[1:])]), *row_blocks)
 
 
 def reverse_rows(points):

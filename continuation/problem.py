@@ -81,13 +81,13 @@ class Problem(NamedTuple):
     test_functions : tuple of TestFunction
         Test functions besides those for folds and branch points.
     runner : callable
-        Calls ``(function, *arrays, **static)`` inside a jit, in the form that suits the compiler.
+        Takes ``(function, *arrays, **static)`` and calls the function inside a jit, in a form that suits the compiler.
     is_valid : callable
         Function of (z, args) that accepts or rejects a located special point.
     compile_at_once : bool
-        Compile before the first evaluation, because the loops are too long for Python.
+        True if the functions are compiled before the first evaluation, because their loops are too long for Python.
     noise_floor : float
-        Length below which Newton's steps do not shrink, because the steps of an integrator change.
+        Length below which Newton's steps do not shrink, because the adaptive steps of an integrator cause noise.
     """
 
     function: Callable[[Any, Any], tuple[Float[jax.Array, " unknowns"], Any]]
@@ -112,10 +112,10 @@ class System(NamedTuple):
     function : callable
         Function of (u, p, args) that returns an array of shape (n,), with u of shape (n,) and p {name: number}.
     kind : {"equilibria", "fixed points", "periodic orbits"}
-        Equilibria are zeros of the function, fixed points are mapped to themselves after `times` iterations, and
-        periodic orbits solve ``u' = function``.
+        Equilibria are zeros of the function. Fixed points are mapped to themselves by `times` iterations of the
+        function. Periodic orbits solve ``u' = function``.
     times : int
-        Number of iterations of a map, or of rounds of an orbit.
+        Number of iterations of a map, or of traversals of a periodic orbit.
     fly : callable or None
         Flow of the field of periodic orbits: (u, time, p, args) -> u after this time.
     segments : int
@@ -123,7 +123,7 @@ class System(NamedTuple):
     symmetry : callable or None
         Linear symmetry S with S(S(u)) = u and function(S(u)) = S(function(u)).
     within : bool
-        Restrict to symmetric solutions, S(u) = u.
+        True if the solutions are restricted to symmetric solutions, S(u) = u.
     """
 
     function: SystemFunction
@@ -139,8 +139,8 @@ EQUILIBRIA, FIXED_POINTS, ORBITS = "equilibria", "fixed points", "periodic orbit
 NOISE_FACTOR = 10.0  # Newton's steps shrink to this multiple of the tolerance of an integrator
 
 
-def noise_floor(system: System) -> float:
-    """Return the length below which Newton's steps do not shrink, set by the integrator; 0 without an integrator."""
+def newton_step_floor(system: System) -> float:
+    """Return the length below which Newton's steps do not shrink, set by the integrator; 0 if there is none."""
     return NOISE_FACTOR * getattr(system.fly, "tolerance", 0.0)
 
 
@@ -188,8 +188,8 @@ def equilibria(function: SystemFunction, symmetry: Callable[[Any], Any] | None =
 def fixed_points(move: SystemFunction, times: int = 1, symmetry: Callable[[Any], Any] | None = None) -> System:
     """Define the fixed points of a map, or of an iterate of it.
 
-    Solutions satisfy ``move(u, p, args) = u`` after `times` iterations. Period doublings (PD) and Neimark-Sacker points
-    (NS) are located besides folds (SN) and branch points (BP).
+    Solutions u return to u after `times` iterations of ``u -> move(u, p, args)``. Period doublings (PD) and
+    Neimark-Sacker points (NS) are located besides folds (SN) and branch points (BP).
 
     Parameters
     ----------
@@ -225,7 +225,7 @@ def fixed_points(move: SystemFunction, times: int = 1, symmetry: Callable[[Any],
     return System(move, FIXED_POINTS, times, symmetry=symmetry)
 
 
-class Constants(NamedTuple):
+class SystemConstants(NamedTuple):
     """Constants of a `System` along a branch.
 
     Attributes
@@ -241,29 +241,31 @@ class Constants(NamedTuple):
 
 
 @lru_cache
-def problem_of(system, names):
+def make_problem(system, param_names):
     """Make the `Problem` of a `System` in the given parameters.
 
     Parameters
     ----------
     system : System
         The system.
-    names : tuple of str
+    param_names : tuple of str
         Continuation parameters.
 
     Returns
     -------
     Problem
-        Problem with z = (u, values of the names); its args are `Constants`.
+        Problem with z = (u, values of the named parameters); its args are `SystemConstants`.
     """
 
-    def make_test(kind, is_valid=always_true):
-        return TestFunction(kind, partial(singular_matrix, system, kind, names), is_valid)
+    def make_test(kind, is_genuine=always_true):
+        return TestFunction(kind, partial(singular_matrix, system, kind, param_names), is_genuine)
 
-    function = partial(residual_and_jacobian, system, names)
-    ns_test = make_test("NS", partial(is_neimark_sacker, system, names))
+    function = partial(residual_and_jacobian, system, param_names)
+    neimark_sacker_test = make_test("NS", partial(is_neimark_sacker, system, param_names))
     test_functions = (
-        (make_test("HB", partial(is_hopf, system, names)),) if system.kind == EQUILIBRIA else (make_test("PD"), ns_test)
+        (make_test("HB", partial(is_hopf, system, param_names)),)
+        if system.kind == EQUILIBRIA
+        else (make_test("PD"), neimark_sacker_test)
     )
     test_functions += (make_test("SB"),) if system.within else ()
     return Problem(
@@ -272,150 +274,177 @@ def problem_of(system, names):
         function,
         test_functions,
         compile_at_once=system.kind == ORBITS,
-        noise_floor=noise_floor(system),
+        noise_floor=newton_step_floor(system),
     )
 
 
-def split_unknowns(names, z, constants):
-    """Return u and all parameters by name at z = (u, values of the names)."""
-    n_unknowns = len(z) - len(names)
-    return z[:n_unknowns], {**constants.fixed_params, **{name: z[n_unknowns + k] for k, name in enumerate(names)}}
+def split_unknowns(param_names, z, constants):
+    """Return u and all parameters by name at z = (u, values of the named parameters)."""
+    n_unknowns = len(z) - len(param_names)
+    return z[:n_unknowns], {
+        **constants.fixed_params,
+        **{name: z[n_unknowns + param_index] for param_index, name in enumerate(param_names)},
+    }
 
 
-def residual_and_jacobian(system, names, z, constants):
-    """Compute F and dF/dz at z = (u, values of the names), shapes (n,) and (n, n + names)."""
+def residual_and_jacobian(system, param_names, z, constants):
+    """Compute F and dF/dz at z = (u, values of the named parameters), shapes (n,) and (n, n + names)."""
     if system.kind == ORBITS:
-        return multiple_shooting.shooting_equations(system, names, z, constants)
-    return residual_at(system, names, z, constants), jax.jacfwd(partial(residual_at, system, names))(z, constants)
+        return multiple_shooting.shooting_equations(system, param_names, z, constants)
+    return residual_at(system, param_names, z, constants), jax.jacfwd(partial(residual_at, system, param_names))(
+        z, constants
+    )
 
 
-def residual_at(system, names, z, constants):
-    """Compute the residual F at z, shape (n,)."""
+def residual_at(system, param_names, z, constants):
+    """Compute the residual F at z = (u, values of the named parameters), shape (n,).
+
+    For a system that is restricted to symmetric solutions, F is the symmetric part of the residual plus the
+    antisymmetric part of u.
+    """
     if system.kind == ORBITS:
-        return multiple_shooting.shooting_equations(system, names, z, constants)[0]
-    u_start, p = split_unknowns(names, z, constants)
+        return multiple_shooting.shooting_equations(system, param_names, z, constants)[0]
+    initial_u, p = split_unknowns(param_names, z, constants)
     if system.kind == EQUILIBRIA:
-        residual = system.function(u_start, p, constants.args)
+        residual = system.function(initial_u, p, constants.args)
     else:
-        u = u_start
+        u = initial_u
         for _ in range(system.times):
             u = system.function(u, p, constants.args)
-        residual = u - u_start
-    return symmetric_parts(system, residual)[0] + symmetric_parts(system, u_start)[1] if system.within else residual
+        residual = u - initial_u
+    return (
+        split_by_symmetry(system, residual)[0] + split_by_symmetry(system, initial_u)[1] if system.within else residual
+    )
 
 
-def symmetric_parts(system, u):
+def split_by_symmetry(system, u):
     """Split u into its symmetric and its antisymmetric part."""
     image = system.symmetry(u)
     return 0.5 * (u + image), 0.5 * (u - image)
 
 
-def jacobian_at(system, names, z, constants):
+def jacobian_at(system, param_names, z, constants):
     """Compute dF/dz, shape (n, n + names)."""
-    return residual_and_jacobian(system, names, z, constants)[1]
+    return residual_and_jacobian(system, param_names, z, constants)[1]
 
 
-def stability_matrix(system, names, z, constants):
+def stability_matrix(system, param_names, z, constants):
     """Compute the matrix whose eigenvalues determine stability.
 
-    It is the derivative of the field or of the map with respect to u; for periodic orbits it is the monodromy matrix
-    without the direction of the field.
+    The matrix is the derivative of the field or of the map with respect to u. For periodic orbits it is the block of
+    the monodromy matrix that is transverse to the field.
     """
-    jacobian = jacobian_at(system._replace(within=False), names, z, constants)
+    jacobian = jacobian_at(system._replace(within=False), param_names, z, constants)
     if system.kind == ORBITS:
-        u, p = split_unknowns(names, z, constants)
+        u, p = split_unknowns(param_names, z, constants)
         first_point = multiple_shooting.points_and_period(u, system.segments * system.times)[0][0]
         return multiple_shooting.transverse_monodromy(
             system, jacobian, jnp.asarray(system.function(first_point, p, constants.args))
         )
-    u_jacobian = jacobian[:, : -len(names)]
+    u_jacobian = jacobian[:, : -len(param_names)]
     return u_jacobian if system.kind == EQUILIBRIA else u_jacobian + jnp.eye(len(u_jacobian))
 
 
-def singular_matrix(system, kind, names, z, constants):
+def singular_matrix(system, kind, param_names, z, constants):
     """Compute the matrix that is singular at special points of a kind, SN, PD, HB, NS or SB.
 
-    The symmetry splits dF/du into a symmetric and an antisymmetric block. The antisymmetric block alone is singular at
-    SB (Werner and Spence, SIAM J. Numer. Anal. 21, 388, 1984).
+    The symmetry splits dF/du into a symmetric and an antisymmetric block. At SB only the antisymmetric block is
+    singular (Werner and Spence, SIAM J. Numer. Anal. 21, 388, 1984).
     """
     if kind in ("HB", "NS"):
-        return (bialternate_sum if kind == "HB" else bialternate_product)(stability_matrix(system, names, z, constants))
+        return (bialternate_sum if kind == "HB" else bialternate_product)(
+            stability_matrix(system, param_names, z, constants)
+        )
     if kind == "SB":
-        jacobian = jacobian_at(system._replace(within=False), names, z, constants)[:, : -len(names)]
-        even_projector, odd_projector = jax.vmap(partial(symmetric_parts, system), 1, 1)(jnp.eye(len(jacobian)))
-        return odd_projector @ jacobian @ odd_projector + even_projector
-    jacobian = jacobian_at(system._replace(within=system.within and kind != "PD"), names, z, constants)[
-        :, : -len(names)
+        jacobian = jacobian_at(system._replace(within=False), param_names, z, constants)[:, : -len(param_names)]
+        symmetric_projector, antisymmetric_projector = jax.vmap(partial(split_by_symmetry, system), 1, 1)(
+            jnp.eye(len(jacobian))
+        )
+        return antisymmetric_projector @ jacobian @ antisymmetric_projector + symmetric_projector
+    jacobian = jacobian_at(system._replace(within=system.within and kind != "PD"), param_names, z, constants)[
+        :, : -len(param_names)
     ]
     if kind == "SN":
         return jacobian
     return (
-        multiple_shooting.antiperiodic_jacobian(system, jacobian)
+        multiple_shooting.period_doubling_matrix(system, jacobian)
         if system.kind == ORBITS
         else jacobian + 2.0 * jnp.eye(len(jacobian))
     )
 
 
 @persistent_jit(static_argnums=(0, 1, 2), compiler_options=FAST_COMPILE, numpy_first=True)
-def _compute_matrix(system, kind, names, z, constants):
-    return singular_matrix(system, kind, names, z, constants) if kind else stability_matrix(system, names, z, constants)
-
-
-def matrix_at(system, kind, names, z, constants):
-    """Compute the `singular_matrix` of a kind at one point on the host; the `stability_matrix` if the kind is empty."""
-    return np.asarray(_compute_matrix(system, kind, names, z, constants))
-
-
-def eigenvalues_at(system, names, z, constants):
-    """Compute the eigenvalues of the `stability_matrix` at one point."""
-    return np.linalg.eigvals(matrix_at(system, "", names, z, constants)).astype(complex)
-
-
-def is_hopf(system, names, z, constants):
-    """Return True if two complex eigenvalues lie on the imaginary axis.
-
-    Two real eigenvalues with sum 0 are a neutral saddle, for which the result is False.
-    """
-    eigenvalues = eigenvalues_at(system, names, z, constants)
-    scale = max(1.0, abs(eigenvalues).max())
-    return bool(
-        np.any((abs(eigenvalues.real) < CIRCLE_TOLERANCE * scale) & (abs(eigenvalues.imag) > CIRCLE_TOLERANCE * scale))
+def _compute_matrix_of_kind(system, kind, param_names, z, constants):
+    return (
+        singular_matrix(system, kind, param_names, z, constants)
+        if kind
+        else stability_matrix(system, param_names, z, constants)
     )
 
 
-def is_neimark_sacker(system, names, z, constants):
+def matrix_of_kind(system, kind, param_names, z, constants):
+    """Compute the `singular_matrix` of a kind at one point on the host; the `stability_matrix` if the kind is empty."""
+    return np.asarray(_compute_matrix_of_kind(system, kind, param_names, z, constants))
+
+
+def eigenvalues_at(system, param_names, z, constants):
+    """Compute the eigenvalues of the `stability_matrix` at one point."""
+    return np.linalg.eigvals(matrix_of_kind(system, "", param_names, z, constants)).astype(complex)
+
+
+def is_hopf(system, param_names, z, constants):
+    """Return True if two complex eigenvalues lie on the imaginary axis.
+
+    The result is False for a neutral saddle: two real eigenvalues with sum 0.
+    """
+    eigenvalues = eigenvalues_at(system, param_names, z, constants)
+    eigenvalue_scale = max(1.0, abs(eigenvalues).max())
+    return bool(
+        np.any(
+            (abs(eigenvalues.real) < CIRCLE_TOLERANCE * eigenvalue_scale)
+            & (abs(eigenvalues.imag) > CIRCLE_TOLERANCE * eigenvalue_scale)
+        )
+    )
+
+
+def is_neimark_sacker(system, param_names, z, constants):
     """Return True if two complex multipliers lie on the unit circle.
 
-    Two real multipliers with product 1 are a neutral saddle, for which the result is False.
+    The result is False for a neutral saddle: two real multipliers with product 1.
     """
-    eigenvalues = eigenvalues_at(system, names, z, constants)
+    eigenvalues = eigenvalues_at(system, param_names, z, constants)
     return bool(np.any((abs(abs(eigenvalues) - 1.0) < CIRCLE_TOLERANCE) & (abs(eigenvalues.imag) > CIRCLE_TOLERANCE)))
 
 
 def bialternate_product(matrix):
     """Return the bialternate product of a matrix with itself, less the identity.
 
-    Its eigenvalues are the products of two different eigenvalues, less 1 (Kuznetsov, Elements of Applied Bifurcation
-    Theory, 10.2).
+    The eigenvalues of the result are the products of all pairs of eigenvalues of the matrix, less 1 (Kuznetsov,
+    Elements of Applied Bifurcation Theory, 10.2).
     """
-    rows, columns = jnp.triu_indices(len(matrix), 1)
-    direct_terms = matrix[rows][:, rows] * matrix[columns][:, columns]
-    crossed_terms = matrix[rows][:, columns] * matrix[columns][:, rows]
-    return direct_terms - crossed_terms - jnp.eye(len(rows))
+    first_indices, second_indices = jnp.triu_indices(len(matrix), 1)
+    direct_terms = matrix[first_indices][:, first_indices] * matrix[second_indices][:, second_indices]
+    crossed_terms = matrix[first_indices][:, second_indices] * matrix[second_indices][:, first_indices]
+    return direct_terms - crossed_terms - jnp.eye(len(first_indices))
 
 
 def bialternate_sum(matrix):
     """Return twice the bialternate product of a matrix with the identity.
 
-    Its eigenvalues are the sums of two different eigenvalues (Kuznetsov, Elements of Applied Bifurcation Theory, 10.2).
+    The eigenvalues of the result are the sums of all pairs of eigenvalues of the matrix (Kuznetsov, Elements of Applied
+    Bifurcation Theory, 10.2).
     """
-    rows, columns = jnp.triu_indices(len(matrix), 1)
+    first_indices, second_indices = jnp.triu_indices(len(matrix), 1)
     identity = jnp.eye(len(matrix))
 
-    def kronecker_entries(i, j, k, m):
-        return matrix[i][:, k] * identity[j][:, m]
+    def kronecker_entries(matrix_rows, identity_rows, matrix_columns, identity_columns):
+        return matrix[matrix_rows][:, matrix_columns] * identity[identity_rows][:, identity_columns]
 
-    direct_terms = kronecker_entries(rows, columns, rows, columns) + kronecker_entries(columns, rows, columns, rows)
+    direct_terms = kronecker_entries(first_indices, second_indices, first_indices, second_indices) + kronecker_entries(
+        second_indices, first_indices, second_indices, first_indices
+    )
     return (
-        direct_terms - kronecker_entries(rows, columns, columns, rows) - kronecker_entries(columns, rows, rows, columns)
+        direct_terms
+        - kronecker_entries(first_indices, second_indices, second_indices, first_indices)
+        - kronecker_entries(second_indices, first_indices, first_indices, second_indices)
     )

@@ -1,4 +1,4 @@
-"""Write the parameters of rules and arrays as Python text that can be read again."""
+"""Write arrays and the parameters of rules as Python text that evaluates to the same values."""
 
 from enum import Enum
 from functools import lru_cache
@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from jax import lax
 
-from .numpy_indexing import NoRuleError
+from .numpy_gather_scatter import NoRuleError
 from .numpy_primitives import rules
 
 _NAMED_TYPES = (lax.GatherDimensionNumbers, lax.ScatterDimensionNumbers, lax.GatherScatterMode, lax.RoundingMethod)
@@ -16,7 +16,7 @@ TYPES_BY_NAME = {named_type.__name__: named_type for named_type in _NAMED_TYPES}
 
 
 def literal_text(value: Any) -> str:
-    """Return the Python text of a value; raise NoRuleError if it has none."""
+    """Return the Python text of a value. Raises NoRuleError if the value has no text."""
     if value is None or type(value) in (bool, int, float, str):
         return repr(value)
     if isinstance(value, np.ndarray | np.generic) and value.dtype.kind in "biuf" and value.dtype.isbuiltin:
@@ -34,7 +34,7 @@ def literal_text(value: Any) -> str:
 
 
 def rule_text(name: str, params: dict[str, Any]) -> str:
-    """Return the text of a primitive's rule with its parameters."""
+    """Return the Python text of a call of a primitive's rule with the parameters of an equation."""
     argument_texts = [f"{key}={literal_text(params[key])}" for key in _rule_parameters(name) if key in params]
     return f"rules[{name!r}]({', '.join(argument_texts)})"
 

@@ -44,7 +44,7 @@ EXPRESSIONS = {
     "add_any": "{0} + {1}",
     "and": "{0} & {1}",
     "cos": "math.cos({0}) if math.isfinite({0}) else nan",
-    "div": "{0} / {1} if {1} else divided({0}, {1})",
+    "div": "{0} / {1} if {1} else divide_ieee({0}, {1})",
     "eq": "{0} == {1}",
     "ge": "{0} >= {1}",
     "gt": "{0} > {1}",
@@ -57,7 +57,7 @@ EXPRESSIONS = {
     "ne": "{0} != {1}",
     "neg": "-{0}",
     "or": "{0} | {1}",
-    "rsqrt": "1.0 / math.sqrt({0}) if {0} > 0.0 else divided(1.0, np.sqrt({0}))",
+    "rsqrt": "1.0 / math.sqrt({0}) if {0} > 0.0 else divide_ieee(1.0, np.sqrt({0}))",
     "sin": "math.sin({0}) if math.isfinite({0}) else nan",
     "sqrt": "math.sqrt({0}) if {0} >= 0.0 else nan",
     "square": "{0} * {0}",
@@ -69,15 +69,15 @@ REDUCTION_OPERATIONS = {"reduce_sum": "add", "reduce_prod": "mul", "reduce_max":
 REDUCTION_OPERATIONS |= {"reduce_and": "and", "reduce_or": "or"}
 
 
-def write_scalars(writer, name, params, operands, constants, avals, result_avals):
-    """Write a primitive on small arrays; returns the values of its results, or None if it is not supported."""
+def write_small_primitive(writer, name, params, operands, constants, avals, result_avals):
+    """Write a primitive on small arrays and return the values of its results; None for an unsupported primitive."""
     dtype = np.dtype(avals[0].dtype) if avals else None
     if name in MOVE_PRIMITIVES:
         return move_entries(name, params, operands, len(result_avals))
     if name in CONSTANT_OPERANDS and all(
         constants[k] is not None for k in CONSTANT_OPERANDS[name] if k < len(operands)
     ):
-        return move_by_constants(name, params, operands, constants)
+        return move_at_constant_indices(name, params, operands, constants)
     if name == "gather":
         return write_gather(writer, params, *operands)
     if name == "select_n":
@@ -92,28 +92,28 @@ def write_scalars(writer, name, params, operands, constants, avals, result_avals
         lower, x, upper = operands
         return [write_elementwise(writer, MINIMUM_TEXT, [write_elementwise(writer, MAXIMUM_TEXT, [x, lower]), upper])]
     if name in REDUCTION_OPERATIONS:
-        return write_reduction(writer, expression(REDUCTION_OPERATIONS[name], dtype), operands[0], params["axes"])
+        return write_reduction(writer, expression_text(REDUCTION_OPERATIONS[name], dtype), operands[0], params["axes"])
     if name == "dot_general":
         return write_dot_general(writer, params["dimension_numbers"], *operands, dtype)
     if name in EXPRESSIONS and not (name == "div" and dtype.kind != "f"):
-        return [write_elementwise(writer, expression(name, dtype), operands)]
+        return [write_elementwise(writer, expression_text(name, dtype), operands)]
     return None
 
 
-def expression(name, dtype):
-    """Return the text of a primitive, wrapped to its bits for integers that may overflow."""
+def expression_text(name, dtype):
+    """Return the text of a primitive; for integers that may overflow the result is wrapped to their number of bits."""
     text = EXPRESSIONS[name]
-    return f"wrapped({8 * dtype.itemsize}, {text})" if dtype.kind == "i" and name in OVERFLOW_PRIMITIVES else text
+    return f"wrap_integer({8 * dtype.itemsize}, {text})" if dtype.kind == "i" and name in OVERFLOW_PRIMITIVES else text
 
 
 def write_elementwise(writer, text, operands):
-    """Write a text for each entry, with broadcasting."""
+    """Write a line with the text for each entry of the broadcast operands."""
     rows, shape = broadcast_entries(operands)
-    return np.array([writer.emit(text, row) for row in rows], int).reshape(shape)
+    return np.array([writer.emit_line(text, row) for row in rows], int).reshape(shape)
 
 
 def broadcast_entries(operands):
-    """Return the corresponding entries of values in rows, and their shape."""
+    """Return rows of corresponding entries of broadcast values, and the broadcast shape."""
     shape = operands[0].shape
     if any(value.shape != shape for value in operands):
         shape = np.broadcast_shapes(*(value.shape for value in operands))
@@ -127,8 +127,8 @@ def move_entries(name, params, operands, n_results):
     return [np.asarray(value) for value in (results if name in LIST_PRIMITIVES else [results])]
 
 
-def move_by_constants(name, params, operands, constants):
-    """Move entries to constant indices."""
+def move_at_constant_indices(name, params, operands, constants):
+    """Apply a primitive that moves entries from or to constant indices; None if an index is out of range."""
     if name == "gather":
         params = params | {"fill_value": OUT_OF_RANGE}
     result = np.asarray(
@@ -139,21 +139,25 @@ def move_by_constants(name, params, operands, constants):
     return None if (result == OUT_OF_RANGE).any() else [result]
 
 
-def write_gather(writer, params, x, index):
+def write_gather(writer, params, operand, start_indices):
     """Write a gather with variable indices as a selection among all possible entries.
 
     Returns None if indices have several coordinates or may lie outside the array.
     """
-    dimensions, sizes = params["dimension_numbers"], params["slice_sizes"]
+    dimensions, slice_sizes = params["dimension_numbers"], params["slice_sizes"]
     if len(dimensions.start_index_map) != 1 or params["mode"] == lax.GatherScatterMode.FILL_OR_DROP:
         return None
     (axis,) = dimensions.start_index_map
-    max_start, rule = x.shape[axis] - sizes[axis], rules["gather"](**params)
-    cases = [np.asarray(rule(x, np.full(index.shape, start))) for start in range(max_start + 1)]
-    text = "{0} > 0" if max_start == 1 else f"min(max({{0}}, 0), {max_start})"
+    max_start, gather_rule = operand.shape[axis] - slice_sizes[axis], rules["gather"](**params)
+    entries_by_start = [
+        np.asarray(gather_rule(operand, np.full(start_indices.shape, start))) for start in range(max_start + 1)
+    ]
+    index_text = "{0} > 0" if max_start == 1 else f"min(max({{0}}, 0), {max_start})"
     return [
         write_select(
-            writer, np.expand_dims(write_elementwise(writer, text, [index[..., 0]]), dimensions.offset_dims), *cases
+            writer,
+            np.expand_dims(write_elementwise(writer, index_text, [start_indices[..., 0]]), dimensions.offset_dims),
+            *entries_by_start,
         )
     ]
 
@@ -171,7 +175,7 @@ def write_select(writer, case_index, *cases):
         if row[0] in writer.values:
             results.append(row[1 + int(writer.values[row[0]])])
         else:
-            results.append(row[1] if len(set(row[1:])) == 1 else writer.emit(text, row))
+            results.append(row[1] if len(set(row[1:])) == 1 else writer.emit_line(text, row))
     return np.array(results, int).reshape(shape)
 
 
@@ -181,51 +185,55 @@ def write_conversion(writer, value, old_dtype, new_dtype):
         return [value]
     if new_dtype.kind == "i" and old_dtype.kind == "f":
         return None
-    text = {"f": "float({0})", "b": "{0} != 0", "i": f"wrapped({8 * new_dtype.itemsize}, int({{0}}))"}[new_dtype.kind]
+    text = {"f": "float({0})", "b": "{0} != 0", "i": f"wrap_integer({8 * new_dtype.itemsize}, int({{0}}))"}[
+        new_dtype.kind
+    ]
     return [write_elementwise(writer, text, [value])]
 
 
 def write_integer_power(writer, value, dtype, exponent):
     """Write an integer power as repeated products."""
-    unity = np.array(writer.constant(dtype.type(1).item()))
-    product = np.broadcast_to(unity, value.shape) if exponent == 0 else value
+    constant_one = np.array(writer.constant_number(dtype.type(1).item()))
+    product = np.broadcast_to(constant_one, value.shape) if exponent == 0 else value
     for _ in range(abs(exponent) - 1):
-        product = write_elementwise(writer, expression("mul", dtype), [product, value])
-    return product if exponent >= 0 else write_elementwise(writer, EXPRESSIONS["div"], [unity, product])
+        product = write_elementwise(writer, expression_text("mul", dtype), [product, value])
+    return product if exponent >= 0 else write_elementwise(writer, EXPRESSIONS["div"], [constant_one, product])
 
 
-def write_reduction(writer, text, value, axes):
-    """Write a reduction along axes, one entry after another; None for an empty one."""
+def write_reduction(writer, operation_text, value, axes):
+    """Write a reduction along axes as a sequence of operations; None for an empty reduction."""
     remaining_axes = [axis for axis in range(value.ndim) if axis not in axes]
     rows = value.transpose([*axes, *remaining_axes]).reshape(-1, *(value.shape[axis] for axis in remaining_axes))
     if not len(rows):
         return None
     return [
         np.asarray(
-            reduce(lambda accumulated, row: write_elementwise(writer, text, [accumulated, np.asarray(row)]), rows)
+            reduce(
+                lambda accumulated, row: write_elementwise(writer, operation_text, [accumulated, np.asarray(row)]), rows
+            )
         )
     ]
 
 
-def write_dot_general(writer, dimensions, x, y, dtype):
+def write_dot_general(writer, dimension_numbers, x, y, dtype):
     """Write dot_general as sums of products; None for empty sums."""
-    (x_summed, y_summed), (x_batch, y_batch) = dimensions
+    (x_summed_axes, y_summed_axes), (x_batch_axes, y_batch_axes) = dimension_numbers
     grouped_operands = []
-    for value, summed_axes, batch_axes in ((x, x_summed, x_batch), (y, y_summed, y_batch)):
+    for value, summed_axes, batch_axes in ((x, x_summed_axes, x_batch_axes), (y, y_summed_axes, y_batch_axes)):
         free_axes = [axis for axis in range(value.ndim) if axis not in summed_axes and axis not in batch_axes]
         shape_groups = ([value.shape[axis] for axis in axes] for axes in (batch_axes, free_axes, summed_axes))
-        shapes = list(shape_groups)
+        sizes_by_axis_group = list(shape_groups)
         grouped_operands.append(
             (
                 value.transpose([*batch_axes, *free_axes, *summed_axes]).reshape(
-                    [math.prod(group) for group in shapes]
+                    [math.prod(group_sizes) for group_sizes in sizes_by_axis_group]
                 ),
-                shapes,
+                sizes_by_axis_group,
             )
         )
-    (x, (batch_axes, x_free, summed_axes)), (y, (_, y_free, _)) = grouped_operands
-    if math.prod(summed_axes) == 0:
+    (x, (batch_sizes, x_free_sizes, summed_sizes)), (y, (_, y_free_sizes, _)) = grouped_operands
+    if math.prod(summed_sizes) == 0:
         return None
-    products = write_elementwise(writer, expression("mul", dtype), [x[:, :, None], y[:, None]])
-    (total,) = write_reduction(writer, expression("add", dtype), products, (3,))
-    return [total.reshape((*batch_axes, *x_free, *y_free))]
+    products = write_elementwise(writer, expression_text("mul", dtype), [x[:, :, None], y[:, None]])
+    (summed_products,) = write_reduction(writer, expression_text("add", dtype), products, (3,))
+    return [summed_products.reshape((*batch_sizes, *x_free_sizes, *y_free_sizes))]

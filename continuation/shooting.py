@@ -1,7 +1,7 @@
 """Define periodic orbits of u' = f(u, p, args) by multiple shooting; the only module that imports diffrax.
 
-`periodic_orbits` makes the `System` of a field for `trace`, `switch` and `curve`. `settled` integrates the field to a
-starting orbit if there is no Hopf point to `switch` from.
+`periodic_orbits` makes the `System` of a field for `trace`, `switch` and `curve`. `settled` integrates the field and
+returns an approximate starting orbit, for fields without a Hopf point at which `switch` can start.
 """
 
 from collections.abc import Mapping, Sequence
@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike, Float, Real
 
-from .errors import ContinuationError, check_types, first_line
+from .errors import ContinuationError, check_types, error_summary
 from .problem import ORBITS, System, SystemFunction
 
 MAX_SOLVER_STEPS = 16**3  # largest number of steps of the solver in a segment; beyond it the solver fails
@@ -40,8 +40,8 @@ class FieldFlow:
     solver: diffrax.AbstractSolver
     tolerance: float
 
-    def __call__(self, x: Any, time: Any, p: Any, args: Any) -> Any:
-        """Integrate from x for a time; the result is not finite if the solver fails."""
+    def __call__(self, start_point: Any, time: Any, p: Any, args: Any) -> Any:
+        """Return the state after a time from `start_point`. The state is not finite if the solver fails."""
 
         def scaled_field(_, u, ode_args):
             time, p, args = ode_args
@@ -53,7 +53,7 @@ class FieldFlow:
             0.0,
             1.0,
             None,
-            x,
+            start_point,
             (time, p, args),
             stepsize_controller=diffrax.PIDController(self.tolerance, self.tolerance),
             adjoint=diffrax.ForwardMode(),
@@ -78,7 +78,7 @@ def periodic_orbits(
     field : callable
         Vector field, a JAX function of (u, p, args) that returns an array of shape (n,).
     segments : int, optional
-        Number of shooting segments. More segments reduce the growth of perturbations within each.
+        Number of shooting segments. More segments reduce the growth of perturbations within a segment.
     solver : diffrax.AbstractSolver, optional
         Solver of diffrax. None stands for Dopri8.
     tolerance : float, optional
@@ -97,12 +97,12 @@ def periodic_orbits(
 
     See Also
     --------
-    settled : Integrate the field to a starting orbit.
+    settled : Integrate the field and return an approximate periodic orbit.
 
     Notes
     -----
     The tolerance of `trace`, `switch` and `curve` is at least 10 times that of the solver, because Newton's steps do
-    not become shorter.
+    not shrink below this length.
 
     Examples
     --------
@@ -175,19 +175,19 @@ def settled(
         raise ContinuationError("system", "must be a system made by `periodic_orbits`", system)
     p = {name: float(value) for name, value in at.items()}
     n_segments = system.segments * system.times
-    fly = jax.jit(partial(_fly, system.fly))
-    points = [np.asarray(start, float)]
-    if points[0].ndim != 1 or not points[0].size:
+    compiled_flow = jax.jit(partial(_call_flow, system.fly))
+    orbit_points = [np.asarray(start, float)]
+    if orbit_points[0].ndim != 1 or not orbit_points[0].size:
         raise ContinuationError("start", "must be a state with one number per equation", start)
     try:
-        jax.eval_shape(fly, points[0], period / n_segments, p, args)
+        jax.eval_shape(compiled_flow, orbit_points[0], period / n_segments, p, args)
     except Exception as error:  # a user's field may raise any exception
-        rule = f"must be a state that the field takes with these `at` and `args` ({first_line(error)})"
+        rule = f"must be a state that the field takes with these `at` and `args` ({error_summary(error)})"
         raise ContinuationError("start", rule, start) from error
     for _ in range(n_segments * (rounds + 1) - 1):
-        points.append(np.asarray(fly(points[-1], period / n_segments, p, args)))
-    return np.append(np.concatenate(points[-n_segments:]), period)
+        orbit_points.append(np.asarray(compiled_flow(orbit_points[-1], period / n_segments, p, args)))
+    return np.append(np.concatenate(orbit_points[-n_segments:]), period)
 
 
-def _fly(fly, x, time, p, args):
-    return fly(x, time, p, args)
+def _call_flow(flow, start_point, time, p, args):
+    return flow(start_point, time, p, args)

@@ -1,8 +1,9 @@
 """Continue special points in two parameters (`curve`) and locate codimension-two points.
 
-The determinant of the matrix that is singular at the point augments F(u, p) = 0: dF/du at SN, that of the second
-iterate at PD, a bialternate product at HB and NS, the antisymmetric block of dF/du at SB. Its gradient does not vanish
-if the matrix has one null vector.
+The equations state that F(u, p) and the determinant of a matrix are zero. This matrix is singular at the special point:
+dF/du at SN, dF/du + 2 I at PD of a map (for an orbit dF/du with antiperiodic closure), a bialternate product at HB and
+NS, and the antisymmetric block of dF/du at SB. The derivative of the determinant with respect to the matrix is nonzero
+if the null space is one-dimensional.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -16,11 +17,11 @@ from jaxtyping import Float
 from . import augmented_systems, event_search
 from .arclength import solve_bordered
 from .branch import Branch, Special
-from .curve_events import INTERSECTIONS, CurveEventDetector
+from .codim2_events import INTERSECTIONS, CurveEventDetector
+from .computation_limits import make_limits
 from .errors import ContinuationError, check_types
-from .limits import limits_of
 from .one_parameter import assemble_branch, follow_both_directions, make_task, validate_bounds
-from .problem import Constants, Problem, TestFunction, noise_floor, residual_and_jacobian, singular_matrix
+from .problem import Problem, SystemConstants, TestFunction, newton_step_floor, residual_and_jacobian, singular_matrix
 from .validation import require_settings
 
 KINDS = ("SN", "PD", "HB", "NS", "SB")
@@ -48,7 +49,7 @@ def curve(
     special : Special
         Special point of kind SN, PD, HB, NS or SB.
     names : sequence of str
-        Two parameters of its system.
+        Two parameters of the system of the point.
     bounds : mapping of str to sequence of float
         Lower and upper bound of each parameter.
     first_step : float, optional
@@ -56,7 +57,7 @@ def curve(
     largest_step : float, optional
         Largest step length, measured in (u, parameters).
     tolerance : float, optional
-        Tolerance of Newton's method, as in `trace`. None stands for 1e-12.
+        Tolerance of Newton's method, as in `trace`, but with 1e-12 in place of 1e-10.
     stop : sequence of str, optional
         Kinds of special point at which the continuation ends.
     max_points : int, optional
@@ -86,8 +87,8 @@ def curve(
     Located points of equilibria are cusps (CP), Bogdanov-Takens (BT), zero-Hopf (ZH), double Hopf (HH) and generalized
     Hopf points (GH). Those of maps and periodic orbits are cusps, generalized period doublings (GPD), Chenciner points
     (CH), fold-flips (FF), the resonances R1 to R4, and NS with a fold (FN), a period doubling (PN) or another NS (NN);
-    GPD and CH of maps only. Those of SB are degenerate symmetry breakings (DSB). A curve of HB or NS ends where the
-    eigenvalues become real.
+    GPD and CH are located for maps only. Located points on curves of SB are degenerate symmetry breakings (DSB). A
+    curve of HB or NS ends where its critical eigenvalues become real.
 
     Examples
     --------
@@ -106,36 +107,50 @@ def curve(
         raise ContinuationError("bounds", f"must contain the intervals of {name_pair[0]} and {name_pair[1]}", bounds)
     require_settings("both", None, stop)
     bounds = validate_bounds(special.p, {name: bounds[name] for name in name_pair})
-    limits = limits_of(max_points, max_seconds, progress, ContinuationError)
-    constants = Constants({name: value for name, value in special.p.items() if name not in name_pair}, special.args)
-    z = np.append(special.u, [special.p[name] for name in name_pair])
+    limits = make_limits(max_points, max_seconds, progress, ContinuationError)
+    constants = SystemConstants(
+        {name: value for name, value in special.p.items() if name not in name_pair}, special.args
+    )
+    start_z = np.append(special.u, [special.p[name] for name in name_pair])
     system = special.system._replace(within=special.kind == "SB" or special.system.within)
     detector = CurveEventDetector(system, special.kind, name_pair)
-    task = make_task(system, z, bounds, constants, first_step, largest_step, tolerance, stop=stop, default=TOLERANCE)
+    task = make_task(
+        system,
+        start_z,
+        bounds,
+        constants,
+        first_step,
+        largest_step,
+        tolerance,
+        stop_kinds=stop,
+        default_tolerance=TOLERANCE,
+    )
     task = task._replace(problem=curve_problem(system, special.kind, name_pair), detector=detector, limits=limits)
-    tangent = event_search.unit_tangent(task.problem, z, task.control.scale, constants)
-    backward, forward = follow_both_directions(task, z, tangent)
-    return assemble_branch(system, special.kind, bounds, constants, backward, forward)
+    tangent = event_search.unit_tangent(task.problem, start_z, task.control.scale, constants)
+    backward_segment, forward_segment = follow_both_directions(task, start_z, tangent)
+    return assemble_branch(system, special.kind, bounds, constants, backward_segment, forward_segment)
 
 
 @lru_cache
-def curve_problem(system, kind, names):
-    """Make the `Problem` of special points of a kind in the given parameters, with z = (u, values of the names)."""
+def curve_problem(system, kind, param_names):
+    """Make the `Problem` of special points of a kind, with z = (u, values of the named parameters)."""
 
     def determinant(z, constants):
-        return jnp.linalg.det(singular_matrix(system, kind, names, z, constants))
+        return jnp.linalg.det(singular_matrix(system, kind, param_names, z, constants))
 
-    def function(z, constants):
-        residual, jacobian = residual_and_jacobian(system, names, z, constants)
+    def augmented_function(z, constants):
+        residual, jacobian = residual_and_jacobian(system, param_names, z, constants)
         gradient = jax.jacfwd(determinant)(z, constants)
         return jnp.append(residual, determinant(z, constants)), jnp.concatenate([jacobian, gradient[None]])
 
-    intersections = INTERSECTIONS[system.kind].get(kind, {})
+    kinds_by_label = INTERSECTIONS[system.kind].get(kind, {})
     test_functions = tuple(
-        TestFunction(label, partial(singular_matrix, system, other_kind, names))
-        for label, other_kind in intersections.items()
+        TestFunction(label, partial(singular_matrix, system, other_kind, param_names))
+        for label, other_kind in kinds_by_label.items()
     )
-    return Problem(function, solve_bordered, function, test_functions, noise_floor=noise_floor(system))
+    return Problem(
+        augmented_function, solve_bordered, augmented_function, test_functions, noise_floor=newton_step_floor(system)
+    )
 
 
 @check_types
@@ -147,7 +162,7 @@ def sensitivity(special: Special, names: str | Sequence[str]) -> Float[np.ndarra
     special : Special
         Special point of kind SN, PD, HB, NS or SB on a branch in one parameter.
     names : str or sequence of str
-        Parameters of its system other than the continuation parameter.
+        Parameters of the system of the point, other than the continuation parameter.
 
     Returns
     -------
@@ -165,7 +180,8 @@ def sensitivity(special: Special, names: str | Sequence[str]) -> Float[np.ndarra
 
     Notes
     -----
-    With z = (u, p), the equations G(z, q) = 0 of the special point are regular in z, so that ``dz/dq = -G_z^-1 G_q``.
+    p is the continuation parameter and q are the other parameters. The equations G(z, q) = 0 of the special point, with
+    z = (u, p), are regular in z. The result is the last row of ``dz/dq = -G_z^-1 G_q``.
 
     Examples
     --------
@@ -179,19 +195,21 @@ def sensitivity(special: Special, names: str | Sequence[str]) -> Float[np.ndarra
         raise ContinuationError(
             "special", f"must be a special point of kind {', '.join(KINDS)} on a branch in one parameter", special
         )
-    other_names = (names,) if isinstance(names, str) else tuple(names)
+    other_param_names = (names,) if isinstance(names, str) else tuple(names)
     if (
-        not other_names
-        or len({*special.names, *other_names}) <= len(other_names)
-        or not set(other_names) <= set(special.p)
+        not other_param_names
+        or len({*special.names, *other_param_names}) <= len(other_param_names)
+        or not set(other_param_names) <= set(special.p)
     ):
         raise ContinuationError(
-            "names", f"must be one or more different parameters other than {special.names[0]}", other_names
+            "names", f"must be one or more different parameters other than {special.names[0]}", other_param_names
         )
-    all_names = (*special.names, *other_names)
-    constants = Constants({name: value for name, value in special.p.items() if name not in all_names}, special.args)
-    z = np.append(special.u, [special.p[name] for name in all_names])
+    all_param_names = (*special.names, *other_param_names)
+    constants = SystemConstants(
+        {name: value for name, value in special.p.items() if name not in all_param_names}, special.args
+    )
+    z = np.append(special.u, [special.p[name] for name in all_param_names])
     system = special.system._replace(within=special.kind == "SB" or special.system.within)
-    jacobian = augmented_systems.jacobian_at(curve_problem(system, special.kind, all_names), z, constants)
-    n_unknowns = len(z) - len(other_names)
+    jacobian = augmented_systems.jacobian_at(curve_problem(system, special.kind, all_param_names), z, constants)
+    n_unknowns = len(z) - len(other_param_names)
     return -np.linalg.solve(jacobian[:, :n_unknowns], jacobian[:, n_unknowns:])[-1]

@@ -1,4 +1,4 @@
-"""Check that a system, a start and parameters are consistent, and raise clear errors."""
+"""Check that a system, a starting point, parameters and settings are valid and consistent."""
 
 from collections.abc import Mapping
 
@@ -6,21 +6,21 @@ import jax
 import numpy as np
 
 from .branch import KIND_MEANINGS
-from .errors import ContinuationError, first_line
+from .errors import ContinuationError, error_summary
 from .problem import ORBITS, System
 
 DIRECTIONS = ("both", "forward", "backward")
 
 
-def validate_start(u, params):
-    """Return u of shape (n,) and {name: number}; raise ContinuationError for invalid values."""
-    leaves = jax.tree.leaves((u, params))
+def validate_start(u, start_params):
+    """Return u as an array of shape (n,) and the parameters as floats. Raises ContinuationError for invalid values."""
+    leaves = jax.tree.leaves((u, start_params))
     if any(isinstance(leaf, jax.core.Tracer) for leaf in leaves):
         raise ContinuationError("u", "must be concrete numbers; continue branches outside jit, grad and vmap", u)
-    if not isinstance(params, Mapping):
-        raise ContinuationError("at", "must map the names of the parameters to numbers", params)
+    if not isinstance(start_params, Mapping):
+        raise ContinuationError("at", "must map the names of the parameters to numbers", start_params)
     param_values = {}
-    for name, value in params.items():
+    for name, value in start_params.items():
         if not isinstance(name, str) or np.ndim(value) or np.asarray(value).dtype.kind not in "fiu":
             raise ContinuationError(f"at.{name}", "must be a number; pass other data in args", value)
         param_values[name] = float(value)
@@ -34,7 +34,11 @@ def validate_start(u, params):
 
 
 def require_system(system, u, p, args):
-    """Raise ContinuationError if the function of a system does not return an array of the shape of u in JAX."""
+    """Raise ContinuationError unless a system, u and args are valid.
+
+    The function must map a state, which is a JAX array, to an array of the same shape. The leaves of `args` must be
+    numbers or arrays. For periodic orbits, u must contain the points of the orbit and a positive period.
+    """
     if not isinstance(system, System):
         raise ContinuationError(
             "system", "must be a system made by `equilibria`, `fixed_points` or `periodic_orbits`", system
@@ -47,25 +51,25 @@ def require_system(system, u, p, args):
         raise ContinuationError("u", f"must be {n_segments} concatenated points of the orbit and a positive period", u)
     state_size = (len(u) - 1) // n_segments if system.kind == ORBITS else len(u)
 
-    def evaluate_field(u_state, params):
-        return system.function(u_state, params, args)
+    def evaluate_function(state, params):
+        return system.function(state, params, args)
 
     try:
-        result = jax.eval_shape(evaluate_field, jax.ShapeDtypeStruct((state_size,), float), p)
+        result = jax.eval_shape(evaluate_function, jax.ShapeDtypeStruct((state_size,), float), p)
     except Exception as error:  # a user's function may raise any exception
-        rule = (
+        error_rule = (
             f"must be a function of (u, p, args) in jax.numpy that accepts u of shape ({state_size},)"
-            f" ({first_line(error)})"
+            f" ({error_summary(error)})"
         )
-        raise ContinuationError("function", rule, system.function) from error
+        raise ContinuationError("function", error_rule, system.function) from error
     if getattr(result, "shape", None) != (state_size,):
-        rule = f"must return an array of shape ({state_size},)"
+        error_rule = f"must return an array of shape ({state_size},)"
         result_text = f"shape {result.shape}" if hasattr(result, "shape") else f"a {type(result).__name__}"
-        raise ContinuationError("function", rule, result_text)
+        raise ContinuationError("function", error_rule, result_text)
 
 
 def require_settings(direction, monitors, stop):
-    """Raise ContinuationError for unknown directions and kinds of special points."""
+    """Raise ContinuationError for an unknown direction or an unknown kind of special point."""
     if direction not in DIRECTIONS:
         raise ContinuationError("direction", f"must be one of {', '.join(DIRECTIONS)}", direction)
     known_kinds = [*KIND_MEANINGS, *(monitors or {})]

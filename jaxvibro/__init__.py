@@ -1,6 +1,7 @@
 """Simulate driven impact oscillators, find attractors, locate bifurcations, and differentiate through all of it.
 
-The flight between the walls, rigid or soft, is exact, and impacts are certified.
+With a linear spring and damper, the motion between the impacts and inside soft walls is exact up to rounding, and
+impacts are certified. A user-defined force is integrated numerically.
 """
 
 import sys
@@ -62,7 +63,7 @@ _HOMES = {
     "PeriodicWindow": "branches.period_adding",
     "peaks": "branches.peaks",
     "peak": "branches.peaks",
-    "sensitivity": "design.sensitivity",
+    "sensitivity": "design.point_sensitivity",
     "Search": "design.search",
     "search": "design.search",
     "located": "design.located",
@@ -79,9 +80,9 @@ _HOMES = {
     "place": "design.place",
     "Placement": "design.place",
     "fit": "design.fit",
-    "Fit": "design.fitted",
-    "FitStatus": "design.fitted",
-    "Combination": "design.fitted",
+    "Fit": "design.fit_result",
+    "FitStatus": "design.fit_result",
+    "Combination": "design.fit_result",
     "ImpactRecord": "design.records",
     "SampleRecord": "design.records",
     "record_from_physical": "design.records",
@@ -106,12 +107,12 @@ _HOMES = {
     "load_store": "stores.zarr_store",
     "LocalEngine": "stores.engines",
     "DaskEngine": "stores.dask_engine",
-    "Progress": "stores.filling",
+    "Progress": "stores.study_completion",
     "least_shock": "surveys.least_shock",
     "LeastShock": "surveys.least_shock",
     "view": "explorer.view",
     "run": "studies.run",
-    "show": "studies.show",
+    "show": "studies.show_stored_map",
     "paper": "reproduction.run",
     "warm": "studies.warm",
 }

@@ -1,4 +1,4 @@
-"""Run the command `jaxvibro` as `python -m jaxvibro`."""
+"""Run the command line of jaxvibro as `python -m jaxvibro`."""
 
 import sys
 

@@ -30,7 +30,12 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import jaxvibro as jv
-from jaxvibro.reproduction.closed_forms import grazing_amplitude, single_fold, symmetric_fold, symmetric_start
+from jaxvibro.reproduction.closed_forms import (
+    grazing_amplitude,
+    single_wall_fold,
+    symmetric_fold,
+    symmetric_orbit_state,
+)
 
 jax.config.update("jax_enable_x64", True)
 OUT = Path("out")
@@ -104,7 +109,7 @@ for frequency, high in ((1.5, 3.0), (0.8, 0.6)):
 # %%
 begin, speed = (float(one) for one in symmetric_fold(0.4, DAMPING, RESTITUTION))
 scene = jv.make_scene(begin + 1e-3, 0.4, DAMPING, RESTITUTION, (-1.0, 1.0))
-orbit = jv.find_orbit(scene, symmetric_start(scene), periods=1, settle=0)
+orbit = jv.find_orbit(scene, symmetric_orbit_state(scene), periods=1, settle=0)
 print(
     f"frequency 0.4: A_c = {begin:.6f} with u = {speed:+.3f}; P100 grazes at"
     f" {float(grazing_amplitude(0.4, DAMPING)):.6f}"
@@ -119,7 +124,7 @@ print(f"    at A = {float(scene.amplitude):.6f} {orbit.label} is {'stable' if or
 
 # %%
 for frequency in (1.5, 0.55, 2.1):
-    exact, speed = (float(one) for one in single_fold(frequency, DAMPING, RESTITUTION))
+    exact, speed = (float(one) for one in single_wall_fold(frequency, DAMPING, RESTITUTION))
     turn = 2 * np.pi * np.sqrt(1 - DAMPING**2) / frequency
     signs = f"sin(r T) = {np.sin(turn):+.3f}, sin(r T / 2) = {np.sin(turn / 2):+.3f}, u = {speed:+.3f}"
     print(f"frequency {frequency}: {signs}")

@@ -30,15 +30,16 @@ HEAD = (
     "seconds per branch",
 )
 NOTES = (
-    "Random scenes with, in turn, symmetric P111 between two walls and P101 and P201 at one wall, followed in A "
-    "from the middle. A closed form gives A and the state of every orbit, SN, SB, PD, and the end: a grazing or the "
-    "bound.",
-    "Lost: an end is not reached. Jumped: the state of a point is no orbit of the branch at that A. This happens "
-    "mostly past a grazing, where a method for fixed points of the map silently continues along the motion without "
-    "impacts.",
-    "Special points count if they are within 1 % of A. SciPy and jaxcont follow fixed points of the map at phase 0, "
-    "with differences and with exact derivatives; the map is not smooth where an impact passes phase 0. jaxcont is "
-    "evaluated on folds only, SciPy on SN, SB and PD, jaxvibro on grazings too.",
+    "In random scenes the branches of symmetric P111 between two walls, and of P101 and P201 at one wall, are followed "
+    "in A from the middle of their range of impact speeds.",
+    "Closed forms give A and the state of every orbit, of the SN, SB and PD, and of the end, a grazing or a bound.",
+    "Lost: an end of the branch is not reached. Jumped: the state of a point is not on the orbit of the branch at "
+    "its A. Most jumps occur beyond a grazing, where a method for fixed points of the map silently continues along "
+    "the motion without impacts.",
+    "SciPy and jaxcont follow fixed points of the map at phase 0, SciPy with differences and jaxcont with exact "
+    "derivatives. The map is not smooth where an impact passes phase 0.",
+    "A special point counts as located if its A is correct to 1 %. jaxcont is evaluated on folds only, SciPy on SN, "
+    "SB and PD, jaxvibro on grazings too.",
     "AUTO-07p is not included, because the machine has no Fortran compiler.",
 )
 

@@ -19,12 +19,14 @@ APART = 0.05  # difference, relative to the time to `until`, beyond which a cont
 
 NOTES = (
     "Wrong flights per million, with Clopper-Pearson bounds at 95 %. A flight is wrong if a contact is missed, "
-    "spurious, at the wrong wall or at the wrong time. The truth is known by construction and decided in 80-bit "
-    "floats for the given doubles; whole flights are certified piece by piece.",
-    "jaxvibro flies the whole period, the other methods the evaluated part only. A flight is in doubt if it turns back "
-    f"within {SLACK} ulp of the largest length of a wall; the last case counts jaxvibro there too.",
-    "A flight that begins on a wall is a user's restart at an event. heyoka finds no root of an event function that "
-    "is 0 at the start, unless its own callback reverses the velocity. SciPy finds the start again.",
+    "spurious, at the wrong wall or at the wrong time.",
+    "The true contacts are known by construction and are decided in 80-bit floats for the given doubles; whole flights "
+    "are certified step by step.",
+    "jaxvibro computes the whole period, the other methods only the evaluated part.",
+    f"A flight is in doubt if it has a turning point within {SLACK} ulp (of the largest length) of a wall. Flights in "
+    "doubt are excluded, except for jaxvibro in the last case.",
+    "A flight that begins on a wall stands for a user's restart at an event. heyoka finds no root of an event function "
+    "that is 0 at the start, unless its own callback reverses the velocity. SciPy detects the start as an event again.",
 )
 
 

@@ -26,11 +26,11 @@ PLAIN = {"amplitude": 6.0, "omega": OMEGA, "gamma": GAMMA, "restitution": RESTIT
 
 
 NOTES = (
-    f"{PERIODS} periods from (0.9, -1.1) for each cell; A = 6, omega = {OMEGA}, gamma = {GAMMA}, R = {RESTITUTION} "
-    "except for the varied parameters; walls at -1 and 1. The reference uses 80-bit floats and certifies each "
-    "contact.",
+    f"Each cell represents {PERIODS} periods from (x, v) = (0.9, -1.1) between walls at -1 and 1. The parameters that "
+    f"are not varied are A = 6, omega = {OMEGA}, gamma = {GAMMA} and R = {RESTITUTION}.",
+    "The reference uses 80-bit floats and certifies each contact.",
     f"A cell is evaluated if a trajectory that starts {BESIDE:g} away has the same itinerary and ends within "
-    f"{TOGETHER:g}. A wrong itinerary is therefore not that of a neighbouring trajectory.",
+    f"{TOGETHER:g} of the reference. A wrong itinerary is therefore not that of a neighbouring trajectory.",
 )
 
 

@@ -63,7 +63,12 @@ class Met(NamedTuple):
         case, gone = self.case, self.others and all(each.right for each in self.others)
         return " ".join(
             filter(
-                None, [f"{case.name}: {case.scene}", case.remark, gone and "In the locked version the fault is gone."]
+                None,
+                [
+                    f"{case.name}: {case.scene}",
+                    case.remark,
+                    gone and "The tested version of the package no longer has this fault.",
+                ],
             )
         )
 
@@ -126,8 +131,8 @@ def swinging_wall():
         f"impact at t = {mpmath.nstr(time, 12)}",
         functools.partial(one_impact, scene, jv.State(0.0, 0.0), time, end),
         (functools.partial(by_diffrax, time, "", math.pi, 0.0, (0.0, 0.0), spring.beyond_swinging),),
-        "The case of the issue: the motion is simple, so that steps grow, and the event function has two roots in "
-        "one step.",
+        "As in the issue, the motion is simple, so that the steps grow, and the event function has two roots in one "
+        "step.",
     )
 
 
@@ -148,11 +153,12 @@ def shallow_arc():
     return Case(
         "A contact 1e-6 deep",
         "diffrax #507",
-        "x = 1.000001 sin t and a wall at 1: the mass is beyond the wall for 0.0028, from a speed of 0.0014.",
+        "x = 1.000001 sin t and a wall at 1: the mass is beyond the wall for a time of 0.0028 and hits it with the "
+        "speed 0.0014.",
         f"impact at t = {mpmath.nstr(time, 12)}",
         functools.partial(one_impact, scene, jv.State(0.0, radius), time, end),
         (functools.partial(by_diffrax, time, "", 2 * math.pi, 0.0, (0.0, radius), spring.beyond_one),),
-        "The same with a fixed wall.",
+        "As in the previous case, but with a fixed wall.",
     )
 
 
@@ -174,7 +180,8 @@ def section_beyond_a_wall():
             functools.partial(told, ", wall event first", 6.5, 0.0, state, spring.beyond_one, spring.later, **fixed),
             functools.partial(told, ", wall event last", 6.5, 0.0, state, spring.later, spring.beyond_one, **fixed),
         ),
-        "The event that is listed first wins; in the version of the issue it was the last.",
+        "The event that is listed first is reported; the version of diffrax in the issue reported the event that is "
+        "listed last.",
     )
 
 
@@ -191,7 +198,8 @@ def restarts():
             functools.partial(restarted, true, True, ", rising events"),
             functools.partial(restarted, true, None, ", events of both directions"),
         ),
-        "The answer in the issue is a loop of restarts. Without a direction the start is found again, endlessly.",
+        "The answer in the issue is a loop of restarts. If the event has no direction, each restart detects its "
+        "own start as an event, without end.",
     )
 
 
@@ -225,7 +233,8 @@ def clipped_restart():
     return Case(
         "A restart with clipped steps",
         "diffrax #713",
-        "The same mass. ClipStepSizeController receives the time of its first impact, pi / 2, as a jump.",
+        "The mass of the previous case. ClipStepSizeController receives the time of its first impact, pi / 2, as a "
+        "jump.",
         f"next impact at t = {true:.12g}",
         functools.partial(second_impact, true),
         (functools.partial(clipped, true),),
@@ -268,7 +277,8 @@ def stops():
         "Mass, spring, preload, pressure, stops and R = 0.3 of the issue, from rest on the left stop, 4 periods.",
         f"each period except the first hits the right stop {mpmath.nstr(hit, 10)} after its start",
         functools.partial(stopped, *given, hit, end),
-        remark="Cited, not run in Julia. The friction of 1 N is omitted; sticking on both stops is included.",
+        remark="The case is cited and was not run in Julia. The friction of 1 N is omitted; sticking on both stops is "
+        "included.",
     )
 
 
@@ -320,7 +330,8 @@ def elastic(impacts=1_000_000):
         "x = 0, v = 20, no drive and no damping, walls at -0.3 and 1 with R = 1.",
         f"{due:,} impacts, and the initial energy",
         functools.partial(kept, jv.make_scene(0.0, 1.0, 0.0, 1.0, walls), speed, periods, due),
-        remark="Cited, not run in Julia: there the energy of colliding ellipses changed at each callback.",
+        remark="The case is cited and was not run in Julia. In the issue, the energy of colliding ellipses changed at "
+        "each callback.",
     )
 
 

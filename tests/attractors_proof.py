@@ -15,12 +15,12 @@ import jax
 import numpy as np
 
 import jaxvibro as jv
-from jaxvibro.attractors.basin_labels import assign_labels, build_neighbourhoods
-from jaxvibro.attractors.classify import find_chaotic, find_periodic
-from jaxvibro.attractors.shares import share_bounds
+from jaxvibro.attractors.basin_fraction_bounds import compute_share_bounds
+from jaxvibro.attractors.basin_labels import build_neighbourhoods, label_starts_in_parallel
+from jaxvibro.attractors.classify_attractors import find_chaotic_attractors, find_periodic_attractors
 from jaxvibro.attractors.transients import settle_lanes
 from jaxvibro.maps.initial_conditions import draw_initial_states, initial_box
-from jaxvibro.orbits.orbit_comparison import is_same_set
+from jaxvibro.orbits.orbit_comparison import samples_fill_same_set
 from jaxvibro.output.atomic_write import atomic_file
 from jaxvibro.scene.codes import Status
 from tests.test_tried import clearance
@@ -59,7 +59,7 @@ def is_same(numbers, one):
         return False
     points = numbers["points"]
     if one.kind == "chaotic":
-        return is_same_set(points, one.points)
+        return samples_fill_same_set(points, one.points)
     near = NEAR * (1.0 + abs(points).max())
     return any(abs(np.roll(points, k, axis=0) - one.points).max() <= near for k in range(one.periods))
 
@@ -71,19 +71,21 @@ def counted(scene, known, seed):
     """
     given, (left, right, fast) = draw_initial_states(scene, MANY, seed), (float(edge) for edge in initial_box(scene))
     scale = max(abs(left), abs(right), fast)
-    label, _ = assign_labels(scene, given.x, given.v, 0.0, build_neighbourhoods(scene, known, 0.0, scale), QUICK)
+    label, _ = label_starts_in_parallel(
+        scene, given.x, given.v, 0.0, build_neighbourhoods(scene, known, 0.0, scale), QUICK
+    )
     counts, others = [int((label == k).sum()) for k in range(len(known))], []
     rest = np.flatnonzero(label < 0)
     if not rest.size:
         return counts, others, 0
     state = jax.tree.map(lambda leaf: leaf[rest], given)
     found, periods, scale = settle_lanes(scene, state, 300, max(abs(left), abs(right)))
-    orbits, _ = find_periodic(scene, found, periods, 300, scale)
-    sets, _ = find_chaotic(scene, found, np.flatnonzero((periods == 0) & (found.status < Status.CAP)), scale)
+    orbits, _ = find_periodic_attractors(scene, found, periods, 300, scale)
+    sets, _ = find_chaotic_attractors(scene, found, np.flatnonzero((periods == 0) & (found.status < Status.CAP)), scale)
     for one in orbits + sets:
-        home = next((k for k, other in enumerate(known) if is_same(one.fields, other)), None)
+        home = next((k for k, other in enumerate(known) if is_same(one.attractor_fields, other)), None)
         if home is None:
-            others.append((one.fields["label"], len(one.lanes)))
+            others.append((one.attractor_fields["label"], len(one.lanes)))
         else:
             counts[home] += len(one.lanes)
     return counts, others, MANY - sum(counts) - sum(number for _, number in others)
@@ -97,7 +99,7 @@ def compared(place):
     spent, known = time.perf_counter() - began, [one for one in few if one.kind != "unresolved"]
     counts, others, lost = counted(scene, known, 100_000 + place)
     listed = [(one.label, count, True, one.share, one.share_bounds) for one, count in zip(known, counts, strict=True)]
-    listed += [(label, count, False, 0.0, share_bounds(0, 200)) for label, count in others]
+    listed += [(label, count, False, 0.0, compute_share_bounds(0, 200)) for label, count in others]
     names = ("label", "count", "found", "ours", "bounds")
     return {
         "place": place,

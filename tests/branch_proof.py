@@ -13,13 +13,13 @@ import numpy as np
 import jaxvibro as jv
 from continuation.arclength import StepControl
 from continuation.event_search import solve_with_fixed_entry
-from jaxvibro.branches.follow import set_up_problem
+from jaxvibro.branches.follow import set_up_equations
 from jaxvibro.problem import grazing_contact as touching
-from jaxvibro.problem.equations import continuation_problem
 from jaxvibro.problem.grazing_contact import arclength_weights
-from jaxvibro.problem.orbit_point import orbit_from_row
-from jaxvibro.problem.orbit_rows import dataset_row, parse_orbit_row
-from jaxvibro.scene.typical_scales import scene_length
+from jaxvibro.problem.orbit_curve import dataset_row, parse_orbit_point
+from jaxvibro.problem.orbit_equations import continuation_problem
+from jaxvibro.problem.orbit_point import orbit_from_point
+from jaxvibro.scene.typical_scales import typical_length
 from tests.reference import special as reference
 from tests.reference.scene import Motion, Scene, Wall
 from tests.test_extend import WALLS, check_extended
@@ -94,12 +94,12 @@ def error(point):
     spot = point.spot
     touch = None
     if point.kind == "GR":
-        along, z = set_up_problem(point.scene, point.name, spot)
-        touches = touching.find_grazing_contacts(along, z, scene_length(point.scene))
+        along, z = set_up_equations(point.scene, point.name, spot)
+        touches = touching.find_grazing_contacts(along, z, typical_length(point.scene))
         if not any(one.is_impact for one in touches):
             one = touches[0]
             begin = spot.times[one.row] if len(spot.times) else 0.0
-            touch = (one.row, begin + one.delay, one.side)
+            touch = (one.row, begin + one.time_since_impact, one.side)
     rows = [part.tolist() for part in (spot.times, spot.speeds)]
     sides = [int(side) for side in spot.sides]
     true = reference.special(
@@ -161,7 +161,7 @@ def grazings(count, seed):
 
 def is_simulated(point, spot):
     """Whether the strobe sees the impacts of a `OrbitPoint`, and comes back to it."""
-    one = orbit_from_row(point.scene.replace(**{point.name: spot.value}), spot)
+    one = orbit_from_point(point.scene.replace(**{point.name: spot.value}), spot)
     end, impacts = jv.strobe(one.scene, one.state, one.periods, 64, slots=32)
     sides = np.asarray(impacts.side)[np.asarray(impacts.side) != 0]
     back = max(abs(float(end.x) - one.state.x), abs(float(end.v) - one.state.v))
@@ -175,14 +175,14 @@ def is_orbit(point, spot):
     exact = reference.orbit(*given)
     apart = max(abs(float(time - mine)) for (time, _), mine in zip(exact, spot.times, strict=True))
     fast = min(speed for _, speed in exact) > 0
-    clear = orbit_from_row(point.scene.replace(**{point.name: spot.value}), spot).least_clearance
+    clear = orbit_from_point(point.scene.replace(**{point.name: spot.value}), spot).least_clearance
     return fast and apart < 1e-9 and clear > 0
 
 
 def near(point, spot):
     """The `OrbitPoint` of an orbit that joins a GR, 1e-6 of the parameter from there; where that is far along its
     branch, or Newton's method does not come there, the one that is told."""
-    along, z = set_up_problem(point.scene, point.name, spot)
+    along, z = set_up_equations(point.scene, point.name, spot)
     value = point.value + np.copysign(1e-6, spot.value - point.value)
     numbers = (np.float64(each) for each in (0.0, 1.0, 1.0, -np.inf, np.inf))
     found = solve_with_fixed_entry(
@@ -259,8 +259,8 @@ def nearest(branch, other, place):
     for k in np.argsort(apart)[:8]:
         if not np.isfinite(apart[k]):
             break
-        spot = parse_orbit_row(dataset_row(other.data, k), other.name)
-        along, z = set_up_problem(other.scene.replace(**{other.name: spot.value}), other.name, spot)
+        spot = parse_orbit_point(dataset_row(other.data, k), other.name)
+        along, z = set_up_equations(other.scene.replace(**{other.name: spot.value}), other.name, spot)
         index, goal = len(z) - 1, value
         if hit.any() and abs(slopes).max() > abs(float(row["value_slope"])):
             most = int(np.argmax(abs(slopes)))

@@ -17,7 +17,7 @@ import tempfile
 import zlib
 from pathlib import Path
 
-from continuation import cache_file
+from continuation import trusted_cache_file
 
 from .flipped_bits import flipped
 
@@ -55,9 +55,9 @@ def flip_each(cache, count, rng):
         path = files[number % len(files)]
         whole = path.read_bytes()
         path.write_bytes(flipped(whole, rng.randrange(8 * len(whole))))
-        read += cache_file.read(path) is not None
+        read += trusted_cache_file.read(path) is not None
         path.write_bytes(whole)
-    assert all(cache_file.read(path) is not None for path in files)
+    assert all(trusted_cache_file.read(path) is not None for path in files)
     kinds = [sum(one.suffix == kind for one in files) for kind in ("", ".code")]
     print(f"{count} bits flipped in {kinds[0]} modules and {kinds[1]} programs: {read} damaged files read", flush=True)
 
@@ -84,7 +84,7 @@ def other_version(cache, rng):
     other = folder.with_name("0" * 32)
     other.mkdir(mode=0o700)
     for path in ours(cache):
-        cache_file.write(other / path.name, cache_file.read(path))
+        trusted_cache_file.write(other / path.name, trusted_cache_file.read(path))
         shutil.copyfile(other / path.name, path)
 
 

@@ -53,12 +53,13 @@ pytest_runtest_call = pytest.hookimpl(wrapper=True)(limited)
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_makereport(item, call):
-    """A test that has run for its time without an error has passed."""
-    report = yield
+    """A test that has run for its time without an error has passed.
+
+    The report is made without the exception: where it was raised there may be no line to show.
+    """
     if call.excinfo is not None and call.excinfo.errisinstance(smoke.OutOfTime):
-        report.outcome, report.longrepr = "passed", None
-        item.stash[smoke.STOPPED] = True
-    return report
+        call.excinfo, item.stash[smoke.STOPPED] = None, True
+    return (yield)
 
 
 @pytest.hookimpl(tryfirst=True)

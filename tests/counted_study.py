@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import xarray as xr
 
-from jaxvibro.stores.study import Column, Grid
+from jaxvibro.stores.study_protocol import Column, Grid
 
 
 @dataclass(frozen=True)

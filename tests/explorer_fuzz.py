@@ -120,9 +120,9 @@ def message(rng, kinds):
 def sent(desk, text):
     """What a session is told by a text from outside, as the server has it read; None if it is no message."""
     try:
-        read = messages.decode(text)
+        read = messages.decode_message(text)
     except ArgumentError:
-        assert isinstance(messages.message_number(text), int)
+        assert isinstance(messages.decode_message_number(text), int)
         return None
     told = desk.say(read)
     while not desk.turns.empty():
@@ -135,7 +135,7 @@ def require_answered(read, told):
     answers = [one for one in told if one["kind"] == "answer"]
     assert answers == [{"kind": "answer", "number": read.number}] and told[-1] == answers[0]
     for one in told:
-        msgspec.json.decode(messages.encode(one))
+        msgspec.json.decode(messages.encode_record(one))
         assert one["kind"] != "told" or (one["bad"] and len(one["text"]) <= 300 and "\n" not in one["text"])
 
 
@@ -162,7 +162,7 @@ if __name__ == "__main__":
     jax.config.update("jax_enable_x64", True)
     one = Desk()
     for panel, (width, height) in SIZES.items():
-        one.say(messages.Resize(panel=panel, width=width, height=height))
+        one.say(messages.ResizePanel(panel=panel, width=width, height=height))
     one.say(messages.Hello())
     one.rest()
     how_many = int((sys.argv[1:] or ["300"])[0])

@@ -33,7 +33,7 @@ class Desk:
     def say(self, message):
         """Sends a message: what the page is told because of it."""
         before = len(self.told)
-        self.session.receive(message)
+        self.session.receive_message(message)
         return self.told[before:]
 
     def rest(self):

@@ -154,7 +154,7 @@ def mutations(times, seed):
             path.write_bytes(content)
             began = time.process_time()
             try:
-                scene_file.read(path, changes)
+                scene_file.read_scene_file(path, changes)
                 what = "read"
             except jv.ArgumentError as error:
                 what = "refused" if _is_one_line(str(error)) else "a long line"

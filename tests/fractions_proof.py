@@ -14,8 +14,8 @@ import numpy as np
 
 import jaxvibro as jv
 from jaxvibro.maps.iterate import iterate
-from jaxvibro.orbits.orbit_comparison import impacts_as_points, is_same_set
-from jaxvibro.surveys.matching import nearest_rotation
+from jaxvibro.orbits.orbit_comparison import impacts_as_points, samples_fill_same_set
+from jaxvibro.surveys.attractor_matching import nearest_rotation
 from tests.attractors_proof import MANY, counted
 
 WALLS = (-1.0, 1.0)
@@ -49,7 +49,7 @@ def is_it(scene, one, entry):
     state = float(entry.state_x), float(entry.state_v)
     if one.periods:
         return bool(abs(one.points - state).max(axis=1).min() < 1e-5)
-    return is_same_set(hits(scene, *state), hits(scene, one.state.x, one.state.v))
+    return samples_fill_same_set(hits(scene, *state), hits(scene, one.state.x, one.state.v))
 
 
 def shares(scene, found, name):

@@ -15,8 +15,8 @@ import jax
 import numpy as np
 
 import jaxvibro as jv
-from jaxvibro.attractors.basin_labels import assign_labels
 from jaxvibro.attractors.basin_labels import build_neighbourhoods as homes_of
+from jaxvibro.attractors.basin_labels import label_starts_in_parallel
 from jaxvibro.maps.initial_conditions import initial_box
 from tests.attractors_proof import KINDS, drawn
 from tests.force_specials import duffing
@@ -60,7 +60,7 @@ def tried(scene, attractors, place, phase, plane, size, shocks, rng, just=False)
     turn = 2.0 * np.pi * rng.random(shocks)
     way = np.stack([np.cos(turn), np.sin(turn)], -1) if plane else np.stack([0.0 * turn, np.sign(turn - np.pi)], -1)
     z = start + size * share[:, None] * way
-    label, _ = assign_labels(scene, *z.T, phase, homes, 2000)
+    label, _ = label_starts_in_parallel(scene, *z.T, phase, homes, 2000)
     return size * share, label
 
 

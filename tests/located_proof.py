@@ -12,11 +12,11 @@ import numpy as np
 from mpmath import mpf, workdps
 
 import jaxvibro as jv
-from jaxvibro.branches.follow import set_up_problem
+from jaxvibro.branches.follow import set_up_equations
 from jaxvibro.problem.grazing_contact import find_grazing_contacts
 from jaxvibro.scene.codes import SolutionStatus
 from jaxvibro.scene.scene import SIDES
-from jaxvibro.scene.typical_scales import scene_length
+from jaxvibro.scene.typical_scales import typical_length
 from tests.branch_proof import branches, plain
 from tests.locus_proof import theirs
 from tests.reference import special as reference
@@ -61,8 +61,8 @@ def number(scene, name):
 def touches_of(point):
     """(time, side) of each touch of a GR."""
     times = point.spot.times
-    found = find_grazing_contacts(*set_up_problem(point.scene, point.name, point.spot), scene_length(point.scene))
-    return [((times[one.row] if len(times) else 0.0) + one.delay, one.side) for one in found]
+    found = find_grazing_contacts(*set_up_equations(point.scene, point.name, point.spot), typical_length(point.scene))
+    return [((times[one.row] if len(times) else 0.0) + one.time_since_impact, one.side) for one in found]
 
 
 def ways(point):

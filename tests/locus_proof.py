@@ -11,9 +11,9 @@ import jax
 import numpy as np
 
 import jaxvibro as jv
-from jaxvibro.branches.follow import set_up_problem
+from jaxvibro.branches.follow import set_up_equations
 from jaxvibro.problem.grazing_contact import find_grazing_contacts
-from jaxvibro.scene.typical_scales import scene_length
+from jaxvibro.scene.typical_scales import typical_length
 from tests.branch_proof import branches, plain
 from tests.reference import special as reference
 from tests.reference.codim import codim
@@ -53,9 +53,9 @@ def codim_error(point, kind, closing, half=False):
     rows = [each.tolist() for each in (spot.times, spot.speeds)]
     sides, touch = [int(side) for side in spot.sides], None
     if kind == "GR" and min(rows[1]) > 1e-9:
-        along, z = set_up_problem(point.scene, next(iter(point.values)), spot)
-        one = find_grazing_contacts(along, z, scene_length(point.scene))[0]
-        touch = one.row, spot.times[one.row] + one.delay, one.side, "SN" if closing == "SN" else "PD"
+        along, z = set_up_equations(point.scene, next(iter(point.values)), spot)
+        one = find_grazing_contacts(along, z, typical_length(point.scene))[0]
+        touch = one.row, spot.times[one.row] + one.time_since_impact, one.side, "SN" if closing == "SN" else "PD"
     values = list(point.values.values())
     names = [theirs(point.scene, name) for name in point.values]
     true = codim(plain(point.scene), names, kind, values, *rows, sides, spot.periods, half, touch)

@@ -19,8 +19,8 @@ import jax
 import numpy as np
 
 import jaxvibro as jv
-from jaxvibro.output.label_codes import CHAOTIC, UNDECIDED, encode_labels, label_of
-from jaxvibro.studies.scene_file import read
+from jaxvibro.output.label_codes import CHAOTIC, UNDECIDED, label_code_from_counts, label_of
+from jaxvibro.studies.scene_file import read_scene_file
 
 ROOT = Path(__file__).parents[1]
 REST = jv.State(0.0, 0.0)
@@ -66,7 +66,7 @@ def cells(count, folder):
         one = jv.spectrum(here, "frequency", [float(found["frequency"][j])], REST, error=1e-2, most=2**17)
         n, rate, error = int(one["periods"][0]), float(one["exponent"][0, 0]), float(one["error"][0, 0])
         if n:
-            known = int(encode_labels(n, *np.rint(n * one["impacts_on"].values[0]).astype(int)))
+            known = int(label_code_from_counts(n, *np.rint(n * one["impacts_on"].values[0]).astype(int)))
         else:
             known = CHAOTIC if rate - 3.0 * error > 0.01 else UNDECIDED
         label = int(mine["label"])
@@ -84,7 +84,7 @@ def cells(count, folder):
 
 def basins(folder):
     """Figure 5's basins from 1e5 starts to 1e8, each in a store."""
-    asked = read(ROOT / "scenes" / "fig5.toml")
+    asked = read_scene_file(ROOT / "scenes" / "fig5.toml")
     scene, phase = asked.scene.make(), asked.basins.phase
     few = [-0.5, 0.5], [-1.0, 1.0]
     began = time.perf_counter()

@@ -16,14 +16,14 @@ import numpy as np
 import jaxvibro as jv
 from continuation import event_search
 from continuation.arclength import StepControl
-from continuation.branch_switching import branch_tangents
-from continuation.intermediate_points import start_point
+from continuation.branch_point_tangents import branch_tangents
+from continuation.intermediate_points import make_start_point
 from jaxvibro.branches.switch import branch_starts
-from jaxvibro.problem.equations import continuation_problem
 from jaxvibro.problem.grazing_contact import arclength_weights, find_grazing_contacts
-from jaxvibro.problem.grazing_depths import Depth
-from jaxvibro.problem.orbit_point import set_up_problem
-from jaxvibro.scene.typical_scales import scene_length
+from jaxvibro.problem.grazing_jumps import GrazingJump
+from jaxvibro.problem.orbit_equations import continuation_problem
+from jaxvibro.problem.orbit_point import set_up_equations
+from jaxvibro.scene.typical_scales import typical_length
 from tests.branch_proof import branches, called, plain
 from tests.reference.bends import bend
 
@@ -39,7 +39,7 @@ def exact(point):
     spot = point.spot
     rows = [part.tolist() for part in (spot.times, spot.speeds)]
     sides = [int(side) for side in spot.sides]
-    length = scene_length(point.scene)
+    length = typical_length(point.scene)
     return float(bend(plain(point.scene), called(point), point.kind, point.value, *rows, sides, spot.periods, length))
 
 
@@ -53,10 +53,10 @@ def aside(along, begun, length, far):
 
 def measured(point):
     """b by points on a branch through or from the point, extrapolated: of both ways the mean is even in s."""
-    length = scene_length(point.scene)
+    length = typical_length(point.scene)
     if point.kind == "SN":
-        along, z = set_up_problem(point.scene, point.name, point.spot)
-        begun = start_point(
+        along, z = set_up_equations(point.scene, point.name, point.spot)
+        begun = make_start_point(
             z, event_search.unit_tangent(continuation_problem(along), z, arclength_weights(along, length), along)
         )
     else:
@@ -71,7 +71,7 @@ def measured(point):
 
 def far(point):
     """How far from a point its branches are looked at."""
-    return NEAR * min(1.0, point.spot.speeds.min() / scene_length(point.scene), flights(point).min())
+    return NEAR * min(1.0, point.spot.speeds.min() / typical_length(point.scene), flights(point).min())
 
 
 def flights(point):
@@ -101,8 +101,8 @@ def symmetric(point):
     """An SB as a point of its symmetric branch, which the lopsided ones leave, be it found on one of these or not."""
     if point.kind != "SB":
         return point
-    along, z = set_up_problem(point.scene, point.name, point.spot)
-    both = branch_tangents(continuation_problem(along), z, arclength_weights(along, scene_length(point.scene)), along)
+    along, z = set_up_equations(point.scene, point.name, point.spot)
+    both = branch_tangents(continuation_problem(along), z, arclength_weights(along, typical_length(point.scene)), along)
     tangent, rows, count = both[np.argmax(abs(both[:, -1]))], len(along.sequence.sides), len(point.spot.times)
     return replace(point, slopes=np.concatenate([tangent[:count], tangent[rows : rows + count], tangent[-1:]]))
 
@@ -125,7 +125,7 @@ def jump(point, depth, touch, h):
     scene, side = point.scene, depth.side
 
     frequency, (phase, wall, pace) = float(scene.frequency), touch
-    length = scene_length(scene)
+    length = typical_length(scene)
     back = 3.0 * h * np.sqrt(2.0 * length / depth.acceleration)
     x, v = wall + side * length * h * h, pace
     start = flown(scene, x, v, phase, -back)
@@ -169,14 +169,14 @@ def placed(scene, side, phase):
 
 
 def touched(point):
-    """(phase, wall, its velocity) at each touch, and its `Depth`, in the same order."""
-    along, z = set_up_problem(point.scene, point.name, point.spot)
+    """(phase, wall, its velocity) at each touch, and its `GrazingJump`, in the same order."""
+    along, z = set_up_equations(point.scene, point.name, point.spot)
     omega = float(point.scene.frequency)
-    met = find_grazing_contacts(along, z, scene_length(point.scene))
+    met = find_grazing_contacts(along, z, typical_length(point.scene))
     found = {}
     for one in met:
         begin = z[one.row] if len(along.sequence.sides) else 0.0
-        phase = omega * (begin + (0.0 if one.is_impact else one.delay))
+        phase = omega * (begin + (0.0 if one.is_impact else one.time_since_impact))
         found.setdefault(one.side, (phase, *placed(point.scene, one.side, phase)))
     return found
 
@@ -185,7 +185,7 @@ def slope_by_clearance(point):
     """How the depth grows with the parameter, by the least clearance of orbits where they keep off the wall, told by
     certified flights. None where there is no such orbit so far away."""
     bare = min(point.joins, key=lambda one: len(one.times))
-    along, z = set_up_problem(point.scene, point.name, bare)
+    along, z = set_up_equations(point.scene, point.name, bare)
     control = StepControl(
         arclength_weights(along, 1.0), *(np.float64(each) for each in (0.0, 1.0, 1.0, -np.inf, np.inf))
     )
@@ -266,7 +266,7 @@ def grazings(count, seed):
         form, places = point.normal_form, touched(point)
         number += 1
         for depth in form.depths:
-            assert isinstance(depth, Depth)
+            assert isinstance(depth, GrazingJump)
             found = root_by_flights(point, depth, places[depth.side])
             worst = max(worst, abs(found / depth.root - 1.0))
             if abs(found / depth.root - 1.0) > 1e-6:

@@ -10,7 +10,7 @@ import numpy as np
 
 import jaxvibro as jv
 from jaxvibro.flight import flow
-from jaxvibro.maps import one_period
+from jaxvibro.maps import reference_strobe
 from tests.lanes import at
 from tests.reference import ball, draws, flights, orbit
 from tests.reference.scene import Soft
@@ -104,7 +104,7 @@ def monodromy_errors(count, seed=0, kinds=None, run=product):
 
 @jax.jit
 def _full(scene, state):
-    return one_period.strobe(scene, state, 1, SLOTS, 1, clearance=True)
+    return reference_strobe.reference_strobe(scene, state, 1, SLOTS, 1, clearance=True)
 
 
 def _compare(drawn, records):

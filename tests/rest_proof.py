@@ -19,7 +19,7 @@ import jaxvibro as jv
 from jaxvibro.branches.follow import polish_orbit
 from jaxvibro.maps.strobe import strobe
 from jaxvibro.orbits import chatter_and_release
-from jaxvibro.problem.equations import are_releases, side_codes
+from jaxvibro.problem.orbit_equations import are_releases, sides_with_release_codes
 from tests.branch_proof import plain, scene_of
 from tests.reference import rests
 from tests.reference.special import exact, place, span, with_value
@@ -82,7 +82,7 @@ def chatter(count, seed=1):
             hits, began = rests.until_rest(given, side, now, leaving, end)
         numbers = (np.float64(each) for each in (side, float(given.omega * end), tau, before))
         rest, _, plainly, *_ = (
-            float(np.asarray(each).ravel()[0]) for each in chatter_and_release._examine_compiled(scene, *numbers)
+            float(np.asarray(each).ravel()[0]) for each in chatter_and_release._follow_bounces_compiled(scene, *numbers)
         )
         if plainly <= 0:
             continue
@@ -152,7 +152,7 @@ def errors(scene, orbit):
     """(largest error of a time, of a speed; impacts and releases compared), from release to release."""
     along, z = polish_orbit(orbit, "amplitude")
     rows, count = len(along.sequence.sides), int(np.sum(along.sequence.sides != 0))
-    sides = side_codes(along.sequence)[:count]
+    sides = sides_with_release_codes(along.sequence)[:count]
     spot = SimpleNamespace(times=z[:count], speeds=z[rows : rows + count], sides=sides)
     given, length = exact(plain(scene)), 2.0 * np.pi / float(scene.frequency) * orbit.periods
     frees = np.flatnonzero(are_releases(spot.sides))

@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxvibro.maps.one_period import REPLAY_SLOTS
+from jaxvibro.maps.reference_strobe import REPLAY_SLOTS
 from tests.proof import scene_of
 from tests.reference import rest_slopes, slopes
 from tests.reference.draws import Draw

@@ -16,10 +16,10 @@ import numpy as np
 
 import jaxvibro as jv
 from jaxvibro.branches.scenario import grazing_return_of
-from jaxvibro.problem.one_impact_orbits import one_impact_orbits
-from jaxvibro.problem.orbit_point import orbit_from_row
+from jaxvibro.problem.added_impact_orbits import added_impact_orbits
+from jaxvibro.problem.orbit_point import orbit_from_point
 from jaxvibro.problem.square_root_map import SquareRootMap
-from jaxvibro.scene.typical_scales import scene_length
+from jaxvibro.scene.typical_scales import typical_length
 from tests.branch_proof import branches, called, error, plain
 from tests.reference import special as reference
 
@@ -128,14 +128,14 @@ def matrix_in_digits(point, found):
         whole = reference.span(exact, spot.periods)
         at = mpmath.mpf(touch.time)
         listed = sorted((at + (t - at) % whole, u, int(side)) for (t, u), side in zip(hits, sides, strict=True))
-        end = at + (reference.span(exact, spot.periods) / 2 if found.is_half else whole)
+        end = at + (reference.span(exact, spot.periods) / 2 if found.is_half_orbit else whole)
         matrix, last = mpmath.eye(2), at
         for t, u, side in listed:
             if t < end:
                 matrix = reference.rebound(exact, side, t, u) / u * reference.free(exact.gamma, t - last) * matrix
                 last = t
         matrix = reference.free(exact.gamma, end - last) * matrix
-        return np.array((-matrix if found.is_half else matrix).tolist(), float)
+        return np.array((-matrix if found.is_half_orbit else matrix).tolist(), float)
 
 
 def returns(count, seed):
@@ -184,12 +184,16 @@ def runs(count, seed):
     while done < count:
         point = next(given)
         found, told = grazing_return_of(point), jv.scenario(point)
-        if len(point.spot.times) or found.is_half or seen.get(told.follows.name, 0) > count / 3:
+        if len(point.spot.times) or found.is_half_orbit or seen.get(told.follows.name, 0) > count / 3:
             continue
         done += 1
         seen[told.follows.name] = seen.get(told.follows.name, 0) + 1
         near = SquareRootMap(told.root, told.matrix)
-        reach = near.window(told.deeper).linear_coefficient if told.deeper else min(0.1, abs(near.responses(1)[1]))
+        reach = (
+            near.added_impact_window(told.deeper).linear_coefficient
+            if told.deeper
+            else min(0.1, abs(near.impact_responses(1)[1]))
+        )
         far = [apart(point, found, share * reach**2) for share in SHARES]
         power = np.log10(far[0] / far[-1]) / np.log10(SHARES[0] / SHARES[-1])
         fits = power < 0.1 if told.deeper else power > 0.3
@@ -208,12 +212,12 @@ def chaos(count, seed):
         point = next(given)
         found, told = grazing_return_of(point), jv.scenario(point)
         kind = told.follows.name
-        if len(point.spot.times) or found.is_half or done.get(kind, 0) * 3 > count:
+        if len(point.spot.times) or found.is_half_orbit or done.get(kind, 0) * 3 > count:
             continue
         done[kind] = done.get(kind, 0) + 1
         near = SquareRootMap(told.root, told.matrix)
-        n = next(n for n in range(2, 40) if near.window(n).grazing_root < FAR)
-        top = near.window(n).depth(near.window(n).grazing_root)
+        n = next(n for n in range(2, 40) if near.added_impact_window(n).next_grazing_root < FAR)
+        top = near.added_impact_window(n).depth(near.added_impact_window(n).next_grazing_root)
         depths = top * told.ratio ** -rng.random(DEPTHS)
         scene = point.scene.replace(**{point.name: point.value + top / told.rate})
         x, v = before(point, found)
@@ -221,7 +225,9 @@ def chaos(count, seed):
         seen = jv.spectrum(scene, point.name, point.value + depths / told.rate, start, settle=2000, most=2**14)
         positive = seen["exponent"].values[:, 0] > 0
         ends = [
-            (one.depth(one.stable), one.depth(one.touch)) for one in map(near.window, range(1, 60)) if one.stable > 0
+            (one.depth(one.stable), one.depth(one.touch))
+            for one in map(near.added_impact_window, range(1, 60))
+            if one.stable > 0
         ]
         inside = np.array([any(low < depth < high for low, high in ends) for depth in depths])
         table = tables.setdefault(kind, np.zeros((2, 2), int))
@@ -241,8 +247,8 @@ def jumps(count, seed):
     while done < count:
         point = next(given)
         told, found = jv.scenario(point), grazing_return_of(point)
-        n, near = told.deeper, SquareRootMap(told.root, told.matrix).window(told.deeper)
-        orbits = one_impact_orbits(found, n, scene_length(point.scene))
+        n, near = told.deeper, SquareRootMap(told.root, told.matrix).added_impact_window(told.deeper)
+        orbits = added_impact_orbits(found, n, typical_length(point.scene))
         speed, z = near.linear_coefficient * np.sqrt(2.0 * told.acceleration), orbits.grazing_z
         for share in np.linspace(0.1, 1.0, 10):
             one = orbits.point_at_speed(z, share * speed)
@@ -253,8 +259,8 @@ def jumps(count, seed):
         if not (one.met and good) or near.linear_coefficient > 0.1:
             print("  far:", told.deeper, near.linear_coefficient, one.met, good)
             continue
-        spot = orbits.orbit_row_at(z, one.residual)
-        orbit = orbit_from_row(point.scene.replace(**{point.name: spot.value}), spot)
+        spot = orbits.orbit_point_at(z, one.residual)
+        orbit = orbit_from_point(point.scene.replace(**{point.name: spot.value}), spot)
         predicted = told.orbits[n - 1]
         size = predicted.fold - point.value
         values = (point.value + 3.0 * size, point.value - size, spot.value + size, spot.value - size)

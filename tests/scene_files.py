@@ -27,7 +27,7 @@ def each_of(bad):
 def check_refusal(path, change, key, said):
     """A file with a change is refused in one clear line."""
     with pytest.raises(ArgumentError) as caught:
-        scene_file.read(path, [change])
+        scene_file.read_scene_file(path, [change])
     line = str(caught.value)
     assert caught.value.key == key
     assert line.startswith(" ".join(key.split()) + ": ") and said in line, line

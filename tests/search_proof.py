@@ -16,13 +16,13 @@ import numpy as np
 from scipy.optimize import minimize
 
 import jaxvibro as jv
-from continuation.implicit_function import loop_over_lanes
-from jaxvibro.compiled.kernels import call_as_kernel
+from continuation.implicit_function import make_lane_loop_function
+from jaxvibro.compiled.kernel_calls import call_as_kernel
 from jaxvibro.design import search as ours
-from jaxvibro.design.bifurcation_tests import FLIP, FOLD
-from jaxvibro.design.free_parameters import allowed_changes
-from jaxvibro.design.rays import bifurcation_tests, sequence_at
-from jaxvibro.flight.coefficients import flow_coefficients
+from jaxvibro.design.bifurcation_gradients import FLIP, FOLD
+from jaxvibro.design.free_parameter_checks import bounds_of_changes
+from jaxvibro.design.parameter_rays import bifurcation_test_values, sequence_at
+from jaxvibro.flight.flight_coefficients import flow_coefficients
 from jaxvibro.orbits import impact_equations
 from jaxvibro.orbits.impact_equations import ImpactSequence
 
@@ -38,11 +38,11 @@ def _tested(tree, cycle, numbers):
     def one(cycle, numbers):
         scene = tree.unflatten(list(numbers))
         found, frame = impact_equations.solve_sequence(scene, cycle), flow_coefficients(scene)
-        tests = bifurcation_tests(frame, sequence_at(cycle, found.unknowns), found.unknowns)
+        tests = bifurcation_test_values(frame, sequence_at(cycle, found.unknowns), found.unknowns)
         real = (found.status == 0) & (tests[2] > 0) & (tests[3] > 0)
         return jnp.where(real, tests, jnp.nan)
 
-    return jax.vmap(loop_over_lanes(one_kernel_of(one)), in_axes=(None, 0))(cycle, numbers)
+    return jax.vmap(make_lane_loop_function(one_kernel_of(one)), in_axes=(None, 0))(cycle, numbers)
 
 
 def one_kernel_of(function):
@@ -52,16 +52,18 @@ def one_kernel_of(function):
 def compared(kind, starts, seed=0):
     """{method: (the itineraries of the boundaries met, seconds, orbits solved)} of a kind."""
     scene = jv.make_scene(2.0, 2.1, 0.05, 0.7, (-1.0, 1.0))
-    room = allowed_changes(scene, FREE, BOUNDS)
+    room = bounds_of_changes(scene, FREE, BOUNDS)
     seeds = [
-        one for one in ours._thin_seeds(ours._settle_starts(scene, FREE, room, starts, 2, seed)) if len(one.impacts[0])
+        one
+        for one in ours._limit_per_itinerary(ours._settled_orbit_seeds(scene, FREE, room, starts, 2, seed))
+        if len(one.impacts[0])
     ]
     tree, base, marks = ours._flatten_scene(scene, FREE)
     test, told = KINDS[kind], {}
     for _ in range(2):  # the second is warm
         begun = time.process_time()
-        places, rays, _ = ours._follow_seeds(scene, FREE, room, seeds, (kind,))
-        words = [ours._itinerary_key(one.seed) for one in places]
+        places, rays, _ = ours._follow_rays_from_seeds(scene, FREE, room, seeds, (kind,))
+        words = [ours._itinerary_key(one.orbit_seed) for one in places]
         told["gradient"] = words, time.process_time() - begun, rays * SOLVES
     each = max(1, rays * SOLVES // len(seeds))
     rng = np.random.default_rng(seed)

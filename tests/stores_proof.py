@@ -21,7 +21,7 @@ import numpy as np
 import psutil
 
 import jaxvibro as jv
-from jaxvibro.stores.filling import complete_study
+from jaxvibro.stores.study_completion import complete_study
 from jaxvibro.stores.zarr_store import OpenStore
 
 from .counted_study import Counted, counts

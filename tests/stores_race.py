@@ -15,7 +15,7 @@ import traceback
 from pathlib import Path
 
 import jaxvibro as jv
-from jaxvibro.stores.filling import complete_study
+from jaxvibro.stores.study_completion import complete_study
 
 from .counted_study import Counted
 from .stored_bits import bits

@@ -9,7 +9,7 @@ import pytest
 import continuation as co
 import jaxvibro as jv
 from continuation import shooting
-from continuation.argument_types import argument_type, argument_types_of
+from continuation.argument_checks import argument_type, argument_types_of
 from jaxvibro import plot
 from tests import invalid_calls
 

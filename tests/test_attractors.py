@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 import jaxvibro as jv
-from jaxvibro.attractors.largest_exponent import largest_exponents
-from jaxvibro.attractors.recurrence import recurrence_distances, recurrence_periods
+from jaxvibro.attractors.companion_exponent import largest_exponents
+from jaxvibro.attractors.recurrence import compute_return_distances, find_recurrence_periods
 from jaxvibro.maps import itinerary
 from jaxvibro.maps.initial_conditions import draw_initial_states, forced_amplitude, initial_box
 from jaxvibro.maps.iterate import MAX_RECORDED_PERIODS, iterate
-from jaxvibro.orbits.orbit_comparison import impacts_as_points, is_same_orbit, is_same_set, mirror_points
+from jaxvibro.orbits.orbit_comparison import impacts_as_points, is_same_orbit, mirror_points, samples_fill_same_set
 from jaxvibro.scene.check import MAX_ORBIT_PERIODS, ArgumentError
 from jaxvibro.scene.symmetry import is_symmetric
 
@@ -68,7 +68,7 @@ def test_they_are_orbits_and_mirror_images(four):
     for one in four:
         end, impacts = jv.strobe(scene(4.65), one.state, slots=32)
         assert abs(end.x - one.state.x) < 1e-12 and abs(end.v - one.state.v) < 1e-12
-        assert itinerary.words_of_rows(impacts.side[None]) == one.itinerary
+        assert itinerary.itinerary_of_rows(impacts.side[None]) == one.itinerary
         back, hits = jv.strobe(scene(4.65), jv.State(-one.state.x, -one.state.v, phase=np.pi), slots=32)
         assert abs(back.x + one.state.x) < 1e-12 and abs(back.v + one.state.v) < 1e-12
         twin = four[one.mirror_of]
@@ -139,7 +139,7 @@ def test_longer_orbits_and_their_period():
         assert one.points.shape == (2, 2) and len(one.itinerary) == 2
         end, impacts = jv.strobe(scene(5.6), one.state, slots=32)
         assert abs(np.array([end.x, end.v]) - one.points[1]).max() < 1e-11
-        assert itinerary.words_of_rows(impacts.side[None]) == one.itinerary[:1]
+        assert itinerary.itinerary_of_rows(impacts.side[None]) == one.itinerary[:1]
         assert itinerary.minimal_period(one.itinerary) == 2
 
 
@@ -262,9 +262,9 @@ def converging(multiplier, periods, start=1.0, limit=0.3):
 def test_slow_convergence_is_not_taken_for_a_longer_period(multiplier):
     whole = converging(multiplier, 60_000)
     found = [
-        recurrence_periods(recurrence_distances(whole[: k + 64]), recurrence_distances(whole[:k]), 64, 1.0, np.float64)[
-            0
-        ]
+        find_recurrence_periods(
+            compute_return_distances(whole[: k + 64]), compute_return_distances(whole[:k]), 64, 1.0, np.float64
+        )[0]
         for k in range(64, 50_000, 512)
     ]
     first = next(k for k, n in enumerate(found) if n)
@@ -276,9 +276,9 @@ def test_recurrence_of_longer_periods_and_of_none():
     three = np.tile([[0.1, 0.0], [0.5, 0.2], [-0.4, 0.1]], (50, 1))[:, None]
     golden = np.stack([np.cos(2 * np.pi * 0.6180339887 * np.arange(150)), np.zeros(150)], -1)[:, None]
     both = np.concatenate([three, golden], axis=1)
-    apart = recurrence_distances(both)
+    apart = compute_return_distances(both)
     assert apart.shape == (MAX_ORBIT_PERIODS, 2) and apart[2, 0] == 0.0 and apart[0, 0] == 0.9
-    assert recurrence_periods(apart, apart, 64, 1.0, np.float64).tolist() == [3, 0]
+    assert find_recurrence_periods(apart, apart, 64, 1.0, np.float64).tolist() == [3, 0]
 
 
 def test_points_at_the_walls():
@@ -290,9 +290,11 @@ def test_points_at_the_walls():
     assert is_same_orbit(mirror_points(points), later[::-1]) and not is_same_orbit(points, later)
     draws = np.random.default_rng(0).random((3, 2000, 2))
     sets = [np.concatenate([np.full((2000, 1), 10.0), draw, np.zeros((2000, 1))], axis=1) for draw in draws]
-    assert is_same_set(sets[0], sets[1]) and not is_same_set(sets[0], sets[2] + [0.0, 1.5, 0.0, 0.0])
+    assert samples_fill_same_set(sets[0], sets[1]) and not samples_fill_same_set(
+        sets[0], sets[2] + [0.0, 1.5, 0.0, 0.0]
+    )
     part = sets[2][sets[2][:, 1] < 0.4]
-    assert is_same_set(part, sets[0]) and is_same_set(sets[0], part)
+    assert samples_fill_same_set(part, sets[0]) and samples_fill_same_set(sets[0], part)
 
 
 @pytest.mark.long

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 import jaxvibro as jv
 from jaxvibro import plot
-from jaxvibro.attractors import fractal, trapping_region
+from jaxvibro.attractors import basin_boundaries, trapping_region
 from jaxvibro.flight.wall_positions import wall_states
 from jaxvibro.plot.basins import PALE_COLOURS
 
@@ -99,7 +99,7 @@ def test_what_has_no_trap_is_not_certain():
     elastic = jv.make_scene(4.65, 2.1, 0.0, 1.0, (-1.0, 1.0))
     orbit = jv.find_orbits(elastic, 1, 16)[0]
     point = np.array([[orbit.state.x, orbit.state.v]])
-    assert trapping_region.find_trapping_region(elastic, point, orbit.state.phase, 3.0) is None
+    assert trapping_region.find_trapping_ellipses(elastic, point, orbit.state.phase, 3.0) is None
 
 
 @pytest.mark.slow
@@ -107,7 +107,7 @@ def test_no_state_of_a_trap_leaves_it():
     scene, attractors = known("figure 5")
     rng = np.random.default_rng(0)
     for one in attractors:
-        found = trapping_region.find_trapping_region(scene, one.points, 0.0, 6.0)
+        found = trapping_region.find_trapping_ellipses(scene, one.points, 0.0, 6.0)
         disc = rng.normal(size=(500, 2))
         disc *= (rng.random(500) ** 0.5 / np.hypot(*disc.T))[:, None]
         z = one.points[0] + np.linalg.solve(found.ellipse_matrices[0], disc.T).T
@@ -161,32 +161,32 @@ def test_progress_counts_starts():
 def test_entropy_of_known_pictures():
     halves = np.repeat([[0, 1]], 50, axis=1).T @ np.ones((1, 100), int)
     board = np.indices((100, 100)).sum(axis=0) % 2
-    assert fractal.basin_entropies(board, 2) == pytest.approx((np.log(2), np.log(2)))
-    assert fractal.basin_entropies(halves, 5) == (0.0, 0.0)  # the boundary lies between boxes
-    whole, edge = fractal.basin_entropies(np.roll(halves, 2, axis=0), 5)
+    assert basin_boundaries.basin_entropies(board, 2) == pytest.approx((np.log(2), np.log(2)))
+    assert basin_boundaries.basin_entropies(halves, 5) == (0.0, 0.0)  # the boundary lies between boxes
+    whole, edge = basin_boundaries.basin_entropies(np.roll(halves, 2, axis=0), 5)
     part = -(0.4 * np.log(0.4) + 0.6 * np.log(0.6))
     assert (whole, edge) == pytest.approx((part * 2 / 20, part))
     thirds = np.arange(90 * 90).reshape(90, 90) % 3
-    assert fractal.basin_entropies(thirds, 3) == pytest.approx((np.log(3), np.log(3)))
-    assert fractal.basin_entropies(np.where(board == 1, -1, 0), 2) == (0.0, 0.0)
-    assert np.isnan(fractal.basin_entropies(board[:3, :3])).all()
+    assert basin_boundaries.basin_entropies(thirds, 3) == pytest.approx((np.log(3), np.log(3)))
+    assert basin_boundaries.basin_entropies(np.where(board == 1, -1, 0), 2) == (0.0, 0.0)
+    assert np.isnan(basin_boundaries.basin_entropies(board[:3, :3])).all()
 
 
 def test_dimension_of_known_pictures():
     rows, columns = np.indices((1025, 1025))
-    straight = fractal.boundary_dimension((columns > 400).astype(int))
+    straight = basin_boundaries.boundary_dimension((columns > 400).astype(int))
     assert (straight.value, straight.error) == pytest.approx((1.0, 0.0), abs=1e-12)
-    np.testing.assert_allclose(straight.mixed_shares, straight.box_sides / 1024)
-    slanted = fractal.boundary_dimension((columns > 0.37 * rows + 100.3).astype(int))
+    np.testing.assert_allclose(straight.mixed_fractions, straight.box_sides / 1024)
+    slanted = basin_boundaries.boundary_dimension((columns > 0.37 * rows + 100.3).astype(int))
     assert slanted.value == pytest.approx(1.0, abs=0.01)
-    circle = fractal.boundary_dimension(((rows - 500) ** 2 + (columns - 510) ** 2 < 300**2).astype(int))
+    circle = basin_boundaries.boundary_dimension(((rows - 500) ** 2 + (columns - 510) ** 2 < 300**2).astype(int))
     assert circle.value == pytest.approx(1.0, abs=max(0.02, 2 * circle.error))
-    riddled = fractal.boundary_dimension(np.random.default_rng(0).integers(0, 2, (1025, 1025)))
+    riddled = basin_boundaries.boundary_dimension(np.random.default_rng(0).integers(0, 2, (1025, 1025)))
     assert riddled.value > 1.9
-    assert np.isnan(fractal.boundary_dimension(np.zeros((65, 65), int))[:2]).all()
-    assert fractal.boundary_dimension(np.where(columns == 400, -1, (columns > 400).astype(int)))[0] == pytest.approx(
-        1.0, abs=0.1
-    )
+    assert np.isnan(basin_boundaries.boundary_dimension(np.zeros((65, 65), int))[:2]).all()
+    assert basin_boundaries.boundary_dimension(np.where(columns == 400, -1, (columns > 400).astype(int)))[
+        0
+    ] == pytest.approx(1.0, abs=0.1)
 
 
 def test_dimension_of_a_cantor_set_of_boundaries():
@@ -195,7 +195,7 @@ def test_dimension_of_a_cantor_set_of_boundaries():
         third = np.arange(3**levels) // 3 ** (levels - 1 - level) % 3
         new = (third == 1) & (parity == 0)
         parity[new] = 1 + level % 2
-    found = fractal.boundary_dimension(np.tile(np.where(parity == 0, 3, parity), (2049, 1)))
+    found = basin_boundaries.boundary_dimension(np.tile(np.where(parity == 0, 3, parity), (2049, 1)))
     assert found.value == pytest.approx(1.0 + np.log(2) / np.log(3), abs=0.06)
     assert abs(found.value - 1.0 - np.log(2) / np.log(3)) < 3 * found.error
 

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 import jaxvibro as jv
-from continuation import cache_file, numpy_evaluation, persistent_jit, python_program
-from continuation.cache_file import distrust_of, reason_for_distrust
+from continuation import jaxpr_to_python, numpy_evaluation, persistent_jit, trusted_cache_file
+from continuation.trusted_cache_file import distrust_from_status, reason_for_distrust
 
 from .cached_functions import GIVEN, compiled, evaluated, other_waves
 from .flipped_bits import flipped
@@ -26,7 +26,7 @@ TRUE = np.sin(GIVEN), GIVEN * np.exp(-GIVEN)
 def cache(tmp_path, monkeypatch):
     """jax's compile cache in a folder of its own; what was warned of before is warned of again."""
     monkeypatch.setattr(persistent_jit, "_own_packages", {*persistent_jit._own_packages})
-    monkeypatch.setattr(cache_file, "_warned", set())
+    monkeypatch.setattr(trusted_cache_file, "_warned", set())
     before = jax.config.jax_compilation_cache_dir
     folder = tmp_path / "cache"
     folder.mkdir(mode=0o700)
@@ -71,17 +71,17 @@ def test_a_flipped_bit_is_never_used(cache, traces):
     rng = random.Random(58)
     for suffix, path in kept(cache).items():
         whole = path.read_bytes()
-        assert cache_file.read(path) == whole[cache_file.DIGEST :]
-        for place in {0, 8 * cache_file.DIGEST, 8 * len(whole) - 1, *rng.sample(range(8 * len(whole)), 60)}:
+        assert trusted_cache_file.read(path) == whole[trusted_cache_file.DIGEST :]
+        for place in {0, 8 * trusted_cache_file.DIGEST, 8 * len(whole) - 1, *rng.sample(range(8 * len(whole)), 60)}:
             path.write_bytes(flipped(whole, place))
-            assert cache_file.read(path) is None, (suffix, place)
+            assert trusted_cache_file.read(path) is None, (suffix, place)
         for damaged in (b"", whole[:20], whole[:-1], whole + b"\n"):
             path.write_bytes(damaged)
-            assert cache_file.read(path) is None
+            assert trusted_cache_file.read(path) is None
         traces.clear()
         require_right(evaluated() if suffix else compiled())
         assert traces == (["program"] if suffix else ["module"])
-        assert path.read_bytes()[: cache_file.DIGEST] == whole[: cache_file.DIGEST]  # written anew
+        assert path.read_bytes()[: trusted_cache_file.DIGEST] == whole[: trusted_cache_file.DIGEST]  # written anew
 
 
 def test_a_line_that_is_inserted_is_not_executed(cache, tmp_path):
@@ -89,9 +89,9 @@ def test_a_line_that_is_inserted_is_not_executed(cache, tmp_path):
     path = kept(cache)[".code"]
     content = path.read_bytes()
     line = f"open({str(mark)!r}, 'w').close()\n"
-    code = python_program.compile_text(f"{line}size, run = 1, None")
-    form = content[cache_file.DIGEST :].split(b"\n")[0]
-    for digest in (content[: cache_file.DIGEST], b"\0" * cache_file.DIGEST):
+    code = jaxpr_to_python.compile_program_text(f"{line}size, run = 1, None")
+    form = content[trusted_cache_file.DIGEST :].split(b"\n")[0]
+    for digest in (content[: trusted_cache_file.DIGEST], b"\0" * trusted_cache_file.DIGEST):
         path.write_bytes(digest + form + b"\n" + code)
         for one, again in zip(first, evaluated(), strict=True):
             np.testing.assert_array_equal(one, again)
@@ -103,24 +103,24 @@ def test_a_file_of_another_function_or_version_is_not_used(cache, traces):
     mine = kept(cache)[".code"]
     evaluated(other_waves)
     (others,) = set(cache.glob("modules/*/*.code")) - {mine}
-    assert cache_file.read(others) is not None
+    assert trusted_cache_file.read(others) is not None
     shutil.copyfile(others, mine)
-    assert cache_file.read(mine) is None
+    assert trusted_cache_file.read(mine) is None
     require_right(evaluated())
     version = mine.parent.with_name("0" * 32)
     shutil.copytree(mine.parent, version)
-    assert cache_file.read(mine) is not None and cache_file.read(version / mine.name) is None
+    assert trusted_cache_file.read(mine) is not None and trusted_cache_file.read(version / mine.name) is None
 
 
 def test_a_folder_of_somebody_else_is_not_used(cache, traces, monkeypatch):
     evaluated()
     files = {one: one.read_bytes() for one in cache.rglob("*") if one.is_file()}
-    plain, theirs = cache_file.distrust_of, os.geteuid() + 7
+    plain, theirs = trusted_cache_file.distrust_from_status, os.geteuid() + 7
 
     def of_another(status):
         return plain(status_of(status.st_mode, theirs, status.st_gid))
 
-    monkeypatch.setattr(cache_file, "distrust_of", of_another)
+    monkeypatch.setattr(trusted_cache_file, "distrust_from_status", of_another)
     rule = rf"neither kept in this cache folder nor read.*belongs to another user, number {theirs}"
     with pytest.warns(UserWarning, match=rule) as told:
         require_right(evaluated())
@@ -129,7 +129,7 @@ def test_a_folder_of_somebody_else_is_not_used(cache, traces, monkeypatch):
     assert traces == ["program"] * 3
     assert f"belongs to another user, number {theirs}" in persistent_jit.reason_without_cache()
     assert {one: one.read_bytes() for one in cache.rglob("*") if one.is_file()} == files
-    assert cache_file.read(kept(cache)[".code"]) is None
+    assert trusted_cache_file.read(kept(cache)[".code"]) is None
     with pytest.raises(jv.ArgumentError, match="jax_compilation_cache_dir: must be a folder that no other user"):
         jv.warm()
 
@@ -149,7 +149,7 @@ MODES = [
 @pytest.mark.parametrize(("mode", "reason"), MODES)
 @pytest.mark.parametrize("below", [0, 1, 2])
 def test_a_folder_that_others_can_write_to_is_not_used(cache, traces, monkeypatch, mode, reason, below):
-    monkeypatch.setattr(cache_file, "_is_private", lambda group: False)
+    monkeypatch.setattr(trusted_cache_file, "_is_private_group", lambda group: False)
     evaluated()
     folder = kept(cache)[".code"].parents[2 - below]
     folder.chmod(mode)
@@ -167,20 +167,22 @@ def test_owners_and_groups_that_are_trusted(monkeypatch):
     monkeypatch.setattr(os, "geteuid", lambda: 1000)
     names = {1000: "ann", 1001: "ann", 1002: "lab"}
     members = {1000: [], 1001: ["bob"], 1002: []}
-    monkeypatch.setattr(cache_file, "pwd", SimpleNamespace(getpwuid=lambda user: SimpleNamespace(pw_name=names[user])))
+    monkeypatch.setattr(
+        trusted_cache_file, "pwd", SimpleNamespace(getpwuid=lambda user: SimpleNamespace(pw_name=names[user]))
+    )
 
     def group(number):
         return SimpleNamespace(gr_name=names[number], gr_mem=members[number])
 
-    monkeypatch.setattr(cache_file, "grp", SimpleNamespace(getgrgid=group))
+    monkeypatch.setattr(trusted_cache_file, "grp", SimpleNamespace(getgrgid=group))
     for owner in (1000, 0):
-        assert distrust_of(status_of(0o755, owner)) is None
-        assert distrust_of(status_of(0o775, owner, 1000)) is None  # the user's private group
+        assert distrust_from_status(status_of(0o755, owner)) is None
+        assert distrust_from_status(status_of(0o775, owner, 1000)) is None  # the user's private group
         for number in (1001, 1002, 7):  # with another member, of another name, unknown
-            assert "by a group" in distrust_of(status_of(0o775, owner, number))
-    assert "another user, number 999" in distrust_of(status_of(0o700, 999))
+            assert "by a group" in distrust_from_status(status_of(0o775, owner, number))
+    assert "another user, number 999" in distrust_from_status(status_of(0o700, 999))
     monkeypatch.delattr(os, "geteuid")
-    assert distrust_of(status_of(0o777, 999)) is None
+    assert distrust_from_status(status_of(0o777, 999)) is None
 
 
 def test_a_folder_above_that_everyone_can_write_to(tmp_path):
@@ -211,7 +213,7 @@ def test_a_file_that_others_can_write_to_is_not_used(cache, traces):
     path = kept(cache)[".code"]
     for mode in (0o606, 0o666):
         path.chmod(mode)
-        assert cache_file.read(path) is None
+        assert trusted_cache_file.read(path) is None
     require_right(evaluated())
     assert stat.S_IMODE(path.stat().st_mode) == 0o600 and traces == ["program"] * 2
 
@@ -233,7 +235,7 @@ def test_a_disk_that_is_full_or_read_only_is_done_without(cache, traces, monkeyp
         raise OSError(code, os.strerror(code))
 
     evaluated()
-    monkeypatch.setattr(cache_file.tempfile, "mkstemp", refused)
+    monkeypatch.setattr(trusted_cache_file.tempfile, "mkstemp", refused)
     require_right(evaluated())
     require_right(compiled())
     assert traces == ["program", "module"]
@@ -246,9 +248,9 @@ def test_a_write_that_ends_half_way_leaves_nothing(tmp_path, monkeypatch):
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (1000, before[1]))
     try:
-        cache_file.write(path, b"x" * 5000)
+        trusted_cache_file.write(path, b"x" * 5000)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
     assert list(tmp_path.iterdir()) == []
-    cache_file.write(path, b"x" * 5000)
-    assert cache_file.read(path) == b"x" * 5000
+    trusted_cache_file.write(path, b"x" * 5000)
+    assert trusted_cache_file.read(path) == b"x" * 5000

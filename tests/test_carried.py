@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import jaxvibro as jv
-from jaxvibro.maps import derivatives
+from jaxvibro.maps import strobe_derivatives
 from tests.status_proof import RIGID
 from tests.tiers_proof import lean, usual
 
@@ -39,10 +39,10 @@ def test_of_random_scenes_they_are_those_of_the_replay(kind, periods, monkeypatc
     given_up = np.asarray(lean(scene, start)[1])
     assert 0 < given_up.sum() < LANES / 2  # both tiers are asked
     found = slopes(scene, start, periods)
-    monkeypatch.setattr(derivatives, "_carries_tangents", lambda task, leaves: False)
-    derivatives._differentiable_strobe.cache_clear()
+    monkeypatch.setattr(strobe_derivatives, "_has_fast_derivatives", lambda task, leaves: False)
+    strobe_derivatives._differentiable_strobe.cache_clear()
     expected = slopes(scene, start, periods)
-    derivatives._differentiable_strobe.cache_clear()
+    strobe_derivatives._differentiable_strobe.cache_clear()
     assert not np.array_equal(found, expected)
     assert np.array_equal(np.isnan(found), np.isnan(expected))
     assert np.nanmax(abs(found - expected) / _bent(expected)) < 1e-11

@@ -7,10 +7,10 @@ from mpmath import mpf, workdps
 from scipy.optimize import brentq
 
 import jaxvibro as jv
-from jaxvibro.flight.coefficients import compute_coefficients, flow_coefficients
+from jaxvibro.flight.flight_coefficients import flow_coefficients, make_flow_coefficients
 from jaxvibro.orbits import chatter, chatter_and_release
-from jaxvibro.problem.equations import are_releases
-from jaxvibro.problem.orbit_conversion import orbit_row_of
+from jaxvibro.problem.orbit_conversion import orbit_point_of
+from jaxvibro.problem.orbit_equations import are_releases
 from tests.branch_proof import plain
 from tests.reference import rests
 from tests.reference.special import exact
@@ -35,7 +35,7 @@ def test_critical_hops_near_the_release_shrink_in_proportion(bounce):
     release, fall = released(scene, 0.7)
     q, side = ratio(bounce), jnp.float64(1.0)
     near = [
-        float(chatter.critical_speed(compute_coefficients(scene), side, release, jnp.float64(tau))) / tau**2
+        float(chatter.critical_speed(make_flow_coefficients(scene), side, release, jnp.float64(tau))) / tau**2
         for tau in (-1e-4, -2e-4)
     ]
     assert 2.0 * near[0] - near[1] == pytest.approx(0.375 * (1.0 - q * q) * fall, rel=1e-6)
@@ -45,7 +45,7 @@ def test_critical_hops_near_the_release_shrink_in_proportion(bounce):
 @pytest.mark.parametrize("bounce", [0.3, 0.8])
 def test_a_hop_at_the_critical_speed_is_followed_by_one(bounce):
     scene = jv.make_scene(3.0, 0.8, 0.2, bounce, (None, jv.Wall(0.4, motion=jv.Motion(0.1, 1.0))))
-    built, side, phase = compute_coefficients(scene), jnp.float64(1.0), 2.0 * np.pi / 5.0
+    built, side, phase = make_flow_coefficients(scene), jnp.float64(1.0), 2.0 * np.pi / 5.0
     times = np.linspace(0.0, 2.0 * np.pi / 0.8, 400)
     with workdps(20):
         push = [float(rests.press_alone(exact(plain(scene)), 1, mpf(time))) for time in times]
@@ -71,7 +71,7 @@ def test_hops_end_in_rest_when_those_of_50_digits_do(bounce, speed):
         hits, began = rests.until_rest(given, 1, now, given.right.restitution * mpf(before), end)
         numbers = (np.float64(each) for each in (1.0, given.omega * end, now - end, before))
         rest, hold, _, times, speeds, _ = (
-            np.asarray(each) for each in chatter_and_release._examine_compiled(scene, *numbers)
+            np.asarray(each) for each in chatter_and_release._follow_bounces_compiled(scene, *numbers)
         )
         assert hold == np.inf
         assert float(rest) == pytest.approx(float(end - began), abs=1e-12) if began else rest < 0
@@ -90,7 +90,7 @@ def test_a_mass_drawn_off_its_wall_without_speed_comes_back_to_rest(early):
         hits, began = rests.until_rest(given, 1, end + tau, mpf(0), end)
         numbers = (np.float64(each) for each in (1.0, given.omega * end, tau, 1.0))
         rest, hold, plainly, times, speeds, lifts = (
-            np.asarray(each) for each in chatter_and_release._examine_compiled(scene, *numbers)
+            np.asarray(each) for each in chatter_and_release._follow_bounces_compiled(scene, *numbers)
         )
         assert lifts
         assert float(hold) == pytest.approx(-float(rests.press_alone(given, 1, end + tau)), rel=1e-7)
@@ -112,7 +112,7 @@ def test_a_first_hop_beyond_its_series_is_no_plain_one(speed, is_plain):
         end = rests.release(given, -1, mpf(31.6744))
         _, began = rests.until_rest(given, -1, end + tau, given.left.restitution * mpf(speed), end)
         numbers = (np.float64(each) for each in (-1.0, given.omega * end, tau, speed))
-    rest, _, plainly, *_ = (np.asarray(each) for each in chatter_and_release._examine_compiled(scene, *numbers))
+    rest, _, plainly, *_ = (np.asarray(each) for each in chatter_and_release._follow_bounces_compiled(scene, *numbers))
     assert (plainly > 0) == is_plain
     assert not is_plain or float(rest) == pytest.approx(float(end - began), abs=1e-12)
 
@@ -135,6 +135,6 @@ def test_an_orbit_that_rests_is_told_from_release_to_release(scene, label):
     assert (orbit.label, orbit.rests) == (label, True)
     *worst, count, several = errors(scene, orbit)
     assert max(worst) < 1e-12
-    frees = are_releases(orbit_row_of(orbit, 1.5).sides)
+    frees = are_releases(orbit_point_of(orbit, 1.5).sides)
     assert several == frees.sum() >= 1
     assert count == (~frees).sum() >= several

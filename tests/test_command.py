@@ -62,11 +62,11 @@ def test_the_data_hold_sweep_attractors_and_job(done):
         assert (data["status"].values == 0).all()
         assert data["attractor_label"].values.tolist() == [one["label"] for one in told["attractors"]]
         job = tomllib.loads(data.attrs["job"])
-    assert scene_file.parse_tables(job) == scene_file.read(SCENE_FILE, QUICK)
+    assert scene_file.parse_tables(job) == scene_file.read_scene_file(SCENE_FILE, QUICK)
 
 
 def test_legs_side_by_side_are_the_sweeps_they_stand_for(done):
-    file = scene_file.read(SCENE_FILE, QUICK)
+    file = scene_file.read_scene_file(SCENE_FILE, QUICK)
     with xr.open_dataset(done[0] / "branches.nc", engine="scipy") as data:
         for leg in file.sweep.legs:
             start = jv.State(leg.start.x, leg.start.v)
@@ -77,7 +77,7 @@ def test_legs_side_by_side_are_the_sweeps_they_stand_for(done):
 def test_json_is_all_that_stdout_gets_and_gives_the_job_back(tmp_path, capsys):
     assert quick(tmp_path, "--json") == 0
     told = json.loads(capsys.readouterr().out)
-    assert msgspec.convert(told["job"], schema.SceneFile) == scene_file.read(SCENE_FILE, QUICK)
+    assert msgspec.convert(told["job"], schema.SceneFile) == scene_file.read_scene_file(SCENE_FILE, QUICK)
     assert all(Path(path).exists() for path in told["files"].values())
     assert {one["leg"] for one in told["stretches"]} == {"down", "up"}
     assert sum(one["count"] for one in told["stretches"]) == 10
@@ -152,8 +152,8 @@ def test_a_scene_that_asks_nothing_is_followed_from_rest(tmp_path, capsys):
 def test_init_writes_a_scene_that_runs(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert called("init") == 0
-    assert scene_file.read("scene.toml") == msgspec.structs.replace(
-        scene_file.read(SCENE_FILE, TO_STARTER), branch=None
+    assert scene_file.read_scene_file("scene.toml") == msgspec.structs.replace(
+        scene_file.read_scene_file(SCENE_FILE, TO_STARTER), branch=None
     )
     assert called("init") == 2
     assert "scene.toml already exists" in capsys.readouterr().err
@@ -272,14 +272,14 @@ def test_a_cache_that_cannot_be_made_is_done_without(tmp_path, monkeypatch):
 
 def test_the_explorers_token_stays_and_is_made_anew_where_it_is_damaged(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    first = jax_settings.page_token()
-    assert re.fullmatch(r"[\w-]{43}", first) and jax_settings.page_token() == first
+    first = jax_settings.load_page_token()
+    assert re.fullmatch(r"[\w-]{43}", first) and jax_settings.load_page_token() == first
     (file,) = (tmp_path / "jaxvibro").glob("*token*")
     assert file.stat().st_mode & 0o777 == 0o600
     for damage in (b"", b"half", b"\xff" * 43):  # as a process that was killed while it wrote would leave it
         file.write_bytes(damage)
-        again = jax_settings.page_token()
-        assert again not in (first, None) and jax_settings.page_token() == again
+        again = jax_settings.load_page_token()
+        assert again not in (first, None) and jax_settings.load_page_token() == again
     assert list((tmp_path / "jaxvibro").glob("*token*")) == [file]
 
 
@@ -289,8 +289,8 @@ def test_of_two_processes_that_make_a_token_the_first_wins(tmp_path, monkeypatch
 
     def late(part, place):
         monkeypatch.setattr(os, "link", plain)
-        others.append(jax_settings.page_token())
+        others.append(jax_settings.load_page_token())
         plain(part, place)
 
     monkeypatch.setattr(os, "link", late)
-    assert [jax_settings.page_token()] == others and others[0] is not None
+    assert [jax_settings.load_page_token()] == others and others[0] is not None

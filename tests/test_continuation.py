@@ -5,16 +5,24 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from continuation import arclength, augmented_systems, branch_switching, driver, event_search, newton, problem
+from continuation import (
+    arclength,
+    augmented_systems,
+    branch_point_tangents,
+    continuation_loop,
+    event_search,
+    newton,
+    problem,
+)
 from continuation.branch_segment import SpecialIndex
 from continuation.linear_solver import solve
-from continuation.point_rows import head, insert_row, row_at
-from continuation.problem import Constants, equilibria, fixed_points, problem_of
+from continuation.point_rows import first_rows, insert_row, row_at
+from continuation.problem import SystemConstants, equilibria, fixed_points, make_problem
 from tests.test_trace import KNOTS as KNOTS_SYSTEM
 from tests.test_trace import close
 
 CIRCLE, PITCHFORK, TRANSCRITICAL, TWICE, CUSP = (
-    problem_of(equilibria(function), ("p",))
+    make_problem(equilibria(function), ("p",))
     for function in (
         lambda u, p, square: u * u + p["p"] ** 2 - square,
         lambda u, p, e: p["p"] * u - u**3 + e,
@@ -23,13 +31,13 @@ CIRCLE, PITCHFORK, TRANSCRITICAL, TWICE, CUSP = (
         lambda u, p, a: p["p"] + a * u - u**3,
     )
 )
-HENON = problem_of(fixed_points(lambda u, p, b: jnp.stack([p["p"] - u[0] ** 2 + b * u[1], u[0]])), ("p",))
-KNOTS = problem_of(KNOTS_SYSTEM, ("p",))
+HENON = make_problem(fixed_points(lambda u, p, b: jnp.stack([p["p"] - u[0] ** 2 + b * u[1], u[0]])), ("p",))
+KNOTS = make_problem(KNOTS_SYSTEM, ("p",))
 LIMITS = {"max_step": 0.1, "tolerance": 1e-10, "lower": -3.0, "upper": 3.0}
 
 
 def given(args=None):
-    return Constants({}, args)
+    return SystemConstants({}, args)
 
 
 def control_of(size, scale=None, **limits):
@@ -106,11 +114,11 @@ def test_marks_on_a_branch():
     control = control_of(2)
     points, _ = next(event_search.track_chunks(CIRCLE, place_of([1.0, 0.0], [0.0, 1.0]), control, given(1.0)))
     on, off = np.array([0.28, 0.96]), np.array([0.28, 0.96 + 1e-4])
-    assert event_search.find_pass(CIRCLE, points, [off], control, given(1.0)) is None
-    assert event_search.find_pass(CIRCLE, head(points, 1), [on], control, given(1.0)) is None
+    assert event_search.find_first_pass(CIRCLE, points, [off], control, given(1.0)) is None
+    assert event_search.find_first_pass(CIRCLE, first_rows(points, 1), [on], control, given(1.0)) is None
     begin = points.z[0] + 1e-15 * points.tangent[0]  # a rounding beyond where the branch begins
-    assert event_search.find_pass(CIRCLE, points, [begin], control, given(1.0))[0] > 50  # once round
-    after, length = event_search.find_pass(CIRCLE, points, [off, on], control, given(1.0))
+    assert event_search.find_first_pass(CIRCLE, points, [begin], control, given(1.0))[0] > 50  # once round
+    after, length = event_search.find_first_pass(CIRCLE, points, [off, on], control, given(1.0))
     here = jax.tree.map(lambda leaf: leaf[after], points)
     assert close(event_search.take_step(CIRCLE, here, length, control, given(1.0)).z, on, 1e-12)
     assert {k for _, _, k in event_search.find_near_passes(points, np.array([off, on, [0.0, 0.0]]), control)} == {0, 1}
@@ -130,15 +138,19 @@ def test_tangents():
 @pytest.mark.parametrize("scale", [np.ones(2), np.array([2.0, 0.5])])
 def test_directions_at_crossings(scale):
     zero = np.zeros(2)
-    fork = branch_switching.branch_tangents(PITCHFORK, zero, scale, given(0.0))
+    fork = branch_point_tangents.branch_tangents(PITCHFORK, zero, scale, given(0.0))
     assert same_tangents(fork, [[1, 0], [0, 1]], scale)
-    assert close(abs(branch_switching.farther_tangent(fork, np.array([0.1, 1.0]), scale)), [1 / scale[0], 0], 1e-14)
-    assert same_tangents(branch_switching.branch_tangents(TRANSCRITICAL, zero, scale, given()), [[1, 1], [0, 1]], scale)
+    assert close(
+        abs(branch_point_tangents.less_aligned_tangent(fork, np.array([0.1, 1.0]), scale)), [1 / scale[0], 0], 1e-14
+    )
+    assert same_tangents(
+        branch_point_tangents.branch_tangents(TRANSCRITICAL, zero, scale, given()), [[1, 1], [0, 1]], scale
+    )
     crossing, wide = np.array([3, 3, 27 * np.exp(-3)]), np.append(scale, 3.0)
-    both = branch_switching.branch_tangents(KNOTS, crossing, wide, given())
+    both = branch_point_tangents.branch_tangents(KNOTS, crossing, wide, given())
     assert same_tangents(both, [[1, 1, -18 * np.exp(-3)], [1, -1, 0]], wide)
     with pytest.raises(ValueError, match="no branches cross"):
-        branch_switching.branch_tangents(CIRCLE, zero, scale, given(0.0))
+        branch_point_tangents.branch_tangents(CIRCLE, zero, scale, given(0.0))
 
 
 @pytest.mark.parametrize("size", [2, 3, 4, 5])
@@ -167,7 +179,7 @@ def test_lanes_of_branches_do_not_disturb_each_other():
     controls = [control_of(2, lower=-9.0, upper=high) for high in highs]
 
     def track(place, control, a):
-        return arclength.track(CUSP.function, CUSP.solve, place, control, given(a), 80)
+        return arclength.track_branch(CUSP.function, CUSP.solve, place, control, given(a), 80)
 
     def stacked(trees):
         return jax.tree.map(lambda *leaves: np.stack(leaves), *trees)
@@ -233,9 +245,9 @@ def test_lengths_are_weighted():
     scale, z = np.array([3.0, 0.5]), np.array([0.6, 0.8])
     control = control_of(2, max_step=0.1, scale=scale)
     ahead = event_search.unit_tangent(CIRCLE, z, scale, given(1.0))
-    task = driver.ContinuationTask(CIRCLE, given(1.0), control, 0.05, ((-3.0, 3.0),), starts=(z,))
-    found = driver.follow_branch(task, point_of(z, ahead))
-    assert found.end is driver.End.CLOSED
+    task = continuation_loop.ContinuationTask(CIRCLE, given(1.0), control, 0.05, ((-3.0, 3.0),), starts=(z,))
+    found = continuation_loop.follow_branch(task, point_of(z, ahead))
+    assert found.end is continuation_loop.End.CLOSED
     assert [one.kind for one in found.specials] == ["SN", "SN"]
     assert close([found.points.z[one.row] for one in found.specials], [[0, 1], [0, -1]], 1e-14)
     assert close(np.sum(found.points.z**2, axis=1), 1, 1e-12)
@@ -246,7 +258,7 @@ def test_lengths_are_weighted():
 def test_runs_together_are_as_one_by_one_and_may_retry():
     """The lanes of one call, each with its own numbers; a point that a `Watch` refuses is tried again nearer."""
 
-    class Short(driver.EventDetector):
+    class Short(continuation_loop.EventDetector):
         refused: frozenset = frozenset()  # the first points beyond -7.9: those of another step are good
 
         def is_admissible(self, zs, view):
@@ -262,18 +274,18 @@ def test_runs_together_are_as_one_by_one_and_may_retry():
 
     def tasks():
         return [
-            driver.ContinuationTask(
+            continuation_loop.ContinuationTask(
                 CUSP, given(one), control_of(2, lower=-9.0, upper=high), 0.05, ((-9.0, high),), detector=watch
             )
             for one, high, watch in zip(
-                a, highs, (driver.EventDetector(), Short(), driver.EventDetector()), strict=True
+                a, highs, (continuation_loop.EventDetector(), Short(), continuation_loop.EventDetector()), strict=True
             )
         ]
 
-    together = driver.follow_branches(tasks(), points)
+    together = continuation_loop.follow_branches(tasks(), points)
     for mine, task, point in zip(together, tasks(), points, strict=True):
-        alone = driver.follow_branch(task, point)
-        assert mine.end is alone.end is driver.End.BOUND
+        alone = continuation_loop.follow_branch(task, point)
+        assert mine.end is alone.end is continuation_loop.End.BOUND
         assert [one[:2] for one in mine.specials] == [one[:2] for one in alone.specials]
         assert close(mine.points.z, alone.points.z, 1e-12)
     assert together[1].points.step[1:].min() < 0.05 <= together[0].points.step[1:-1].min()
@@ -283,21 +295,23 @@ def test_runs_together_are_as_one_by_one_and_may_retry():
 def test_an_end_seen_ahead_beyond_a_bound_is_none(bound, end):
     """A `Watch` that looks ahead sees the same end from each point within half a unit of it."""
 
-    class Ahead(driver.EventDetector):
+    class Ahead(continuation_loop.EventDetector):
         def find_early_end(self, task, points):
             z = np.array([np.sqrt(1 - 0.7**2), 0.7])
             (near,) = np.nonzero(abs(z[1] - 0.25 - points.z[:, 1]) < 0.25)
             if not len(near):
                 return None
-            points = insert_row(head(points, near[-1] + 1), near[-1] + 1, row_at(points, near[-1])._replace(z=z))
-            return driver.Termination(points, SpecialIndex(0, "X", 0.0), driver.End.STOPPED)
+            points = insert_row(first_rows(points, near[-1] + 1), near[-1] + 1, row_at(points, near[-1])._replace(z=z))
+            return continuation_loop.Termination(points, SpecialIndex(0, "X", 0.0), continuation_loop.End.STOPPED)
 
     z = np.array([1.0, 0.0])
-    task = driver.ContinuationTask(
+    task = continuation_loop.ContinuationTask(
         CIRCLE, given(1.0), control_of(2, max_step=0.1), 0.05, ((-3.0, bound),), detector=Ahead()
     )
-    found = driver.follow_branch(task, point_of(z, event_search.unit_tangent(CIRCLE, z, np.ones(2), given(1.0))))
-    assert found.end is driver.End[end]
+    found = continuation_loop.follow_branch(
+        task, point_of(z, event_search.unit_tangent(CIRCLE, z, np.ones(2), given(1.0)))
+    )
+    assert found.end is continuation_loop.End[end]
     assert close(found.points.z[-1, 1], min(bound, 0.7), 1e-15)
     assert [one.kind for one in found.specials] == ["X"] * (bound > 0.7)
 

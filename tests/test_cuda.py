@@ -12,15 +12,15 @@ from jax import export
 import jaxvibro as jv
 from continuation import augmented_systems, event_search
 from continuation.arclength import StepControl, TrackState
-from jaxvibro.attractors import basin_labels, local_manifold, sweep, tangent
-from jaxvibro.branches.follow import set_up_problem
-from jaxvibro.compiled import blocks, compiler_hints, kernels
-from jaxvibro.loci import codim2
-from jaxvibro.loci.locus_start import LocusStart, locus_problems
-from jaxvibro.maps import long_run, simulate, sticking_phases
+from jaxvibro.attractors import basin_labels, local_manifold, sweep, tangent_growth
+from jaxvibro.branches.follow import set_up_equations
+from jaxvibro.compiled import kernel_calls, lane_arithmetic, lane_blocks
+from jaxvibro.loci import codim2_points
+from jaxvibro.loci.locus_start import LocusStart, problems_at_locus_start
+from jaxvibro.maps import long_iteration, simulate, sticking_phase_intervals
 from jaxvibro.orbits import orbit_from_impacts
-from jaxvibro.problem import diagnostics, grazing_contact
-from jaxvibro.problem.equations import continuation_problem
+from jaxvibro.problem import grazing_contact, orbit_diagnostics
+from jaxvibro.problem.orbit_equations import continuation_problem
 from jaxvibro.problem.orbit_point import OrbitPoint
 from tests.cuda_proof import WALLS
 
@@ -32,8 +32,8 @@ LANES = jv.State(*(np.linspace(-0.5, 0.5, 16) * k for k in (1.0, 2.0, 0.0, 0.0))
 def on_card():
     """What these tests trace they share, and no other test."""
     with pytest.MonkeyPatch.context() as patch:
-        for module in (blocks, compiler_hints, kernels):
-            patch.setattr(module, "on_cpu", lambda: False)
+        for module in (lane_blocks, lane_arithmetic, kernel_calls):
+            patch.setattr(module, "is_traced_for_cpu", lambda: False)
         jax.clear_caches()
         yield
     jax.clear_caches()
@@ -76,28 +76,35 @@ def test_long_runs(walls):
     states = [np.asarray(each) for each in (LANES.x, LANES.v, LANES.phase, LANES.contact)]
     begun = np.zeros(LANES.x.shape, np.int32)
     for lean in (False, True)[: 1 + (walls == "two")]:
-        run = partial(long_run._run_block.__wrapped__, slots=16, fast=lean)
+        run = partial(long_iteration._iterate_block.__wrapped__, slots=16, is_fast_path_only=lean)
         lowered(lambda *given, run=run: run(one, *given), LANES, begun, 3)
     lowered(lambda state: simulate._sample_trajectory(one, state, 1, 20), jax.tree.map(lambda leaf: leaf[0], LANES))
     values = np.linspace(1.0, 2.0, 3)[:, None] * np.ones(16)
     chunk = partial(sweep._sweep_chunk.__wrapped__, name="amplitude", keep=2)
     lowered(lambda *given: chunk(one, *given), values, 3, LANES, LANES, 5)
-    lowered(lambda *given: sticking_phases._scan_period.__wrapped__(one, *given), *_single())
+    lowered(lambda *given: sticking_phase_intervals._scan_for_sticking.__wrapped__(one, *given), *_single())
     if walls == "two":
         wide = [np.resize(each, 64) for each in states]
-        lowered(lambda *given: basin_labels._advance_lanes.__wrapped__(one, *given), wide[0], wide[1], wide[3], 0.0, 1)
+        lowered(
+            lambda *given: basin_labels._advance_blocks_to_check.__wrapped__(one, *given),
+            wide[0],
+            wide[1],
+            wide[3],
+            0.0,
+            1,
+        )
         for back in (False, True):
             run = partial(local_manifold._iterate_blocks.__wrapped__, one, inverse=back)
             lowered(run, wide[0], wide[1], 0.0, 2, 1)
         unit = np.ones_like(LANES.x)
-        lanes = tangent.TangentLanes(LANES, unit, 0.0 * unit)
-        lanes = long_run.padded_block(lanes, 0, tangent.BLOCKS_PER_CALL * kernels.BLOCK_WIDTH)
-        lowered(lambda lanes: tangent._run_strip.__wrapped__(one, lanes, 2, 2), lanes)
+        lanes = tangent_growth.TangentLanes(LANES, unit, 0.0 * unit)
+        lanes = long_iteration.take_padded_block(lanes, 0, tangent_growth.BLOCKS_PER_CALL * kernel_calls.BLOCK_WIDTH)
+        lowered(lambda lanes: tangent_growth._run_strip.__wrapped__(one, lanes, 2, 2), lanes)
 
 
 def _single():
     state = jax.tree.map(lambda leaf: leaf[0], LANES)
-    return state, sticking_phases.ReleaseMatrix(*np.array([1.0, 0.0, 0.0, 1.0, 0.0, np.nan]))
+    return state, sticking_phase_intervals.MatrixSinceRelease(*np.array([1.0, 0.0, 0.0, 1.0, 0.0, np.nan]))
 
 
 def spot():
@@ -111,9 +118,9 @@ def test_orbits_and_branches(walls):
     guess = orbit_from_impacts.padded_sequence(one, *spot()[1:4], 0.0, 1)
     lowered(orbit_from_impacts.solve_guess, one, guess)
     lowered(orbit_from_impacts._solve_guesses_compiled, one, jax.tree.map(lambda leaf: np.stack([leaf] * 4), guess))
-    along, z = set_up_problem(one, "amplitude", spot())
+    along, z = set_up_equations(one, "amplitude", spot())
     carried(along, z)
-    seen = partial(diagnostics._evaluate_compiled.__wrapped__, diagnostics.impact_diagnostics, n_periods=1)
+    seen = partial(orbit_diagnostics._evaluate_compiled.__wrapped__, orbit_diagnostics.impact_diagnostics, n_periods=1)
     lowered(lambda zs: seen(along, zs, np.int32(2)), np.stack([z, z]))
     row = np.int32(0)
     lowered(lambda y: grazing_contact._relative_motion.__wrapped__(y, along, row, row), np.append(z, 0.1))
@@ -130,7 +137,7 @@ def carried(along, z):
         place,
         StepControl(np.ones(size), *numbers),
     )
-    lowered(lambda z: augmented_systems.evaluate.__wrapped__(task, z, along), z)
+    lowered(lambda z: augmented_systems.evaluate_problem.__wrapped__(task, z, along), z)
 
 
 @pytest.mark.parametrize(
@@ -138,11 +145,11 @@ def carried(along, z):
 )
 def test_loci(kind, walls):
     start = LocusStart(kind, "amplitude", scene(walls), spot())
-    ((curve, z),) = locus_problems(start, ("amplitude", "left.position"))
+    ((curve, z),) = problems_at_locus_start(start, ("amplitude", "left.position"))
     carried(curve, z)
     blank = tuple(np.zeros((2, 2 * len(curve.sequence.sides))))
     for order in (2, 3):
-        bend = partial(codim2._evaluate_normal_forms.__wrapped__, order=order, high_accuracy=True)
+        bend = partial(codim2_points._evaluate_normal_forms.__wrapped__, order=order, high_accuracy=True)
         lowered(lambda zs, bend=bend: bend(curve, zs, blank, np.int32(2)), jnp.stack([z, z]))
 
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import jaxvibro as jv
-from jaxvibro.branches.explore import make_exploration_task, seed_orbits_of_tasks
+from jaxvibro.branches.explore import make_exploration_request, seed_orbits_of_requests
 from tests.reference import closed
 
 OMEGA, R = 2.1, 0.7
@@ -58,9 +58,9 @@ def test_kept_in_a_store(scene, tmp_path):
 @pytest.mark.slow
 def test_what_the_starts_of_all_values_settle_on(scene):
     scenes = [scene.replace(damping=gamma) for gamma in (0.3, 0.05)]
-    tasks = [make_exploration_task(each, "amplitude", BOUNDS, 1, 0, None, 0.1) for each in scenes]
+    tasks = [make_exploration_request(each, "amplitude", BOUNDS, 1, 0, None, 0.1) for each in scenes]
     for mine, theirs in zip(
-        seed_orbits_of_tasks(tasks), map(seed_orbits_of_tasks, ([one] for one in tasks)), strict=True
+        seed_orbits_of_requests(tasks), map(seed_orbits_of_requests, ([one] for one in tasks)), strict=True
     ):
         assert [one.orbit_row.value for one in mine] == [one.orbit_row.value for one in theirs[0]] and len(mine) > 100
         assert [one.orbit_row.periods for one in mine] == [one.orbit_row.periods for one in theirs[0]]

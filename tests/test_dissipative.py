@@ -10,8 +10,8 @@ from jax import lax
 from mpmath import mp, mpf
 
 import jaxvibro as jv
-from jaxvibro.scene.dissipation import areas_never_grow
-from jaxvibro.scene.intervals import ENTIRE, OPERATION_RULES, Interval, divide, multiply
+from jaxvibro.scene.area_growth_proof import areas_never_grow
+from jaxvibro.scene.interval_arithmetic import ENTIRE, OPERATION_RULES, Interval, divide, multiply
 
 from .reference import own_force
 

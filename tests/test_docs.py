@@ -90,7 +90,7 @@ def test_commands_in_the_pages_are_such():
         if called[:1] == ["make"]:
             assert set(called[1:]) <= targets
         elif called and called[0].endswith("jaxvibro"):
-            command._parser().parse_args(called[1:])
+            command._make_parser().parse_args(called[1:])
         else:
             assert called[:1] in ([], ["export"]), called
     assert len(words) > 10

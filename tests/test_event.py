@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxvibro.flight import event, fast_event
+from jaxvibro.flight import event_certificates, fast_event
 
 LANES, FINE = 1_500, np.linspace(0.0, 1.0, 401)
 
@@ -13,28 +13,30 @@ LANES, FINE = 1_500, np.linspace(0.0, 1.0, 401)
 def drawn():
     """Of lanes that are clear of their wall at first, of all shapes: an `event.Progress`."""
     rng = np.random.default_rng(3)
-    sizes = 10.0 ** rng.uniform(-3.0, 0.5, (event.N_TERMS, LANES))
-    terms = sizes * rng.normal(size=(event.N_TERMS, LANES))
+    sizes = 10.0 ** rng.uniform(-3.0, 0.5, (event_certificates.N_TERMS, LANES))
+    terms = sizes * rng.normal(size=(event_certificates.N_TERMS, LANES))
     terms[0] = -(10.0 ** rng.uniform(-5.0, 0.0, LANES))
     terms[1, ::2] = abs(terms[1, ::2])
     remainder = 10.0 ** rng.uniform(-14.0, 0.5, LANES)
-    return event.Progress(tuple(map(jnp.asarray, terms)), jnp.asarray(remainder))
+    return event_certificates.EventPolynomial(tuple(map(jnp.asarray, terms)), jnp.asarray(remainder))
 
 
 def worst(progress, time):
     """The progress at times of each lane, (times, lanes), with the remainder at its bounds: an array each."""
-    terms, remainder = np.asarray(progress.terms), np.asarray(progress.remainder)
+    terms, remainder = np.asarray(progress.terms), np.asarray(progress.remainder_bound)
     value = sum(term * time**k for k, term in enumerate(terms))
     return [value + sign * remainder * time**power for sign in (-1.0, 1.0) for power in (6, 7)]
 
 
 def test_no_step_without_contact_passes_the_wall(drawn):
-    bound = event.bound_progress(drawn, event.cubic_bound(drawn))
+    bound = event_certificates.make_upper_cubic(drawn, event_certificates.cubic_coefficient_bound(drawn))
     above = -bound.clearance + FINE[:, None] * (
         bound.slope + FINE[:, None] * (bound.curvature + bound.cubic * FINE[:, None])
     )
-    free = event.safe_step(bound)
-    sure = event.safe_horizon_step(bound, event.bounding_horizon(bound, event.first_quadratic_root(*bound[:3])), free)
+    free = event_certificates.safe_step(bound)
+    sure = event_certificates.safe_step_to_horizon(
+        bound, event_certificates.certificate_horizon(bound, event_certificates.first_quadratic_root(*bound[:3])), free
+    )
     for true in worst(drawn, FINE[:, None] + 0.0 * bound.clearance):
         assert (true <= above + 1e-14).all()
     for step in (free, sure):
@@ -47,18 +49,20 @@ def test_no_step_without_contact_passes_the_wall(drawn):
 def first_is(progress, root, slack, sure):
     """Whether progresses of the worst kind are first zero within so much of a root, in the lanes that are sure."""
     before, after = (root - slack)[sure], (root + slack)[sure]
-    near = slack[sure] < (event.ROOT_MARGIN - 1.0) * root[sure]  # as far the progress is known to rise
-    some = event.Progress(tuple(np.asarray(term)[sure] for term in progress.terms), progress.remainder[sure])
+    near = slack[sure] < (event_certificates.ROOT_MARGIN - 1.0) * root[sure]  # as far the progress is known to rise
+    some = event_certificates.EventPolynomial(
+        tuple(np.asarray(term)[sure] for term in progress.terms), progress.remainder_bound[sure]
+    )
     ahead = worst(some, FINE[:, None] * np.maximum(before, 0.0))
     beyond = worst(some, np.minimum(after, 1.0)[None])
     return all((each < 1e-14).all() for each in ahead) and all((each[0, near] > -1e-14).all() for each in beyond)
 
 
 def test_a_root_that_is_certain_is_the_first_and_as_near_as_is_said(drawn):
-    bound = event.bound_progress(drawn, event.cubic_bound(drawn))
-    guess = event.first_quadratic_root(*bound[:3])
-    root = event.newton_step(drawn, event.halley_step(drawn, guess))
-    slack = np.asarray(event.root_error_bound(drawn, guess, root))
+    bound = event_certificates.make_upper_cubic(drawn, event_certificates.cubic_coefficient_bound(drawn))
+    guess = event_certificates.first_quadratic_root(*bound[:3])
+    root = event_certificates.newton_root_step(drawn, event_certificates.halley_root_step(drawn, guess))
+    slack = np.asarray(event_certificates.root_error_bound(drawn, guess, root))
     sure = slack >= 0
     assert 0.1 < sure.mean() < 0.9
     assert first_is(drawn, np.asarray(root), slack, sure)
@@ -67,9 +71,9 @@ def test_a_root_that_is_certain_is_the_first_and_as_near_as_is_said(drawn):
 
 def test_a_slope_is_at_least_as_large_as_is_said(drawn):
     far = np.random.default_rng(4).uniform(0.0, 1.0, LANES)
-    least, time = np.asarray(event.slope_lower_bound(drawn, far)), FINE[:, None] * far
+    least, time = np.asarray(event_certificates.slope_lower_bound(drawn, far)), FINE[:, None] * far
     for sign in (-1.0, 1.0):
-        more = sign * 7.0 * np.asarray(drawn.remainder) * time**6
+        more = sign * 7.0 * np.asarray(drawn.remainder_bound) * time**6
         slope = sum(k * np.asarray(term) * time ** (k - 1) for k, term in enumerate(drawn.terms) if k) + more
         assert (slope >= least - 1e-14).all()
 
@@ -77,7 +81,7 @@ def test_a_slope_is_at_least_as_large_as_is_said(drawn):
 def test_a_lean_root_that_is_certain_is_the_first(drawn):
     guess = fast_event._root_guess(drawn)
     root = fast_event._refine_root(drawn, guess)
-    known, root = np.asarray(fast_event._root_certainty(drawn, guess, root)), np.asarray(root)
+    known, root = np.asarray(fast_event._root_certainty_level(drawn, guess, root)), np.asarray(root)
     assert np.mean(known == 2) > 0.05 and np.mean(known == 1) > 0.01
     for sure, slack in (
         (known > 0, (1.0 - fast_event.JUMP_FRACTION) * root),
@@ -88,9 +92,9 @@ def test_a_lean_root_that_is_certain_is_the_first(drawn):
 
 def test_no_lean_step_without_contact_passes_the_wall(drawn):
     g = drawn.terms
-    tail = fast_event._cubic_bound(drawn, 1.0)
+    tail = fast_event._cubic_coefficient_bound(drawn, 1.0)
     for far in (1.0, 0.3):
-        over, under = fast_event._safe_step(-g[0], g[1], g[2], tail, jnp.full(LANES, far))
+        over, under = fast_event._safe_step_num_denom(-g[0], g[1], g[2], tail, jnp.full(LANES, far))
         step = np.asarray(over / under)
         assert (step > 0).all() and (step <= far).all()
         for true in worst(drawn, FINE[:, None] * step):

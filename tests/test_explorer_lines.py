@@ -7,7 +7,15 @@ import numpy as np
 import pytest
 
 import jaxvibro as jv
-from jaxvibro.explorer.calls import CALLS, SCENE_NAME, build_call, evaluate, prune_lines, python_program, resolve
+from jaxvibro.explorer.page_calls import (
+    CALLS,
+    SCENE_NAME,
+    build_call,
+    evaluate_call_line,
+    prune_call_lines,
+    python_code_of_page,
+    resolve_reference,
+)
 from jaxvibro.explorer.scene_code import scales_code, scene_code
 from jaxvibro.scene.scene_table import make_scene_table
 from jaxvibro.studies.schema import ViewTable
@@ -61,8 +69,8 @@ def numbers(value):
 def test_the_python_that_is_shown_has_the_numbers_of_the_page():
     results = {SCENE_NAME: two_walls()}
     for one in LINES:
-        results[one.name] = evaluate(one, results)
-    text = python_program(make_scene_table(results[SCENE_NAME]), LINES, results)
+        results[one.name] = evaluate_call_line(one, results)
+    text = python_code_of_page(make_scene_table(results[SCENE_NAME]), LINES, results)
     known = {}
     exec(compile(text, "lines.py", "exec"), known)
     for one in LINES:
@@ -96,7 +104,7 @@ def test_texts_of_what_takes_long():
 )
 def test_a_reference_is_a_result_and_nothing_else(reference):
     with pytest.raises(jv.ArgumentError, match="must refer to the result of an earlier line"):
-        resolve(reference, {SCENE_NAME: two_walls(), "branch_1": ()})
+        resolve_reference(reference, {SCENE_NAME: two_walls(), "branch_1": ()})
 
 
 @pytest.mark.parametrize(
@@ -114,11 +122,11 @@ def test_a_reference_is_a_result_and_nothing_else(reference):
 def test_what_no_page_can_have_asked_is_refused(change, rule):
     given = {"name": "orbit_1", "call": "find_orbit", "of": SCENE_NAME, "arguments": STATE} | change
     with pytest.raises(jv.ArgumentError, match=rule):
-        evaluate(ViewTable(**given), {SCENE_NAME: two_walls()})
+        evaluate_call_line(ViewTable(**given), {SCENE_NAME: two_walls()})
 
 
 def test_lines_that_nothing_needs_are_left_out():
-    kept = [one.name for one in prune_lines(LINES, ("orbit_3", SCENE_NAME))]
+    kept = [one.name for one in prune_call_lines(LINES, ("orbit_3", SCENE_NAME))]
     assert kept == [one.name for one in LINES if one.name not in ("scene_2", "orbit_4", "motion_1", "orbit_2")]
 
 

@@ -32,9 +32,9 @@ def served():
 @pytest.mark.slow
 def test_what_was_evaluated_is_compiled_while_nobody_waits(monkeypatch):
     done, quiet = queue.Queue(), threading.Event()
-    monkeypatch.setattr(precomputation, "compile_evaluated", lambda: iter([done.put(1)]))
+    monkeypatch.setattr(precomputation, "compile_numpy_functions", lambda: iter([done.put(1)]))
     monkeypatch.setattr(precomputation, "DRAWING_TIME", 0.0)
-    one = precomputation.Precomputation(two_walls(), quiet.is_set)
+    one = precomputation.PrecomputationThread(two_walls(), quiet.is_set)
     assert one.ready.wait(PATIENCE)
     with pytest.raises(queue.Empty):
         done.get(timeout=1.0)
@@ -285,7 +285,7 @@ def test_what_can_be_taken(served, tmp_path):
 
 
 def test_a_page_that_goes_away_ends_its_work(served):
-    pages = served._explorer.pages
+    pages = served._explorer.page_sockets
 
     async def talk():
         before = set(pages)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import jaxvibro as jv
-from jaxvibro.explorer import messages, screen
+from jaxvibro.explorer import messages, page_screen
 from jaxvibro.studies import scene_file
 
 from .explorer_fuzz import CHEAP, draw
@@ -16,7 +16,7 @@ def followed():
     """A page on which P111 has been followed along the amplitude, from 0 to 4."""
     desk = Desk()
     for panel, (width, height) in SIZES.items():
-        desk.say(messages.Resize(panel=panel, width=width, height=height))
+        desk.say(messages.ResizePanel(panel=panel, width=width, height=height))
     desk.say(messages.Hello())
     desk.rest()
     return desk
@@ -112,10 +112,10 @@ def test_a_start_that_settles_on_no_orbit_is_shown_as_a_motion():
         (messages.SetParameter(name="left.position", value=2.0), "position"),
         (messages.SetStart(x=3.0, v=0.0), "x"),
         (messages.Select(of="branch_1.special[77]"), "must refer to the result of an earlier line"),
-        (messages.Zoom(panel="diagram", x=(2.0, 1.0)), "must be finite and increasing"),
-        (messages.Zoom(panel="portrait", y=(-1e308, 1e308)), "must lie between -1e+100 and 1e+100"),
-        (messages.Load(text="[scene"), "must be a TOML file"),
-        (messages.Load(text="a" * 2_000_000), "must be at most 1,000,000"),
+        (messages.ZoomPanel(panel="diagram", x=(2.0, 1.0)), "must be finite and increasing"),
+        (messages.ZoomPanel(panel="portrait", y=(-1e308, 1e308)), "must lie between -1e+100 and 1e+100"),
+        (messages.LoadSceneFile(text="[scene"), "must be a TOML file"),
+        (messages.LoadSceneFile(text="a" * 2_000_000), "must be at most 1,000,000"),
         (messages.RunAction(call="switch"), "requires a special point"),
     ],
 )
@@ -163,7 +163,7 @@ def test_work_that_is_stopped_ends_and_finds_nothing(desk):
     lines = desk.lines
     desk.say(messages.RunAction(call="explore", max_period=8))
     (work,) = [work for _, work in desk.session.tasks._tasks.values()]
-    desk.say(messages.Stop())
+    desk.say(messages.StopTasks())
     work.join(30.0)
     assert not work.is_alive()
     assert desk.session.tasks.labels == {} and desk.lines == lines
@@ -174,7 +174,7 @@ def test_what_was_found_but_not_shown_before_it_was_stopped_is_not_shown(desk):
     lines = desk.lines
     desk.say(messages.RunAction(call="follow"))
     found = desk.turns.get(timeout=PATIENCE)
-    desk.say(messages.Stop())
+    desk.say(messages.StopTasks())
     found()
     assert desk.lines == lines
 
@@ -183,7 +183,7 @@ def test_the_page_as_a_file_is_the_page_again(desk):
     desk.say(messages.MoveOnBranch(by=3))
     desk.say(messages.SetParameter(name="damping", value=0.055))
     text, python = desk.session.sent_fields["file"], desk.session.sent_fields["python"]
-    other = Desk(file=scene_file.parse_content("page", text.encode()))
+    other = Desk(file=scene_file.parse_scene_file("page", text.encode()))
     other.say(messages.Hello())
     other.rest()
     assert other.session.sent_fields["python"] == python
@@ -196,22 +196,22 @@ def test_the_page_as_a_file_is_the_page_again(desk):
 @pytest.mark.parametrize("panel", SIZES)
 def test_axes_without_sensible_limits_are_refused_and_the_page_goes_on(desk, panel):
     for pair in ((-1e308, 1e308), (-1.7e308, 0.0), (0.0, 1e308), (-1e101, 1.0)):
-        told = desk.say(messages.Zoom(panel=panel, x=pair, y=pair, number=7))
+        told = desk.say(messages.ZoomPanel(panel=panel, x=pair, y=pair, number=7))
         assert len(complaints(told)) == 1 and told[-1] == {"kind": "answer", "number": 7}
-    told = desk.say(messages.Zoom(panel=panel, x=(-1.0, 2.0), number=8))
+    told = desk.say(messages.ZoomPanel(panel=panel, x=(-1.0, 2.0), number=8))
     assert [one["kind"] for one in told] == ["picture", "answer"] and told[0]["x"] == [-1.0, 2.0]
 
 
 def test_a_picture_that_cannot_be_drawn_is_one_line_and_the_page_goes_on(desk, monkeypatch, capsys):
-    plain = screen.DRAW_FUNCTIONS["trace"]
+    plain = page_screen.DRAW_FUNCTIONS["trace"]
 
     def fails_when_narrow(ax, *parts):
         plain(ax, *parts)
         if desk.session.screen.limits.get("trace"):
             raise RuntimeError("no such picture")
 
-    monkeypatch.setitem(screen.DRAW_FUNCTIONS, "trace", fails_when_narrow)
-    told = desk.say(messages.Zoom(panel="trace", x=(0.0, 1.0), number=3))
+    monkeypatch.setitem(page_screen.DRAW_FUNCTIONS, "trace", fails_when_narrow)
+    told = desk.say(messages.ZoomPanel(panel="trace", x=(0.0, 1.0), number=3))
     assert complaints(told) == ["the trace cannot be drawn: no such picture"]
     assert [one["kind"] for one in told] == ["told", "picture", "answer"]  # with the limits that it had at first
     assert "RuntimeError: no such picture" in capsys.readouterr().err
@@ -219,12 +219,14 @@ def test_a_picture_that_cannot_be_drawn_is_one_line_and_the_page_goes_on(desk, m
     def fails(ax, *parts):
         raise ValueError("no picture at all")
 
-    monkeypatch.setitem(screen.DRAW_FUNCTIONS, "trace", fails)
+    monkeypatch.setitem(page_screen.DRAW_FUNCTIONS, "trace", fails)
     desk.session.screen.invalidate()
-    told = desk.say(messages.Zoom(panel="plane", number=4))
+    told = desk.say(messages.ZoomPanel(panel="plane", number=4))
     assert len(complaints(told)) == 1 and told[-1] == {"kind": "answer", "number": 4}
     assert {one["panel"] for one in told if one["kind"] == "picture"} == {"portrait", "diagram", "plane"}
-    assert [one["kind"] for one in desk.say(messages.Stop(number=5))] == ["answer"]  # it is not tried again and again
+    assert [one["kind"] for one in desk.say(messages.StopTasks(number=5))] == [
+        "answer"
+    ]  # it is not tried again and again
 
 
 def test_an_error_that_nobody_expects_is_answered(desk, monkeypatch, capsys):
@@ -236,10 +238,10 @@ def test_an_error_that_nobody_expects_is_answered(desk, monkeypatch, capsys):
         told = desk.say(messages.Select(of="branch_1", number=3))
         assert complaints(told) == ["a fault of ours"] and told[-1] == {"kind": "answer", "number": 3}
         patch.setattr(type(desk.session), "_send_fields", fails)
-        told = desk.say(messages.Stop(number=4))
+        told = desk.say(messages.StopTasks(number=4))
         assert complaints(told) == ["a fault of ours"] and told[-1] == {"kind": "answer", "number": 4}
     assert "RuntimeError: a fault" in capsys.readouterr().err
-    assert desk.say(messages.Stop(number=5))[-1] == {"kind": "answer", "number": 5}
+    assert desk.say(messages.StopTasks(number=5))[-1] == {"kind": "answer", "number": 5}
 
 
 def test_every_message_is_answered(desk):
@@ -248,6 +250,6 @@ def test_every_message_is_answered(desk):
 
 
 def test_numbers_that_json_has_not_are_null():
-    assert messages.encode({"a": [float("inf"), (1.5, float("nan"))], "b": "NaN"}) == (
+    assert messages.encode_record({"a": [float("inf"), (1.5, float("nan"))], "b": "NaN"}) == (
         '{"a": [null, [1.5, null]], "b": "NaN"}'
     )

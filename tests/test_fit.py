@@ -8,9 +8,9 @@ import pytest
 from scipy import optimize
 
 import jaxvibro as jv
-from jaxvibro.design import chain_equations
-from jaxvibro.design.chain_equations import Nodes
-from jaxvibro.design.next_impact import Impact, Motion
+from jaxvibro.design import impact_chain_equations
+from jaxvibro.design.impact_chain_equations import ChainNodes
+from jaxvibro.design.impact_prediction import Impact, MotionPredictor
 
 from . import fit_proof
 
@@ -46,20 +46,20 @@ def noisy(seed=0, without=(), more=(), flawless=False):
 @pytest.mark.slow
 def test_a_motion_leaves_nothing_open_and_derivatives_are_those_of_differences():
     times, sides, speeds = motion()
-    nodes = Nodes(sides.astype(float), 0 * times, times, speeds)
+    nodes = ChainNodes(sides.astype(float), 0 * times, times, speeds)
     true = np.array([CHAOTIC.numbers[name] for name in NAMES])
-    found = chain_equations.flight_residuals(CHAOTIC, NAMES, nodes, true, 0.0)
+    found = impact_chain_equations.flight_residuals(CHAOTIC, NAMES, nodes, true, 0.0)
     assert abs(found.values).max() < 1e-12
-    least, _, _ = Motion(CHAOTIC, 0.0).min_clearances(nodes)
+    least, _, _ = MotionPredictor(CHAOTIC, 0.0).min_clearances(nodes)
     assert least.min() > 0
     for k in range(len(NAMES)):
         ends = [
-            chain_equations.flight_residuals(CHAOTIC, NAMES, nodes, true + way * 1e-6 * np.eye(5)[k], 0.0)
+            impact_chain_equations.flight_residuals(CHAOTIC, NAMES, nodes, true + way * 1e-6 * np.eye(5)[k], 0.0)
             for way in (1, -1)
         ]
         assert abs((ends[0].values - ends[1].values) / 2e-6 - found.derivatives[:, :, 4 + k]).max() < 1e-6
-    ends = [nodes._replace(first_unknown=times + way * 1e-6 * (np.arange(50) == 7)) for way in (1, -1)]
-    ends = [chain_equations.flight_residuals(CHAOTIC, NAMES, one, true, 0.0).values for one in ends]
+    ends = [nodes._replace(time_or_x=times + way * 1e-6 * (np.arange(50) == 7)) for way in (1, -1)]
+    ends = [impact_chain_equations.flight_residuals(CHAOTIC, NAMES, one, true, 0.0).values for one in ends]
     by = (ends[0] - ends[1]) / 2e-6
     assert abs(by[7] - found.derivatives[7, :, 0]).max() < 1e-6
     assert abs(by[6] - found.derivatives[6, :, 2]).max() < 1e-6
@@ -74,17 +74,17 @@ def test_a_motion_goes_on_from_soft_walls_both_ways():
     times, sides, speeds = (np.asarray(one)[:9] for one in (found.time, found.side, found.speed))
     assert sorted(set(sides)) == [-1, 1]
     impacts = [Impact(*map(float, one)) for one in zip(sides, times, speeds, strict=True)]
-    onward = Motion(scene, 0.0).next_impacts(impacts[0], times[-1] + 1e-6, 8)
-    back = Motion(scene, 0.0, -1).next_impacts(impacts[-1], times[0] - 1e-6, 8)
+    onward = MotionPredictor(scene, 0.0).next_impacts(impacts[0], times[-1] + 1e-6, 8)
+    back = MotionPredictor(scene, 0.0, -1).next_impacts(impacts[-1], times[0] - 1e-6, 8)
     for mine, theirs in zip([*onward, *back], [*impacts[1:], *impacts[-2::-1]], strict=True):
         assert mine == pytest.approx(theirs, abs=1e-10)
-    nodes = Nodes(sides.astype(float), 0 * times, times, speeds)
-    found = chain_equations.flight_residuals(scene, ("left.stiffness",), nodes, np.array([30.0]), 0.0)
+    nodes = ChainNodes(sides.astype(float), 0 * times, times, speeds)
+    found = impact_chain_equations.flight_residuals(scene, ("left.stiffness",), nodes, np.array([30.0]), 0.0)
     assert abs(found.values).max() < 1e-12
-    least, _, _ = Motion(scene, 0.0).min_clearances(nodes)
+    least, _, _ = MotionPredictor(scene, 0.0).min_clearances(nodes)
     assert least.min() > 0
     sunk = jv.make_scene(0.0, 1.1, 0.05, 0.8, (jv.Wall(0.5, stiffness=30.0, damping=20.0), jv.Wall(2.0, 0.7)))
-    assert Motion(sunk, 0.0).next_impacts(Impact(-1.0, 0.0, 0.1), 50.0, 1) == []
+    assert MotionPredictor(sunk, 0.0).next_impacts(Impact(-1.0, 0.0, 0.1), 50.0, 1) == []
 
 
 @pytest.mark.long

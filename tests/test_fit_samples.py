@@ -8,7 +8,7 @@ from scipy import optimize
 
 import jaxvibro as jv
 from jaxvibro.design import sample_fit
-from jaxvibro.design.least_squares import FreeParameters
+from jaxvibro.design.constrained_least_squares import FreeParameterSpec
 
 SIGMA = 1e-3
 CHAOTIC = jv.make_scene(1.0, 1.3, 0.05, 0.8, (jv.Wall(-1.0, 0.8), jv.Wall(1.0, 0.7)))
@@ -44,7 +44,7 @@ def away(found, scene=CHAOTIC):
 
 def free_numbers(names, begun):
     ends = np.full(len(names), np.inf)
-    return FreeParameters(names, np.full(len(names), 0.1), begun, -ends, ends, 0.0 * np.eye(len(names)))
+    return FreeParameterSpec(names, np.full(len(names), 0.1), begun, -ends, ends, 0.0 * np.eye(len(names)))
 
 
 @pytest.mark.long
@@ -56,13 +56,13 @@ def test_derivatives_are_those_of_differences(velocities):
     names = ("left.motion.amplitude", "right.position", "phase")
     numbers = np.array([scene.numbers[name] for name in names[:2]] + [0.0])
     data = noisy(10, 3, velocities, scene=scene, phase=None)
-    samples = sample_fit.make_samples(scene, data, free_numbers(names, numbers))
+    samples = sample_fit.make_sample_problem(scene, data, free_numbers(names, numbers))
     times, x, v = motion(10, 3, scene)
     node = samples.shots.start_indices
     states = np.stack([x[node], v[node]], 1)
-    felt = sample_fit._linearise(samples, samples.shots, states, numbers)
+    felt = sample_fit._linearise_shots(samples, samples.shots, states, numbers)
     assert len(felt.residuals) == (2 if velocities else 1) * len(times)
-    assert abs(felt.constraints).max() < 1e-12
+    assert abs(felt.constraint_values).max() < 1e-12
     assert felt.residuals == pytest.approx(
         np.stack([x, v], 1)[:, : 1 + velocities].ravel() / SIGMA - samples.measurements.ravel() / SIGMA, abs=1e-8
     )
@@ -70,7 +70,7 @@ def test_derivatives_are_those_of_differences(velocities):
     for k in range(size):
         step = 1e-6 * (np.arange(size) == k)
         ends = [
-            sample_fit._linearise(
+            sample_fit._linearise_shots(
                 samples, samples.shots, states + way * step[:-3].reshape(-1, 2), numbers + way * 0.1 * step[-3:]
             )
             for way in (1, -1)

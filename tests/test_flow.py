@@ -6,7 +6,7 @@ import pytest
 
 import jaxvibro as jv
 from jaxvibro.flight import fast_coefficients, fast_motion, flow
-from jaxvibro.flight.coefficients import compute_coefficients
+from jaxvibro.flight.flight_coefficients import make_flow_coefficients
 from jaxvibro.flight.flow import fly
 from tests.proof import flow_errors
 from tests.reference import ball
@@ -41,13 +41,13 @@ def test_a_flight_with_fewer_powers_rounds_by_what_the_lean_tier_proves():
     count, rng = 300, np.random.default_rng(4)
     damping, omega = rng.choice([0.0, 0.05, 0.5, 1.0, 5.0], count), rng.choice([0.05, 0.5, 1.0, 2.1, 20.0], count)
     amplitude, phase, (x, v) = rng.uniform(0, 10, count), rng.uniform(0, 6.3, count), rng.normal(0, 2, (2, count))
-    numbers = fast_coefficients.scale_coefficients(
-        compute_coefficients(jv.make_scene(amplitude, omega, damping, 1.0, (-1.0, 1.0)))
+    numbers = fast_coefficients.make_fast_coefficients(
+        make_flow_coefficients(jv.make_scene(amplitude, omega, damping, 1.0, (-1.0, 1.0)))
     )
     reach, part = np.asarray(numbers.max_step), rng.choice([0.01, 0.3, 0.7, 1.0], count)
-    gains = flow.step_propagator(numbers.short_series, numbers.frequency, part)
+    gains = flow.step_propagator(numbers.economised_series, numbers.frequency, part)
     forces = fast_motion.drive_forces(numbers, np.cos(phase), np.sin(phase))
-    ends = map(np.asarray, fast_motion.propagate(numbers, x, v * reach, forces, gains))
+    ends = map(np.asarray, fast_motion.propagate_free_flight(numbers, x, v * reach, forces, gains))
     rows = zip(damping, omega, amplitude, phase, x, v, reach * part, strict=True)
     true = np.array([[float(each) for each in ball.flow(*map(float, row))] for row in rows]).T * [np.ones(count), reach]
     largest = abs(x) + abs(v) * reach + amplitude

@@ -9,9 +9,9 @@ import pytest
 import jaxvibro as jv
 from continuation import augmented_systems
 from jaxvibro.branches import switch
-from jaxvibro.branches.follow import set_up_problem
-from jaxvibro.problem.diagnostics import diagnose
-from jaxvibro.problem.equations import continuation_problem
+from jaxvibro.branches.follow import set_up_equations
+from jaxvibro.problem.orbit_diagnostics import diagnose
+from jaxvibro.problem.orbit_equations import continuation_problem
 from jaxvibro.problem.orbit_point import OrbitPoint
 from tests import branch_proof
 from tests.reference import closed
@@ -238,7 +238,7 @@ def test_clearances_see_a_short_hop():
 
 
 def _single(scene, spot):
-    along, z = set_up_problem(scene, "amplitude", spot)
+    along, z = set_up_equations(scene, "amplitude", spot)
     return along, z[None]
 
 

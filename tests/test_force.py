@@ -12,8 +12,8 @@ from jax import lax
 from mpmath import mp, mpf
 
 import jaxvibro as jv
-from jaxvibro.flight import traced_force
-from jaxvibro.flight.series import RULES, Series
+from jaxvibro.flight import jaxpr_series
+from jaxvibro.flight.power_series import RULES, Series
 from jaxvibro.scene.symmetry import is_symmetric
 
 from .force_specials import solved
@@ -87,7 +87,7 @@ def test_each_operation_has_the_taylor_coefficients_of_its_function(name):
 def _coefficients(function, order):
     def found(zero):
         time, none = Series(lambda own, k: None, zero, 1.0), Series(None, zero)
-        series = traced_force.force_series(jv.Force(function, {}), time, none, none)
+        series = jaxpr_series.force_series(jv.Force(function, {}), time, none, none)
         return [zero if series[k] is None else series[k] + zero for k in range(order + 1)]
 
     return list(map(float, jax.jit(found)(jnp.zeros(()))))

@@ -7,12 +7,12 @@ from matplotlib.figure import Figure
 
 import jaxvibro as jv
 from jaxvibro import plot
-from jaxvibro.attractors.basin_labels import assign_labels, build_neighbourhoods
-from jaxvibro.attractors.shares import share_bounds
+from jaxvibro.attractors.basin_fraction_bounds import compute_share_bounds
+from jaxvibro.attractors.basin_labels import build_neighbourhoods, label_starts_in_parallel
 from jaxvibro.maps.initial_conditions import draw_initial_states
 from jaxvibro.output.checksums import netcdf_bytes
-from jaxvibro.surveys.attractor_transport import ParameterNode, assign_attractors, transport_attractors
-from jaxvibro.surveys.matching import match_attractors, median_distance, nearest_rotation
+from jaxvibro.surveys.attractor_matching import match_attractors, median_set_distance, nearest_rotation
+from jaxvibro.surveys.attractor_transport import ParameterNode, assign_or_add_attractors, transport_attractors
 from tests.pictures import tube
 
 STARTS, MANY = 40, 400
@@ -72,7 +72,7 @@ def test_shares_are_those_of_other_starts(found):
     scene = plain(amplitude=VALUES[1])
     known = jv.find_attractors(scene, 40, seed=5)
     given = draw_initial_states(scene, MANY, 77)
-    label, _ = assign_labels(scene, given.x, given.v, 0.0, build_neighbourhoods(scene, known, 0.0, 6.0), 400)
+    label, _ = label_starts_in_parallel(scene, given.x, given.v, 0.0, build_neighbourhoods(scene, known, 0.0, 6.0), 400)
     assert (label >= 0).all() and len(known) == 4
     here = found.isel(amplitude=1)
     for place, one in enumerate(known):
@@ -82,7 +82,7 @@ def test_shares_are_those_of_other_starts(found):
         share = (label == place).mean()
         assert abs(entry["share"] - share) < 3.5 * np.sqrt(share * (1.0 - share) * (1.0 / STARTS + 1.0 / MANY))
     counts = np.round(here["share"].values * STARTS).astype(int)
-    bounds = [share_bounds(int(count), STARTS) for count in counts]
+    bounds = [compute_share_bounds(int(count), STARTS) for count in counts]
     assert (np.stack([here["share_low"], here["share_high"]], -1) == bounds).all()
 
 
@@ -136,11 +136,11 @@ def test_an_attractor_that_no_start_found_is_carried_on():
 
 def test_one_that_a_start_found_at_the_first_value_alone_is_carried_to_the_last():
     stations = [ParameterNode(value, plain(amplitude=value), [], 0, 6.0, 0) for value in VALUES]
-    homes = assign_attractors(stations[0], jv.State(*(np.full(2, each) for each in (0.9, -1.1, 0.0, 0.0))), 300)
+    homes = assign_or_add_attractors(stations[0], jv.State(*(np.full(2, each) for each in (0.9, -1.1, 0.0, 0.0))), 300)
     assert homes.tolist() == [0, 0]
     transport_attractors(stations, "amplitude", 300)
     for station in stations:  # with its mirror image
-        assert [(one.fields["label"], one.lanes) for one in station.candidates] == [("P111", [])] * 2
+        assert [(one.attractor_fields["label"], one.lanes) for one in station.candidates] == [("P111", [])] * 2
     names = match_attractors(stations, "amplitude", 300)
     assert [list(one) for one in names] == [[0, 1, 2]] * 2
     for station in stations:  # as where all settle too slowly: by where they are
@@ -181,7 +181,7 @@ def test_where_nothing_is_known_a_place_stands_empty(tmp_path):
 def test_distances_and_turns():
     points = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 2.0]])
     assert (nearest_rotation(points, np.roll(points, 1, axis=0) + 0.1) == np.roll(points, 1, axis=0)).all()
-    assert median_distance(points, points + np.array([0.0, 0.25])) == 0.25
+    assert median_set_distance(points, points + np.array([0.0, 0.25])) == 0.25
 
 
 BAD = [

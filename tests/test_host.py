@@ -8,8 +8,8 @@ import pytest
 
 import jaxvibro as jv
 from jaxvibro import plot
-from jaxvibro.reproduction.figures import JOBS
-from jaxvibro.studies import command, compute
+from jaxvibro.reproduction.figure_jobs import JOBS
+from jaxvibro.studies import command, scene_file_studies
 from jaxvibro.studies.schema import SceneFile
 
 TRACED = {
@@ -99,4 +99,4 @@ def test_the_help_knows_all_that_there_is(capsys):
         if words == ["paper"]:
             assert "figures 2 to 12" in told and "fig2 to fig12, walls, formulas" in told
             assert {*JOBS} == {*(f"fig{k}" for k in range(2, 13)), "walls", "formulas"}
-    assert "soft" in jv.__doc__ and compute.__doc__
+    assert "soft" in jv.__doc__ and scene_file_studies.__doc__

@@ -7,7 +7,7 @@ import pytest
 
 import jaxvibro as jv
 from jaxvibro.branches import impossible_points
-from jaxvibro.branches.impossible_points import ImpossibleError, require_damped, require_possible
+from jaxvibro.branches.impossible_points import ImpossiblePointError, require_no_area_growth, require_possible_points
 
 WALLS = (jv.Wall(-1.0), jv.Wall(1.0))
 
@@ -21,23 +21,23 @@ def symmetric():
 
 
 def refused(special):
-    with pytest.raises(ImpossibleError) as error:
-        require_possible(special)
+    with pytest.raises(ImpossiblePointError) as error:
+        require_possible_points(special)
     return error.value
 
 
 def test_what_can_be_is_not_refused(symmetric):
     assert "SB" in [one.kind for one in symmetric.special]
-    require_possible(symmetric.special)
-    require_damped("amplitude", symmetric.values, symmetric.multipliers)
+    require_possible_points(symmetric.special)
+    require_no_area_growth("amplitude", symmetric.values, symmetric.multipliers)
 
 
 def test_no_period_doubling_of_a_symmetric_orbit(symmetric):
     (broken,) = symmetric.points("SB")
     found = refused((replace(broken, kind="PD"),))
-    assert found.value == broken.value and abs(found.product - abs(broken.multipliers.prod())) < 1e-15
+    assert found.value == broken.value and abs(found.multiplier_product - abs(broken.multipliers.prod())) < 1e-15
     assert "its own mirror image" in str(found) and f"amplitude = {broken.value:.12g}" in str(found)
-    assert 0 < found.product < 0.7**4
+    assert 0 < found.multiplier_product < 0.7**4
 
 
 @pytest.mark.parametrize("kinds", [("SN", "SB"), ("SN", "PD"), ("SB", "PD"), ("BP", "PD")])
@@ -46,24 +46,24 @@ def test_no_two_multipliers_of_size_one(symmetric, kinds, monkeypatch):
     aside = replace(broken, spot=broken.spot._replace(speeds=broken.spot.speeds * (1.0 + 1e-6)))
     monkeypatch.setattr(impossible_points, "is_own_mirror_image", lambda *_: False)
     both = [replace(broken, kind=kind) for kind in kinds]
-    with pytest.raises(ImpossibleError, match=f"of ({kinds[0]} and {kinds[1]}|{kinds[1]} and {kinds[0]}) at"):
-        require_possible(both)
-    require_possible([both[0], replace(aside, kind=kinds[1])])
+    with pytest.raises(ImpossiblePointError, match=f"of ({kinds[0]} and {kinds[1]}|{kinds[1]} and {kinds[0]}) at"):
+        require_possible_points(both)
+    require_possible_points([both[0], replace(aside, kind=kinds[1])])
     turned = replace(both[1], multipliers=-broken.multipliers)  # as at a grazing of a soft wall, within a rounding
-    require_possible([both[0], turned])
+    require_possible_points([both[0], turned])
     kept = replace(broken, multipliers=np.array([1.0, -1.0 + 0j]))  # no damping: the area is kept
-    require_possible([replace(kept, kind=kind) for kind in kinds])
+    require_possible_points([replace(kept, kind=kind) for kind in kinds])
 
 
 def test_no_growing_area(symmetric):
     values, found = symmetric.values, symmetric.multipliers.copy()
     found[3] = 1.001 * np.exp([2j, -2j])
-    with pytest.raises(ImpossibleError, match=f"amplitude = {values[3]:.12g}"):
-        require_damped("amplitude", values, found)
+    with pytest.raises(ImpossiblePointError, match=f"amplitude = {values[3]:.12g}"):
+        require_no_area_growth("amplitude", values, found)
     found[3] = np.exp([2j, -2j])
-    require_damped("amplitude", values, found)
+    require_no_area_growth("amplitude", values, found)
     found[3] = 1e6, 1e-6 * (1 + 1e-5)  # a rounding of the larger one
-    require_damped("amplitude", values, found)
+    require_no_area_growth("amplitude", values, found)
 
 
 def test_follow_refuses_what_it_finds(monkeypatch):
@@ -72,5 +72,5 @@ def test_follow_refuses_what_it_finds(monkeypatch):
     orbit = jv.find_orbit(scene, jv.State(0.9, -1.1))
     assert jv.follow(orbit, "amplitude", (4.7, 4.8)).points("PD")
     monkeypatch.setattr(impossible_points, "is_own_mirror_image", lambda *_: True)
-    with pytest.raises(ImpossibleError, match=r"amplitude = 4\.7874"):
+    with pytest.raises(ImpossiblePointError, match=r"amplitude = 4\.7874"):
         jv.follow(orbit, "amplitude", (4.7, 4.8))

@@ -8,8 +8,8 @@ from jax import lax
 
 import jaxvibro as jv
 from continuation import numpy_evaluation, persistent_jit
+from continuation.jaxpr_to_python import build_program
 from continuation.numpy_evaluation import NumpyEvaluator
-from continuation.python_program import build_program
 from jaxvibro.flight.wall_positions import wall_states
 
 rng = np.random.default_rng(0)
@@ -212,7 +212,7 @@ def test_what_another_version_of_jax_tells_otherwise_is_compiled(monkeypatch):
 
     monkeypatch.setattr(numpy_evaluation, "build_program", otherwise)
     tried = NumpyEvaluator(lambda x: x + 1.0, (), {})
-    assert tried((np.float64(1.0),)) is None and list(tried.evaluations.values()) == [None]
+    assert tried((np.float64(1.0),)) is None and list(tried.evaluation_by_signature.values()) == [None]
 
 
 def test_what_no_result_needs_is_not_written():
@@ -238,7 +238,7 @@ def test_what_was_evaluated_is_compiled_when_there_is_time(monkeypatch):
     scene, phase = jv.make_scene(1.0, 2.0, 0.1, 0.7, (jv.Wall(-1.0, motion=jv.Motion(0.2, 0.5, 2)), None)), np.ones(13)
     wall_states(scene, phase)
     before = wall_states(scene, phase)
-    assert list(persistent_jit.compile_evaluated()) == [0]  # of two calls one kind
+    assert list(persistent_jit.compile_numpy_functions()) == [0]  # of two calls one kind
     monkeypatch.setattr(NumpyEvaluator, "evaluate", None)
     for one, other in zip(jax.tree.leaves(wall_states(scene, phase)), jax.tree.leaves(before), strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-14)

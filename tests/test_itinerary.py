@@ -13,15 +13,15 @@ WORDS = st.lists(st.text("LR", max_size=4), min_size=1, max_size=6).map(tuple)
 
 def test_words_of_sides():
     sides = [[1, -1, 0, 0], [0, 0, 0, 0], [-1, -1, 1, 0]]
-    assert itinerary.words_of_rows(np.array(sides)) == ("RL", "", "LLR")
-    assert itinerary.words_of_rows(np.zeros((2, 0), int)) == ("", "")
+    assert itinerary.itinerary_of_rows(np.array(sides)) == ("RL", "", "LLR")
+    assert itinerary.itinerary_of_rows(np.zeros((2, 0), int)) == ("", "")
 
 
 def test_an_impact_at_a_periods_end_belongs_to_the_period_that_ends():
     length = 2 * np.pi / 2.1
     time = np.array([0.0, 0.3, length, np.nextafter(2 * length, 9), 2 * length + 1e-9, np.inf])
     side = np.array([-1, 1, 1, -1, 1, 0])
-    assert itinerary.words_of_impacts(time, side, 3, length) == ("LRR", "L", "R")
+    assert itinerary.itinerary_of_impacts(time, side, 3, length) == ("LRR", "L", "R")
 
 
 @pytest.mark.parametrize(
@@ -40,7 +40,7 @@ def test_an_impact_at_a_periods_end_belongs_to_the_period_that_ends():
     ],
 )
 def test_labels(words, label):
-    assert itinerary.label(words) == label
+    assert itinerary.format_label(words) == label
 
 
 def test_least_period():
@@ -65,7 +65,7 @@ def test_turning_and_mirroring(words, by):
     turned = words[by % len(words) :] + words[: by % len(words)]
     assert itinerary.canonical_itinerary(turned) == itinerary.canonical_itinerary(words)
     assert itinerary.is_same_itinerary(turned, words)
-    assert itinerary.label(turned) == itinerary.label(words)
+    assert itinerary.format_label(turned) == itinerary.format_label(words)
     assert itinerary.mirror_itinerary(itinerary.mirror_itinerary(words)) == words
     twin = itinerary.mirror_itinerary(words)
     assert "".join(twin).count("L") == "".join(words).count("R")
@@ -80,6 +80,6 @@ def test_the_two_readings_of_a_strobe_agree():
     for _ in range(3):
         state, impacts = jv.strobe(scene, state, slots=32)
         rows.append(impacts.side)
-    assert itinerary.words_of_impacts(whole.time, whole.side, 3, 2 * np.pi / 2.1) == itinerary.words_of_rows(
+    assert itinerary.itinerary_of_impacts(whole.time, whole.side, 3, 2 * np.pi / 2.1) == itinerary.itinerary_of_rows(
         np.stack(rows)
     )

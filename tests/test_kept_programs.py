@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from jax import lax
 
-from continuation import python_program
-from continuation.numpy_indexing import NoRuleError
+from continuation import jaxpr_to_python
+from continuation.numpy_gather_scatter import NoRuleError
 from continuation.python_literals import literal_text
 
 TABLE = np.random.default_rng(3).normal(size=(9, 7))
@@ -24,7 +24,7 @@ def rows(x, k):
 
 
 def kept(text):
-    return python_program.load_program(python_program.compile_text(text))
+    return jaxpr_to_python.load_program(jaxpr_to_python.compile_program_text(text))
 
 
 def constant(text):
@@ -35,7 +35,7 @@ def constant(text):
 @pytest.mark.parametrize("k", (0, 2))
 def test_a_program_that_is_read_gives_the_same_bits(k):
     given = np.arange(7.0) - 3.2, np.int64(k)
-    program = python_program.build_program(jax.jit(rows).trace(*given).jaxpr)
+    program = jaxpr_to_python.build_program(jax.jit(rows).trace(*given).jaxpr)
     again = kept(program.text)
     assert again.size == program.size
     (one, spent), (other, same) = program.run(*given), again.run(*given)
@@ -54,7 +54,7 @@ def test_what_no_text_holds_is_not_kept():
         literal_text((1, Odd(2)))
     with pytest.raises(NoRuleError):
         literal_text(np.array([1j]))
-    plain = python_program.literal_text
+    plain = jaxpr_to_python.literal_text
     given = (np.arange(7.0), np.int64(1))
     closed = jax.jit(rows).trace(*given).jaxpr
 
@@ -64,10 +64,10 @@ def test_what_no_text_holds_is_not_kept():
         return plain(value)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(python_program, "literal_text", refused)
-        program = python_program.build_program(closed)
+        patch.setattr(jaxpr_to_python, "literal_text", refused)
+        program = jaxpr_to_python.build_program(closed)
     assert program.text is None
-    for one, true in zip(program.run(*given)[0], python_program.build_program(closed).run(*given)[0], strict=True):
+    for one, true in zip(program.run(*given)[0], jaxpr_to_python.build_program(closed).run(*given)[0], strict=True):
         np.testing.assert_array_equal(one, true)
 
 
@@ -101,5 +101,5 @@ def test_the_same_rule_is_named_once():
     def twice(x):
         return jnp.concatenate([lax.slice(x, (1,), (20,)), lax.slice(x * 2.0, (1,), (20,))])
 
-    text = python_program.build_program(jax.jit(twice).trace(np.arange(30.0)).jaxpr).text
+    text = jaxpr_to_python.build_program(jax.jit(twice).trace(np.arange(30.0)).jaxpr).text
     assert text.count("rules['slice']") == 1

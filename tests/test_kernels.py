@@ -7,7 +7,7 @@ import pytest
 from jax import lax
 
 import jaxvibro as jv
-from jaxvibro.compiled import kernels, parallel_tasks
+from jaxvibro.compiled import kernel_calls, kernel_costs
 from tests.lanes import at
 
 LANES = 4
@@ -28,11 +28,13 @@ def test_operands_are_stacked_behind_a_barrier():
     """Whatever the operands are, a kernel takes arrays of at least two rows, which constant folding does not see."""
     lane = np.linspace(0.1, 0.4, LANES)
     programs = {
-        "operands": (lambda a, b: kernels.call_as_kernel(looped, a, b, a), lane, 2.0 * lane),
-        "repeated": (lambda a: kernels.call_as_kernel(looped, a, a, a), lane),
-        "constant": (lambda a: kernels.call_as_kernel(looped, a, jnp.zeros(LANES), jnp.zeros(LANES)), lane),
-        "scalar": (lambda a: kernels.call_as_kernel(looped, a, 0.5, a), lane),
-        "all constant": (lambda: kernels.call_as_kernel(looped, jnp.ones(LANES), jnp.ones(LANES), jnp.ones(LANES)),),
+        "operands": (lambda a, b: kernel_calls.call_as_kernel(looped, a, b, a), lane, 2.0 * lane),
+        "repeated": (lambda a: kernel_calls.call_as_kernel(looped, a, a, a), lane),
+        "constant": (lambda a: kernel_calls.call_as_kernel(looped, a, jnp.zeros(LANES), jnp.zeros(LANES)), lane),
+        "scalar": (lambda a: kernel_calls.call_as_kernel(looped, a, 0.5, a), lane),
+        "all constant": (
+            lambda: kernel_calls.call_as_kernel(looped, jnp.ones(LANES), jnp.ones(LANES), jnp.ones(LANES)),
+        ),
     }
     for name, (program, *args) in programs.items():
         (call,) = small_calls(program, *args)
@@ -45,7 +47,7 @@ def test_operands_are_stacked_behind_a_barrier():
 
 def test_a_constant_operand_is_a_parameter_with_a_use():
     """The cause of an abort: constant folding moved a constant array into a kernel, and its parameter had no use."""
-    program = jax.jit(lambda a: kernels.call_as_kernel(looped, a, jnp.zeros(LANES), 0.5 + jnp.zeros(LANES)))
+    program = jax.jit(lambda a: kernel_calls.call_as_kernel(looped, a, jnp.zeros(LANES), 0.5 + jnp.zeros(LANES)))
     lane = np.linspace(0.1, 0.4, LANES)
     text = program.lower(lane).compile().as_text()
     calls = [line for line in text.splitlines() if "xla_cpu_small_call" in line and " call(" in line]
@@ -62,7 +64,7 @@ def test_a_constant_operand_is_a_parameter_with_a_use():
 def test_derivatives_and_lanes_of_a_kernel():
     """Derivatives are compiled without the attribute; a vmap keeps it where a kernel can hold what it becomes."""
     lane = np.linspace(0.1, 0.4, LANES)
-    run = lambda a: kernels.call_as_kernel(looped, a, 0.5 * a, a)  # noqa: E731
+    run = lambda a: kernel_calls.call_as_kernel(looped, a, 0.5 * a, a)  # noqa: E731
     assert len(small_calls(run, lane)) == 1
     assert not small_calls(lambda a: jax.jvp(run, (a,), (a,))[1], lane)
     many = np.stack([lane, 2.0 * lane, 3.0 * lane])
@@ -90,7 +92,7 @@ def test_a_vmap_that_brings_what_a_kernel_cannot_hold(operation):
         return lax.while_loop(lambda carry: carry[0] < 2, turn, (0, values))[1]
 
     values, places = np.random.default_rng(0).normal(size=(5, 7)), np.array([0, 3, 6, 2, 1])
-    found = jax.jit(jax.vmap(lambda v, k: kernels.call_as_kernel(indexed, v, k)))(values, places)
+    found = jax.jit(jax.vmap(lambda v, k: kernel_calls.call_as_kernel(indexed, v, k)))(values, places)
     alone = [jax.jit(indexed)(*one) for one in zip(values, places, strict=True)]
     np.testing.assert_array_equal(found, alone)
 
@@ -107,9 +109,9 @@ def test_the_cost_of_an_operation_follows_xla():
     for n in (1, 32, 64):
         jaxpr = jax.make_jaxpr(polynomial)([np.ones(n)] * 40).jaxpr
         expected = 0.0 if n == 1 else (400 + 10 * 8 * 41) * n / 200_000
-        assert parallel_tasks.cost_share(jaxpr) == pytest.approx(expected, rel=1e-12), n
+        assert kernel_costs.max_cost_to_limit_ratio(jaxpr) == pytest.approx(expected, rel=1e-12), n
     jaxpr = jax.make_jaxpr(polynomial)([np.ones(64)] * 40).jaxpr
-    assert parallel_tasks.cost_share(jaxpr) > 1 and not kernels.can_be_kernel(jaxpr)
+    assert kernel_costs.max_cost_to_limit_ratio(jaxpr) > 1 and not kernel_calls.can_be_kernel(jaxpr)
 
 
 @pytest.mark.parametrize(("rows", "reads"), [(15, 15 + 2), (16, 16 + 16)])
@@ -126,7 +128,9 @@ def test_what_many_operations_read_is_kept_in_memory(rows, reads):
 
     jaxpr = jax.make_jaxpr(horner)(np.ones((rows, 64)), np.ones(64)).jaxpr
     flops = 40 * rows * 64 + (2 * rows * 64 if rows == 15 else 0)  # of all, or of the table alone
-    assert parallel_tasks.cost_share(jaxpr) == pytest.approx((flops + 10 * 8 * 64 * reads) / 200_000, rel=1e-12)
+    assert kernel_costs.max_cost_to_limit_ratio(jaxpr) == pytest.approx(
+        (flops + 10 * 8 * 64 * reads) / 200_000, rel=1e-12
+    )
 
 
 def random(rng, count, low, high):

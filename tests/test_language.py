@@ -21,7 +21,7 @@ BANNED_NAMES = set(
 PUBLIC = {
     "continuation/branch.py": {"place"},
     "continuation/one_parameter.py": {"along"},
-    "jaxvibro/explorer/calls.py": {"place"},
+    "jaxvibro/explorer/page_calls.py": {"place"},
     "jaxvibro/explorer/page_state.py": {"place"},
     "jaxvibro/branches/branch.py": {"place", "spot"},
     "jaxvibro/branches/branch_file.py": {"held"},
@@ -33,7 +33,7 @@ PUBLIC = {
     "jaxvibro/design/search.py": {"met"},
     "jaxvibro/loci/locus.py": {"place", "spot"},
     "jaxvibro/maps/return_map.py": {"found"},
-    "jaxvibro/maps/two_tiers.py": {"one"},  # the number
+    "jaxvibro/maps/two_tier_strobe.py": {"one"},  # the number
     "jaxvibro/orbits/impact_equations.py": {"one"},  # the number
     "jaxvibro/plot/branch.py": {"one"},
     "jaxvibro/plot/fit.py": {"found"},
@@ -42,13 +42,13 @@ PUBLIC = {
     "jaxvibro/plot/locus.py": {"one"},
     "jaxvibro/plot/orbit.py": {"one"},
     "jaxvibro/plot/spectrum.py": {"found"},
-    "jaxvibro/problem/orbit_rows.py": {"place", "spot"},
+    "jaxvibro/problem/orbit_curve.py": {"place", "spot"},
     "jaxvibro/reproduction/claim.py": {"more"},
     "jaxvibro/reproduction/run.py": {"told"},
     "jaxvibro/scene/wall.py": {"own"},
     "jaxvibro/stores/dask_engine.py": {"each"},
     "jaxvibro/stores/engines.py": {"each"},
-    "jaxvibro/stores/study.py": {"more"},
+    "jaxvibro/stores/study_protocol.py": {"more"},
     "jaxvibro/studies/schema.py": {"along"},
     "jaxvibro/surveys/least_shock.py": {"place"},
     "jaxvibro/surveys/map.py": {"along"},

@@ -7,11 +7,11 @@ import pytest
 
 import continuation as co
 import jaxvibro as jv
-from continuation import arclength, event_search, limits, slow_progress
+from continuation import arclength, computation_limits, event_search, slow_progress
 from continuation.arclength import StepControl, TrackState
 from continuation.branch_segment import BranchSegment
 from jaxvibro.branches.explore import EXPIRED_REASON
-from jaxvibro.problem import first_grazing
+from jaxvibro.problem import curve_grazing
 from jaxvibro.problem.end import End
 
 
@@ -27,7 +27,7 @@ def traced(**more):
 def ticking(monkeypatch):
     """A clock that is a second later each time that it is read."""
     read = iter(range(100_000))
-    monkeypatch.setattr(limits, "clock", lambda: float(next(read)))
+    monkeypatch.setattr(computation_limits, "clock", lambda: float(next(read)))
 
 
 @pytest.fixture(scope="module")
@@ -94,13 +94,13 @@ def test_time_ends_branches_of_orbits(orbit, ticking):
 
 def test_a_search_for_a_touch_is_given_up_when_the_time_is_over(orbit, monkeypatch):
     looks, now = [], [0.0]
-    monkeypatch.setattr(limits, "clock", lambda: now[0])
+    monkeypatch.setattr(computation_limits, "clock", lambda: now[0])
 
     def nowhere(task, *given):
         looks.append(task)
         now[0] = 9.0
 
-    monkeypatch.setattr(first_grazing, "_locate_first_grazing", nowhere)
+    monkeypatch.setattr(curve_grazing, "_locate_first_grazing", nowhere)
     branch = jv.follow(orbit, "frequency", (1.0, 5.0), max_seconds=5.0, direction="forward")
     assert len(looks) == 1 and branch.ends[1] is End.MAX_SECONDS
 
@@ -114,7 +114,7 @@ def test_no_branch_point_is_looked_for_when_the_time_is_over(monkeypatch):
     (point,) = [one for one in begun(direction="forward").special if one.kind == "BP"]
     assert abs(point.p["a"]) < 1e-12
     read, plain = iter(range(100_000)), event_search._locate_event
-    monkeypatch.setattr(limits, "clock", lambda: float(next(read)))
+    monkeypatch.setattr(computation_limits, "clock", lambda: float(next(read)))
     asked = []
     monkeypatch.setattr(event_search, "_locate_event", lambda *given: asked.append(given[1]) or plain(*given))
     part = begun(max_seconds=0.5, direction="forward")
@@ -126,7 +126,7 @@ def test_an_exploration_is_resumed_where_its_time_was_over(orbit, monkeypatch):
     read = iter(range(100_000))
     task = orbit.scene, "frequency", (2.5, 2.9), 1
     whole = jv.explore(*task)
-    monkeypatch.setattr(limits, "clock", lambda: float(next(read)))
+    monkeypatch.setattr(computation_limits, "clock", lambda: float(next(read)))
     part = jv.explore(*task, max_seconds=2.5)
     assert not part.complete and part.reason == EXPIRED_REASON == "max_seconds reached"
     again = jv.explore(*task, resume=part)
@@ -194,7 +194,9 @@ def test_slow_progress_is_reported():
     points = arclength.Point(*[np.zeros((120, 2))] * 2, *[np.full(120, 1e-8)] * 3, *[np.ones(120, bool)] * 2)
     control = StepControl(np.ones(2), 1e-8, 0.1, 1e-10, -1.0, 1.0)
     some = BranchSegment(None, points, None, (), None, -1, 0.0)
-    with pytest.warns(slow_progress.SlowProgress, match=r"119 points lie within 0.0e\+00 of the parameter value 0"):
+    with pytest.warns(
+        slow_progress.SlowProgressWarning, match=r"119 points lie within 0.0e\+00 of the parameter value 0"
+    ):
         slow_progress.warn_if_slow(control, some)
 
 
@@ -205,7 +207,7 @@ def test_a_study_stops_between_chunks_and_a_later_run_goes_on(tmp_path, monkeypa
     grid, few = {"amplitude": np.linspace(2.0, 3.0, 12)}, {"settle": 5, "patience": 40, "chunk": 3}
     whole = jv.map_parameters(scene, grid, **few, quantities=("label",))
     read = iter(range(100_000))
-    monkeypatch.setattr(limits, "clock", lambda: float(next(read)))
+    monkeypatch.setattr(computation_limits, "clock", lambda: float(next(read)))
     store = jv.Store(tmp_path / "map.zarr", jv.LocalEngine(workers=1))
     part = jv.map_parameters(scene, grid, **few, quantities=("label",), store=store, max_seconds=1.5)
     done = part["label"].values != -1

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 import jaxvibro as jv
-from continuation import limits
+from continuation import computation_limits
 from jaxvibro.attractors import sweep_study
-from jaxvibro.branches import diagram_study, isolas
+from jaxvibro.branches import diagrams_study, isolas
 from jaxvibro.branches.diagram import Diagram
 from jaxvibro.design import place
-from jaxvibro.loci import loci
-from jaxvibro.studies import compute
+from jaxvibro.loci import loci_of_branches
+from jaxvibro.studies import scene_file_studies
 from jaxvibro.studies.schema import SweepTable
 from jaxvibro.surveys import fractions as shares
 from tests.test_place import asked
@@ -31,7 +31,7 @@ def ticking(monkeypatch):
 
     def start():
         read = iter(range(1_000_000))
-        monkeypatch.setattr(limits, "clock", lambda: float(next(read)))
+        monkeypatch.setattr(computation_limits, "clock", lambda: float(next(read)))
 
     return start
 
@@ -77,7 +77,7 @@ def test_a_spectrum_stops_between_values(tmp_path, ticking):
 
 @pytest.mark.slow
 def test_fractions_stop_between_values(ticking, monkeypatch):
-    monkeypatch.setattr(shares, "_least_shock_size", lambda *given: 0.5)  # `least_shock` has its own test
+    monkeypatch.setattr(shares, "_compute_shock_size", lambda *given: 0.5)  # `least_shock` has its own test
     values = [4.6, 4.65, 4.7]
     whole = jv.fractions(scene(), "amplitude", values[:2], 2, settle=100, shocks=8)
     ticking()
@@ -129,7 +129,7 @@ def empty(reason, amplitude=1.0):
 
 
 def test_isolas_are_looked_for_an_order_of_walls_at_a_time(ticking, monkeypatch):
-    monkeypatch.setattr(isolas, "_solve_for_orbits", lambda *given: ())
+    monkeypatch.setattr(isolas, "_solve_wall_order", lambda *given: ())
     counts = []
     whole = jv.find_isolas(empty("all"), 1, 3, progress=counts.append)
     assert whole == () and whole.stopped == "" and counts[-1] == 9
@@ -139,8 +139,8 @@ def test_isolas_are_looked_for_an_order_of_walls_at_a_time(ticking, monkeypatch)
 
 
 def test_diagrams_in_a_store_stop_between_values(tmp_path, ticking, monkeypatch):
-    monkeypatch.setattr(diagram_study, "seed_orbits_of_tasks", lambda tasks: [()])
-    monkeypatch.setattr(diagram_study, "run_exploration", lambda task, some: empty("all", float(task.scene.amplitude)))
+    monkeypatch.setattr(diagrams_study, "seed_orbits_of_requests", lambda tasks: [()])
+    monkeypatch.setattr(diagrams_study, "run_exploration", lambda task, some: empty("all", float(task.scene.amplitude)))
     task = scene(), "frequency", (1.0, 2.0), "amplitude", [1.0, 2.0, 3.0]
     store = jv.Store(tmp_path / "diagrams", jv.LocalEngine(workers=1))
     ticking()
@@ -159,11 +159,11 @@ def test_diagrams_in_a_store_stop_between_values(tmp_path, ticking, monkeypatch)
 
 def test_a_placement_ends_where_its_time_is_over():
     read = iter(range(100))
-    late = limits.Limits(deadline=2.5, now=lambda: float(next(read)))
-    last, _, virtual = place._approach_targets(asked(lambda change: False, 0.4), np.ones(1), late)
-    assert last.is_expired and last.fraction == 0.25 and not virtual  # of steps of 1, 0.5 and 0.25
+    late = computation_limits.Limits(deadline=2.5, read_clock=lambda: float(next(read)))
+    last, _, virtual = place._follow_path_to_targets(asked(lambda change: False, 0.4), np.ones(1), late)
+    assert last.is_time_expired and last.fraction == 0.25 and not virtual  # of steps of 1, 0.5 and 0.25
     assert (
-        place._failure_reason(last.fraction, virtual, (), last.is_expired)
+        place._failure_reason(last.fraction, virtual, (), last.is_time_expired)
         == "the path to the targets ends after 0.25 of its length: max_seconds reached"
     )
 
@@ -283,7 +283,7 @@ def test_a_sweep_in_a_scene_file_gives_the_values_that_are_done(ticking):
     leg = {"name": "up", "from": 4.5, "to": 4.9, "start": {"x": 0.3, "v": 0.1}}
     table = {"parameter": "amplitude", "count": 40, "settle": 3, "keep": 2, "legs": [leg], "max_seconds": 1.5}
     ticking()
-    swept = compute._run_sweep(scene(), msgspec.convert(table, SweepTable), False)
+    swept = scene_file_studies._run_sweep(scene(), msgspec.convert(table, SweepTable), False)
     assert swept.sizes["step"] == 32 and swept.attrs["stopped"] == "max_seconds reached: 32 of 40 values done"
     for bad in (0, -1.0, np.nan, np.inf, "9", True):
         with pytest.raises(msgspec.ValidationError, match=r"max_seconds"):
@@ -293,11 +293,11 @@ def test_a_sweep_in_a_scene_file_gives_the_values_that_are_done(ticking):
 def test_loci_that_are_left_are_told(ticking, monkeypatch):
     points = [SimpleNamespace(kind="SN", scene=scene(amplitude=each)) for each in (1.0, 2.0, 3.0)]
     given = []
-    monkeypatch.setattr(loci, "locus", lambda one, *rest, **more: given.append(more["max_seconds"]) or one)
-    monkeypatch.setattr(loci, "passes_through", lambda *both: False)
+    monkeypatch.setattr(loci_of_branches, "locus", lambda one, *rest, **more: given.append(more["max_seconds"]) or one)
+    monkeypatch.setattr(loci_of_branches, "passes_through_special", lambda *both: False)
     task = [SimpleNamespace(special=points)], ("amplitude", "damping"), {"amplitude": (0.0, 9.0), "damping": (0.0, 1.0)}
     ticking()
-    found, refused = loci.follow_loci(*task, max_seconds=3.5)
+    found, refused = loci_of_branches.follow_loci(*task, max_seconds=3.5)
     assert list(found) == points[:2] and refused == ((points[2], "max_seconds reached"),) and given == [1.5, 1e-9]
-    found, refused = loci.follow_loci(*task)
+    found, refused = loci_of_branches.follow_loci(*task)
     assert list(found) == points and refused == () and given[2:] == [None] * 3

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import jaxvibro as jv
-from jaxvibro.maps import long_run
+from jaxvibro.maps import long_iteration
 from jaxvibro.maps.initial_conditions import draw_initial_states
 from jaxvibro.maps.iterate import MAX_RECORDED_PERIODS, PERIOD_SLOTS, final_states, iterate
 
@@ -35,7 +35,7 @@ def strobed(scene, state, periods):
 def counted(monkeypatch):
     """How many periods the host did in full, and how often a run was by both tiers."""
     counts = {"full": 0, "both": 0}
-    full, run = long_run._reference_strobe, long_run._run_block
+    full, run = long_iteration._reference_strobe, long_iteration._iterate_block
 
     def one(*given):
         counts["full"] += 1
@@ -45,8 +45,8 @@ def counted(monkeypatch):
         counts["both"] += not given[-1]
         return run(*given)
 
-    monkeypatch.setattr(long_run, "_reference_strobe", one)
-    monkeypatch.setattr(long_run, "_run_block", block)
+    monkeypatch.setattr(long_iteration, "_reference_strobe", one)
+    monkeypatch.setattr(long_iteration, "_iterate_block", block)
     return counts
 
 
@@ -54,7 +54,7 @@ def counted(monkeypatch):
 @pytest.mark.parametrize("kind, patience", [*((kind, patience) for kind in SCENES for patience in (0, np.inf)), *MIXED])
 def test_lanes_that_lean_steps_give_up_go_as_the_strobe_says(kind, patience, counted, monkeypatch):
     """By both tiers, by the host, and by one after the other."""
-    monkeypatch.setattr(long_run, "MAX_RETRY_COST", patience)
+    monkeypatch.setattr(long_iteration, "MAX_RETRY_COST", patience)
     scene = SCENES[kind]
     starts = draw_initial_states(scene, LANES, 4)
     starts.x[7] = np.nan if scene.left is None else -9.0
@@ -99,5 +99,5 @@ def test_the_kept_periods_are_told_in_order(periods):
     ring = np.zeros(MAX_RECORDED_PERIODS)
     for k in range(periods):
         ring[k % MAX_RECORDED_PERIODS] = k
-    (told,) = long_run.unroll_ring_buffers((ring,), periods)
+    (told,) = long_iteration.unroll_ring_buffers((ring,), periods)
     assert told.tolist() == list(range(max(0, periods - MAX_RECORDED_PERIODS), periods))

@@ -9,11 +9,11 @@ from matplotlib.figure import Figure
 
 import jaxvibro as jv
 from jaxvibro import plot
-from jaxvibro.attractors.global_manifold import ManifoldLevel, ManifoldRules
 from jaxvibro.attractors.local_manifold import compute_local_manifold, iterate_map
-from jaxvibro.attractors.manifold import _assemble_branch
-from jaxvibro.compiled.compiler_hints import COMPILER_OPTIONS
-from jaxvibro.maps.inverse import strobe_backward
+from jaxvibro.attractors.manifold import _assemble_side
+from jaxvibro.attractors.manifold_growth import ManifoldLevel, ManifoldPointRules
+from jaxvibro.compiled.lane_arithmetic import COMPILER_OPTIONS
+from jaxvibro.maps.strobe_inverse import strobe_backward
 
 from .basins_proof import SCENE, bisected, distance
 from .test_basins import SCENES
@@ -87,10 +87,10 @@ def test_a_germ_is_led_into_itself(back):
         orbit.scene, np.array([state.x, state.v], float), vectors[:, place], rate, 1, 0.0, back, 1.0
     )
     along = found.radius * np.linspace(-1.0, 1.0, 101)
-    z, _, good = iterate_map(orbit.scene, found.points_at(found.preimage(along)), 0.0, 1, back)
+    z, _, good = iterate_map(orbit.scene, found.points_at(found.preimage_coordinate(along)), 0.0, 1, back)
     assert good.all() and found.radius > 0.05
     assert abs(z - found.points_at(along)).max() < 1e-12
-    assert found.preimage(1e-4) == pytest.approx(1e-4 / rate, rel=1e-3)
+    assert found.preimage_coordinate(1e-4) == pytest.approx(1e-4 / rate, rel=1e-3)
 
 
 def stays(data, scene, given, back):
@@ -163,8 +163,8 @@ def test_one_impact_at_the_phase_breaks_a_curve_once(position, counts):
     x = position - np.abs(np.r_[np.linspace(0.04, 0.01, 4), np.zeros(len(counts) - 8), np.linspace(0.01, 0.04, 4)])
     z = np.stack([x, np.where(counts == 0, 1.0, -0.7) + x - position], -1)
     level = ManifoldLevel(np.linspace(0.0, 1.0, len(x)), z, counts, np.full(len(x), True))
-    rules = ManifoldRules(0.02, 0.1, 1e-5, 3.0, 6.0, 1.0, 1000)
-    branch = _assemble_branch(scene, 0.0, z[0], [level], "length", 1.0, rules)
+    rules = ManifoldPointRules(0.02, 0.1, 1e-5, 3.0, 6.0, 1.0, 1000)
+    branch = _assemble_side(scene, 0.0, z[0], [level], "length", 1.0, rules)
     assert list(branch["began"]) == ["saddle", "section"] and list(branch["ended"]) == ["section", "length"]
     assert branch["z"][branch["piece"] == 0][-1] == pytest.approx([position, z[0, 1] + 0.04], abs=1e-12)
     assert branch["z"][branch["piece"] == 1][0] == pytest.approx([position, z[-1, 1] + 0.04], abs=1e-12)

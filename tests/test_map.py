@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 import jaxvibro as jv
 from jaxvibro.output import label_codes
-from jaxvibro.output.label_codes import CHAOTIC, UNDECIDED, code_of, encode_labels, label_of, period_of
+from jaxvibro.output.label_codes import CHAOTIC, UNDECIDED, code_of, label_code_from_counts, label_of, period_of
 from jaxvibro.plot.map import label_colour
 
 REST = jv.State(0.0, 0.0)
@@ -30,7 +30,7 @@ def single(scene, state=REST):
     n, rate, error = int(found["periods"][0]), float(found["exponent"][0, 0]), float(found["error"][0, 0])
     if n:
         hits = found["impacts_on"].values[0] * (found["rests"].values[0] == 0)
-        return int(encode_labels(n, *np.rint(n * hits).astype(int))), rate, error
+        return int(label_code_from_counts(n, *np.rint(n * hits).astype(int))), rate, error
     return (CHAOTIC if rate - 3.0 * error > 0.01 else UNDECIDED), rate, error
 
 
@@ -53,7 +53,7 @@ def agree(found, cells):
 def test_codes_and_labels():
     for label in ("P100", "P111", "P8-8-16", "P1-0-inf", "P32-998-0", "chaotic", "undecided", "not done"):
         assert label_of(code_of(label)) == label
-    assert encode_labels(3, 2, 998) == code_of("P3-2-998")
+    assert label_code_from_counts(3, 2, 998) == code_of("P3-2-998")
     np.testing.assert_array_equal(period_of(np.array([code_of("P464"), CHAOTIC, UNDECIDED, -1])), [4, 0, 0, 0])
     assert code_of("unresolved") == UNDECIDED
 

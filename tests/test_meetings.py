@@ -11,7 +11,7 @@ from jaxvibro.orbits.orbit_comparison import impacts_as_points, is_same_orbit, m
 from jaxvibro.orbits.orbit_from_impacts import orbit_of_exact_impacts
 from jaxvibro.problem.end import End
 from jaxvibro.problem.orbit_point import OrbitPoint
-from jaxvibro.problem.orbit_point import itinerary as walls
+from jaxvibro.problem.orbit_point import itinerary_of_point as walls
 from tests.test_extend import drawn
 
 NEAR = 1e-6

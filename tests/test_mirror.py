@@ -5,10 +5,10 @@ import pytest
 
 import jaxvibro as jv
 from continuation import augmented_systems
-from jaxvibro.branches.follow import set_up_problem
+from jaxvibro.branches.follow import set_up_equations
 from jaxvibro.branches.mirror_image import mirror_branch
-from jaxvibro.problem.equations import continuation_problem
-from jaxvibro.problem.orbit_rows import dataset_row, parse_orbit_row
+from jaxvibro.problem.orbit_curve import dataset_row, parse_orbit_point
+from jaxvibro.problem.orbit_equations import continuation_problem
 from jaxvibro.scene.symmetry import stays_symmetric
 
 
@@ -50,18 +50,19 @@ def test_an_image_along_the_frequency(scene):
     for place in (1, 4, 7):
         there, spot = (
             scene.replace(frequency=image.values[place]),
-            parse_orbit_row(dataset_row(image.data, place), "frequency"),
+            parse_orbit_point(dataset_row(image.data, place), "frequency"),
         )
         end, impacts = jv.strobe(there, jv.State(spot.x, spot.v), slots=32)
         assert abs(end.x - spot.x) + abs(end.v - spot.v) < 1e-9
         period = 2.0 * np.pi / image.values[place]
         times = np.sort(np.mod(spot.times, period))
         assert np.allclose(np.asarray(impacts.time)[:2], times, rtol=0, atol=1e-9)
-        along, z = set_up_problem(there, "frequency", spot)
+        along, z = set_up_equations(there, "frequency", spot)
         row = dataset_row(image.data, place)
         ahead = np.concatenate([row["time_slope"], row["speed_slope"], [row["value_slope"]]])
         assert (
-            abs(np.asarray(augmented_systems.evaluate(continuation_problem(along), z, along)[1]) @ ahead).max() < 1e-9
+            abs(np.asarray(augmented_systems.evaluate_problem(continuation_problem(along), z, along)[1]) @ ahead).max()
+            < 1e-9
         )
 
 

@@ -6,7 +6,7 @@ import pytest
 
 import continuation as co
 from continuation.normal_forms import lyapunov_coefficient
-from continuation.problem import Constants
+from continuation.problem import SystemConstants
 from tests.test_trace import brusselator, close, kinds
 
 MIX = np.array([[1.0, 0.4], [-0.3, 2.0]])
@@ -59,7 +59,7 @@ def test_where_what_is_born_changes_from_stable_to_unstable(system, kind, label)
     assert kinds(curve) == [label]
     assert close(curve.points(label)[0].z, np.zeros(4), 1e-12)
     numbers = [
-        lyapunov_coefficient(system, kind, ("m", "q"), np.array([0.0, 0.0, 0.0, q]), Constants({}, None))
+        lyapunov_coefficient(system, kind, ("m", "q"), np.array([0.0, 0.0, 0.0, q]), SystemConstants({}, None))
         for q in (0.5, -0.2)
     ]
     assert numbers[0] > 0 > numbers[1] and close(numbers[0] / numbers[1], -2.5, 1e-12)
@@ -86,5 +86,5 @@ def test_the_lyapunov_coefficient_of_the_brusselator():
     """With q = (-a^2, a^2 + i a) over its length, a sqrt(1 + 2 a^2)."""
     for a in (0.5, 1.0, 1.7):
         z = np.array([a, (1 + a * a) / a, 1 + a * a])
-        found = lyapunov_coefficient(co.equilibria(brusselator), "HB", ("b",), z, Constants({"a": a}, None))
+        found = lyapunov_coefficient(co.equilibria(brusselator), "HB", ("b",), z, SystemConstants({"a": a}, None))
         assert close(found, -(2 + a * a) / (2 * a * (1 + 2 * a * a)), 1e-12)

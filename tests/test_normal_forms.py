@@ -9,10 +9,10 @@ import pytest
 import jaxvibro as jv
 from jaxvibro.branches import normal_form as forms
 from jaxvibro.output.checksums import netcdf_bytes
-from jaxvibro.problem.grazing_depths import grazing_depths
-from jaxvibro.problem.orbit_point import set_up_problem
-from jaxvibro.problem.unfolding import Unfolding
-from jaxvibro.scene.typical_scales import scene_length
+from jaxvibro.problem.grazing_jumps import grazing_jumps
+from jaxvibro.problem.normal_forms import Unfolding
+from jaxvibro.problem.orbit_point import set_up_equations
+from jaxvibro.scene.typical_scales import typical_length
 from tests.normal_forms_proof import (
     exact,
     extrapolated,
@@ -82,7 +82,7 @@ def test_coefficients_against_many_digits(branch, lopsided, kind):
     form = point.normal_form
     assert form.coefficient == pytest.approx(exact(point), rel=1e-10)
     count = len(form.null) // 2
-    size = np.repeat([1.0, 1.0 / scene_length(point.scene)], count)
+    size = np.repeat([1.0, 1.0 / typical_length(point.scene)], count)
     assert np.sum((size * form.null) ** 2) == pytest.approx(count, rel=1e-12)
     if kind != "SN":
         assert form.consequence == "soft" and form.criticality == "supercritical" and is_right(point, form)
@@ -206,7 +206,7 @@ def test_a_soft_wall_that_moves_and_pushes_at_once():
     point = jv.follow(jv.find_orbit(scene, jv.State(0.0, 0.0)), "amplitude", (0.1, 2.0)).points("GR")[0]
     wall = jv.Wall(1.0, stiffness=20.0, damping=0.6, motion=wall.motion)
     soft = jv.make_scene(point.value, 0.7, 0.05, 0.7, (None, wall))
-    (one,) = grazing_depths(soft, *set_up_problem(soft, "amplitude", point.spot), 1.0)
+    (one,) = grazing_jumps(soft, *set_up_equations(soft, "amplitude", point.spot), 1.0)
     (place,) = touched(point).values()
     phase, at, pace = place
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from jax import lax
 
-from jaxvibro.compiled.kernels import call_as_kernel
+from jaxvibro.compiled.kernel_calls import call_as_kernel
 
 ROWS = 64
 ONES = np.ones(3)

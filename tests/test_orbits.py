@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import jaxvibro as jv
-from jaxvibro.flight.coefficients import compute_coefficients
+from jaxvibro.flight.flight_coefficients import make_flow_coefficients
 from jaxvibro.flight.wall_positions import wall_states
 from jaxvibro.maps import itinerary as words
 from jaxvibro.orbits import flight_clearance, impact_equations
@@ -54,7 +54,7 @@ def agrees(orbit, state, multipliers):
 
 @pytest.mark.parametrize("right", [1.0, jv.Wall(1.0, 0.6, motion=jv.Motion(0.1, 0.4, 2))])
 def test_the_jacobian_of_the_impacts_equations_is_their_derivative(right):
-    built = compute_coefficients(jv.make_scene(2.0, OMEGA, GAMMA, R, (-1.0, right)))
+    built = make_flow_coefficients(jv.make_scene(2.0, OMEGA, GAMMA, R, (-1.0, right)))
     given = impact_equations.ImpactSequence(
         jnp.array([0.2, 1.1, 1.9]), jnp.array([1.0, 0.4, 2.0]), jnp.array([1.0, -1.0, 1.0]), 0.3, 1.0
     )
@@ -280,7 +280,7 @@ def test_an_orbit_in_a_thin_tongue_is_found_from_its_closed_form(beyond):
     begin, speed = (float(each) for each in exact.symmetric_fold(omega, gamma, R))
     amplitude = begin + beyond * (float(exact.grazing_amplitude(omega, gamma)) - begin)
     scene = jv.make_scene(amplitude, omega, gamma, R, (-1.0, 1.0))
-    found = jv.find_orbit(scene, exact.symmetric_start(scene), periods=1, settle=0)
+    found = jv.find_orbit(scene, exact.symmetric_orbit_state(scene), periods=1, settle=0)
     assert found.label == "P111" and speed < found.least_speed < 3.0 * speed
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from continuation import numpy_evaluation
-from continuation.packed_call import Layout, PackedCall
+from continuation.packed_call import ArrayLayout, PackedCall
 from continuation.persistent_jit import persistent_jit
 
 rng = np.random.default_rng(5)
@@ -26,14 +26,14 @@ MIXED = [
 
 
 def test_arrays_come_back_from_their_rows():
-    layout = Layout(MIXED)
+    layout = ArrayLayout(MIXED)
     rows = layout.rows(MIXED)
     assert sorted(row.dtype.name for row in rows) == ["bool", "float32", "float64", "int32", "int64"]
-    for found in (layout.arrays(rows), layout.traced_arrays([jnp.asarray(row) for row in rows])):
+    for found in (layout.arrays(rows), layout.unpack_traced_arrays([jnp.asarray(row) for row in rows])):
         for one, given in zip(found, MIXED, strict=True):
             assert one.shape == np.shape(given) and one.dtype == given.dtype
             np.testing.assert_array_equal(one, given)
-    for one, other in zip(layout.traced_rows([jnp.asarray(each) for each in MIXED]), rows, strict=True):
+    for one, other in zip(layout.pack_traced_rows([jnp.asarray(each) for each in MIXED]), rows, strict=True):
         np.testing.assert_array_equal(one, other)
 
 

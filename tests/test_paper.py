@@ -12,24 +12,32 @@ from scipy.integrate import quad
 
 import jaxvibro as jv
 from jaxvibro.attractors.find import Attractor
-from jaxvibro.reproduction import attractor_checks, closed_forms, diagrams, figures, fixed_step, portraits, run
+from jaxvibro.reproduction import (
+    attractor_checks,
+    bifurcation_diagrams,
+    closed_forms,
+    figure_jobs,
+    fixed_step,
+    phase_portraits,
+    run,
+)
 from jaxvibro.reproduction.claim import (
     AGREES,
     CANNOT_HOLD,
     DIFFERS,
     HOLDS,
     UNDECIDED,
-    computed_text,
+    additional_claim,
+    computed_value_text,
     number_claim,
-    own_claim,
     statement_claim,
-    value_text,
+    value_error_text,
 )
-from jaxvibro.reproduction.hysteresis import loop_ranges
-from jaxvibro.reproduction.panels import FigureResult, panel_files
-from jaxvibro.reproduction.report import claim_rows, html_page, markdown_text, verdict_counts
+from jaxvibro.reproduction.claim_report import claim_rows, report_html, report_markdown, verdict_counts_text
+from jaxvibro.reproduction.figure_panels import FigureResult, panel_scene_files
+from jaxvibro.reproduction.hysteresis import hysteresis_ranges
 from jaxvibro.studies.command import main
-from jaxvibro.studies.scene_file import parse_tables, read
+from jaxvibro.studies.scene_file import parse_tables, read_scene_file
 
 SCENES = run.ROOT.parent / "scenes"
 SCENE = {"amplitude": 2.0, "frequency": 2.1, "damping": 0.05, "restitution": 0.7, "right": {"position": 1.0}}
@@ -77,8 +85,8 @@ def test_a_claim_in_words_holds_where_its_number_is_inside(found, verdict):
     ],
 )
 def test_what_stays_unresolved_makes_a_verdict_undecided_where_it_could_change_it(value, low, high, verdict):
-    claim = statement_claim("4", "so many", (value, 0.0), low, high, excess=math.inf)
-    assert claim.verdict == verdict and computed_text(claim).endswith(", perhaps more")
+    claim = statement_claim("4", "so many", (value, 0.0), low, high, unresolved_allowance=math.inf)
+    assert claim.verdict == verdict and computed_value_text(claim).endswith(", perhaps more")
 
 
 def attractor(kind, exponent, label="P111", share=0.5):
@@ -120,11 +128,11 @@ def test_chaos_is_judged_by_all_that_lasts(monkeypatch, kinds, exponents, verdic
         }
         return xr.Dataset(pairs)
 
-    monkeypatch.setattr(diagrams, "find_attractors", lambda scene, starts: found)
+    monkeypatch.setattr(bifurcation_diagrams, "find_attractors", lambda scene, starts: found)
     monkeypatch.setattr(attractor_checks, "spectrum", spectrum)
-    monkeypatch.setattr(diagrams, "chaos_onset", lambda scene, low, high: (4.98, 0.02, 8, 0.2))
+    monkeypatch.setattr(bifurcation_diagrams, "locate_chaos_onset", lambda scene, low, high: (4.98, 0.02, 8, 0.2))
     scene = jv.make_scene(2.0, 2.1, 0.05, 0.7, (-1.0, 1.0))
-    there, begins = diagrams._chaos_claims("4", scene, "5.24", 3.4)
+    there, begins = bifurcation_diagrams._chaos_claims("4", scene, "5.24", 3.4)
     assert there.verdict == verdict
     assert begins.verdict == DIFFERS and "4.98" in begins.reason
 
@@ -133,26 +141,28 @@ def test_chaos_is_judged_by_all_that_lasts(monkeypatch, kinds, exponents, verdic
 def test_a_motion_that_is_not_found_may_be_among_unresolved_starts(label, verdict):
     scene = jv.make_scene(5.0, 2.1, 0.05, 0.7, (-1.0, 1.0))
     motions = [attractor("periodic", -0.1, label)]
-    assert portraits._existence_claim(3, scene, motions, math.inf).verdict == verdict
-    assert portraits._existence_claim(3, scene, motions, 0.0).verdict == (HOLDS if verdict == HOLDS else CANNOT_HOLD)
+    assert phase_portraits._existence_claim(3, scene, motions, math.inf).verdict == verdict
+    assert phase_portraits._existence_claim(3, scene, motions, 0.0).verdict == (
+        HOLDS if verdict == HOLDS else CANNOT_HOLD
+    )
 
 
 def test_our_own_rows_stand_apart():
-    claims = [number_claim("4", "SN1", "0.5", (0.51, 0.0)), own_claim("8", "the sum", (0.0, 0.0), high=1.0)]
+    claims = [number_claim("4", "SN1", "0.5", (0.51, 0.0)), additional_claim("8", "the sum", (0.0, 0.0), high=1.0)]
     assert [one.ours for one in claims] == [False, True]
     drawn = FigureResult(None, "", tuple(claims))
-    for told_all in (html_page([("x", drawn)]), markdown_text([("x", None, drawn)])):
+    for told_all in (report_html([("x", drawn)]), report_markdown([("x", None, drawn)])):
         theirs, ours = told_all.split("Our own rows")[0], told_all.split("Our own rows", 1)[1]
         assert "SN1" in theirs and "SN1" not in ours
         assert "the sum" in ours and "the sum" not in theirs
-    assert verdict_counts(claims) == f"The paper's claims: 1 ({AGREES}: 1). Our own rows: 1 ({HOLDS}: 1)."
+    assert verdict_counts_text(claims) == f"The paper's claims: 1 ({AGREES}: 1). Our own rows: 1 ({HOLDS}: 1)."
 
 
 def test_values_are_told_to_the_digits_that_they_bear():
-    assert value_text(0.508057896812, 1e-15) == "0.508057896812 ± 1e-15"
-    assert value_text(0.1895123, 1.2e-3) == "0.1895 ± 0.001"
-    assert value_text(2.0, 0.0) == "2 (exact)"
-    assert value_text(math.nan, 0.0) == "none"
+    assert value_error_text(0.508057896812, 1e-15) == "0.508057896812 ± 1e-15"
+    assert value_error_text(0.1895123, 1.2e-3) == "0.1895 ± 0.001"
+    assert value_error_text(2.0, 0.0) == "2 (exact)"
+    assert value_error_text(math.nan, 0.0) == "none"
 
 
 def flow(frequency, damping, time):
@@ -178,7 +188,7 @@ def test_closed_forms_are_those_of_thirty_digits(seed):
         single = [double_root(w, damping, bounce, place, 2 * n, 1) for n in (1, 3)]
     assert closed_forms.symmetric_fold(w, damping, bounce) == pytest.approx([float(one) for one in exact], rel=1e-12)
     for n, expected in zip((1, 3), single, strict=True):
-        found = closed_forms.single_fold(w, damping, bounce, place, n)
+        found = closed_forms.single_wall_fold(w, damping, bounce, place, n)
         assert found == pytest.approx([float(one) for one in expected], rel=1e-11)
 
 
@@ -194,7 +204,7 @@ def test_the_closed_forms_motion_is_an_orbit_in_every_tongue(seed):
     end = float(closed_forms.grazing_amplitude(w, damping))
     assert speed > 0 and begin < end and math.sin(math.pi * root / w) > 0
     scene = jv.make_scene(begin + 0.03 * (end - begin), w, damping, bounce, (-1.0, 1.0))  # it may graze further on
-    start = closed_forms.symmetric_start(scene)
+    start = closed_forms.symmetric_orbit_state(scene)
     _, impacts = jv.strobe(scene, start)  # its mirror image after half a period
     side, time, speed = (np.asarray(part)[0] for part in (impacts.side, impacts.time, impacts.speed))
     assert side == -1 and time == pytest.approx(math.pi / w, rel=1e-9) and speed == pytest.approx(-start.v / bounce)
@@ -204,7 +214,7 @@ def test_the_closed_forms_motion_is_an_orbit_in_every_tongue(seed):
 def test_the_papers_method_comes_near_the_strobe():
     draw = np.random.default_rng(0)
     states = draw.uniform([-1.0, -3.0, 0.0], [1.0, 3.0, 6.0], (200, 3))
-    found = fixed_step.fixed_step_strobe(fixed_step.DriveParameters(2.1, 0.05, 0.7), states, 400)
+    found = fixed_step.fixed_step_strobe(fixed_step.OscillatorParameters(2.1, 0.05, 0.7), states, 400)
     scene = jv.make_scene(states[:, 2], 2.1, 0.05, 0.7, (-1.0, 1.0))
     end, impacts = jv.strobe(scene, jv.State(states[:, 0], states[:, 1]), slots=fixed_step.MAX_IMPACTS)
     same = (found.sides == np.asarray(impacts.side)).all(axis=1)
@@ -235,8 +245,8 @@ def test_area_and_its_derivatives_are_those_of_quadrature(damping, bounce):
 
 
 def test_panels_have_the_values_of_their_columns():
-    file = read(SCENES / "fig2.toml")
-    found = [each.scene.make() for each in panel_files(file)]
+    file = read_scene_file(SCENES / "fig2.toml")
+    found = [each.scene.make() for each in panel_scene_files(file)]
     assert [float(one.frequency) for one in found] == [1.9, 2.3, 1.9, 2.3]
     assert [float(one.left.position) for one in found] == [-1.0, -1.0, -1.5, -1.5]
 
@@ -270,7 +280,7 @@ def test_ranges_in_which_two_legs_differ():
         settle=150,
         keep=4,
     )
-    (low, high), *rest = loop_ranges(swept.rename(lane="leg"))
+    (low, high), *rest = hysteresis_ranges(swept.rename(lane="leg"))
     # P100 grazes at 3.416, and the step from 3.2 to 3.4 sets it swinging farther than that
     assert (low, high, rest) == (pytest.approx(0.6), pytest.approx(3.2), [])
 
@@ -280,18 +290,18 @@ def jobs(monkeypatch):
     """Two jobs that need no work; the second is interrupted at first."""
     calls = []
 
-    def one(file, progress):
+    def one(file, show_progress):
         calls.append("one")
         claim = number_claim("1", "a|b <i>", "0.5", (0.51, 0.0))
         return FigureResult(b"\x89PNG", "<b> & so on", (claim,), {"": xr.Dataset({"a": ("b", np.arange(3.0))})})
 
-    def two(file, progress):
+    def two(file, show_progress):
         calls.append("two")
         if calls.count("two") == 1:
             raise KeyboardInterrupt
-        return FigureResult(None, "", (own_claim("2", "never", (1.0, 0.0), high=0.0, reason="Because."),))
+        return FigureResult(None, "", (additional_claim("2", "never", (1.0, 0.0), high=0.0, reason="Because."),))
 
-    jobs = {name: figures.FigureJob(name, ("formulas",), drawn) for name, drawn in (("one", one), ("two", two))}
+    jobs = {name: figure_jobs.FigureJob(name, ("formulas",), drawn) for name, drawn in (("one", one), ("two", two))}
     monkeypatch.setattr(run, "JOBS", jobs)
     return calls
 
@@ -350,7 +360,7 @@ def test_the_report_needs_no_other_file_and_shows_what_was_written(jobs, tmp_pat
 def test_a_reason_is_given_only_where_a_claim_is_not_right():
     claims = [number_claim("1", "", "0.5", (value, 0.0), "Because.") for value in (0.51, 0.61)]
     assert [row[-1] for row in claim_rows(claims)] == ["", "Because."]
-    assert "1 " in html_page([("x", FigureResult(None, "", tuple(claims)))])
+    assert "1 " in report_html([("x", FigureResult(None, "", tuple(claims)))])
 
 
 def test_an_unknown_figure_is_refused(tmp_path, capsys):

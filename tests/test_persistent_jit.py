@@ -12,8 +12,8 @@ import pytest
 
 import jaxvibro as jv
 from continuation import augmented_systems, persistent_jit
-from continuation.problem import Constants, equilibria, problem_of
-from jaxvibro.compiled.compiler_hints import COMPILER_OPTIONS
+from continuation.problem import SystemConstants, equilibria, make_problem
+from jaxvibro.compiled.lane_arithmetic import COMPILER_OPTIONS
 from jaxvibro.maps.strobe import _two_tier_strobe
 
 ROOT = Path(__file__).parents[1]
@@ -138,17 +138,19 @@ def test_numbers(cache, fails):
 
 def test_under_transformations(cache):
     """A module has no derivative and no lanes: the function itself is called."""
-    circle = problem_of(equilibria(lambda u, p, args: u * u + p["p"] ** 2 - 1.0), ("p",))
-    given, z = Constants({}, None), jnp.array([0.6, 0.8])
-    value, slopes = augmented_systems.evaluate(circle, z, given)
+    circle = make_problem(equilibria(lambda u, p, args: u * u + p["p"] ** 2 - 1.0), ("p",))
+    given, z = SystemConstants({}, None), jnp.array([0.6, 0.8])
+    value, slopes = augmented_systems.evaluate_problem(circle, z, given)
     zs = jnp.stack([z, 2.0 * z])
     np.testing.assert_allclose(
-        jax.vmap(lambda z: augmented_systems.evaluate(circle, z, given)[1])(zs)[0], slopes, rtol=1e-15
+        jax.vmap(lambda z: augmented_systems.evaluate_problem(circle, z, given)[1])(zs)[0], slopes, rtol=1e-15
     )
     np.testing.assert_allclose(
-        jax.jacrev(lambda z: augmented_systems.evaluate(circle, z, given)[0])(z), slopes, rtol=1e-15
+        jax.jacrev(lambda z: augmented_systems.evaluate_problem(circle, z, given)[0])(z), slopes, rtol=1e-15
     )
-    np.testing.assert_allclose(jax.jit(lambda z: augmented_systems.evaluate(circle, z, given)[0])(z), value, rtol=1e-15)
+    np.testing.assert_allclose(
+        jax.jit(lambda z: augmented_systems.evaluate_problem(circle, z, given)[0])(z), value, rtol=1e-15
+    )
     assert not list(
         (cache / persistent_jit.FOLDER).glob("*/*")
     )  # the function made here is known to this process alone

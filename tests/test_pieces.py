@@ -9,14 +9,14 @@ import pytest
 import jaxvibro as jv
 from continuation.arclength import Point
 from continuation.branch_segment import BranchSegment, SpecialIndex
-from jaxvibro.branches import largest_position, neimark_sacker, segment
-from jaxvibro.branches.segment import BranchEventDetector, GrazingPoint
+from jaxvibro.branches import itinerary_segment, largest_position, neimark_sacker
+from jaxvibro.branches.itinerary_segment import BranchEventDetector, GrazingPoint
 from jaxvibro.branches.through_grazings import _choose_exit, _is_same_grazing
 from jaxvibro.orbits.orbit_comparison import impacts_as_points
+from jaxvibro.problem.branches_from_grazing import BranchFromGrazing
 from jaxvibro.problem.end import End
-from jaxvibro.problem.grazing import GrazingExit
 from jaxvibro.problem.grazing_contact import GrazingContact
-from jaxvibro.problem.orbit_point import OrbitPoint, set_up_problem
+from jaxvibro.problem.orbit_point import OrbitPoint, set_up_equations
 
 TOUCHES = (GrazingContact(0, -1, 0.3, False), GrazingContact(1, 1, 0.0, True))  # the branch has the second as an impact
 AHEAD = np.array([0.6, 0.8])
@@ -31,7 +31,7 @@ def way(first, second, tangent=AHEAD, along=None):
     """An exit that has some of the touches as impacts."""
     none = np.zeros(())
     point = Point(np.zeros(2), np.asarray(tangent), none, none, none, np.True_, np.True_)
-    return GrazingExit(along or orbits(), point, np.zeros(2), None, (first, second))
+    return BranchFromGrazing(along or orbits(), point, np.zeros(2), None, (first, second))
 
 
 @pytest.mark.parametrize("sure", [True, False])
@@ -50,7 +50,7 @@ def test_a_branch_goes_on_as_it_came_or_else_with_the_touches_exchanged(sure):
         mark = SpecialIndex(1, "GR", 0.0, GrazingPoint(TOUCHES, tuple(exits), sure))
         one, chosen = _choose_exit(orbits(), BranchSegment(None, points, None, (mark,), End.GRAZE, -1, 0.0), np.ones(2))
         assert chosen is expected
-        assert one.specials[-1].details.not_followed == tuple(
+        assert one.specials[-1].detector_details.not_followed == tuple(
             each is not expected and each is not back for each in exits
         )
         assert one.end is (End.GRAZE if expected or sure else End.STEP)
@@ -67,10 +67,12 @@ def test_a_grazing_is_met_again_where_value_and_impacts_are_the_same():
 @pytest.mark.parametrize("count", [0, 1, 2, 3])
 def test_a_touch_on_which_the_mass_is_pressed_is_chatter_unless_a_branch_goes_through(count, pressed, monkeypatch):
     points = Point(np.zeros((3, 2)), np.ones((3, 2)), *[np.zeros(3)] * 5)
-    monkeypatch.setattr(segment, "truncate_at_grazing", lambda *_: (points, 1e-14))
-    monkeypatch.setattr(segment.soft_grazing, "find_all_exits", lambda *_: (TOUCHES, [way(True, True)] * count, True))
-    monkeypatch.setattr(segment, "is_pressed_on_wall", lambda *_: pressed)
-    monkeypatch.setattr(segment.sticking_limits, "sticking_limit_kind", lambda *_: "")
+    monkeypatch.setattr(itinerary_segment, "truncate_at_grazing", lambda *_: (points, 1e-14))
+    monkeypatch.setattr(
+        itinerary_segment.soft_wall_grazing, "find_all_exits", lambda *_: (TOUCHES, [way(True, True)] * count, True)
+    )
+    monkeypatch.setattr(itinerary_segment, "is_pressed_on_wall", lambda *_: pressed)
+    monkeypatch.setattr(itinerary_segment.sticking_limits, "sticking_limit_kind", lambda *_: "")
     met = BranchEventDetector(orbits(), 1.0, {}).find_boundary_end(None, points, None, 2)
     expected = ("CH", End.REST) if pressed and count < 2 else ("GR", End.GRAZE)
     assert (met.special.kind, met.end) == expected
@@ -80,8 +82,8 @@ def looked_at(scene, spot, determinants, traces, monkeypatch, end=None):
     """(the tests' values, the tangents) in which a branch looks for special points."""
     seen = []
     keep = lambda _, points, values, *__: seen.append((values, points)) or []  # noqa: E731
-    monkeypatch.setattr(segment.event_search, "locate_events", keep)
-    along, z = set_up_problem(scene, "amplitude", spot)
+    monkeypatch.setattr(itinerary_segment.event_search, "locate_events", keep)
+    along, z = set_up_equations(scene, "amplitude", spot)
     flip, tangent = np.linspace(1.0, 2.0, len(traces)), np.ones((len(traces), len(z)))
     points = Point(np.tile(z, (len(traces), 1)), tangent, *[np.zeros(len(traces))] * 5)
     view = SimpleNamespace(flip_test=flip, trace=np.array(traces), determinant=np.array(determinants))
@@ -97,7 +99,7 @@ def test_at_a_contact_without_speed_tests_have_the_sign_that_the_multipliers_com
     scene = jv.make_scene(2.0, 2.1, 0.05, 0.7, (None, jv.Wall(1.0, stiffness=30.0)))
     spot = OrbitPoint(2.0, np.array([0.3]), np.array([0.0]), np.array([1.0]), 1, 0.0, 0.0, 0.0)
     end = SimpleNamespace(
-        special=SimpleNamespace(details=SimpleNamespace(grazing_contacts=(GrazingContact(0, 1, 0.0, True),)))
+        special=SimpleNamespace(detector_details=SimpleNamespace(grazing_contacts=(GrazingContact(0, 1, 0.0, True),)))
     )
     values, tangent = looked_at(scene, spot, [0.4] * 3, [0.0, *traces], monkeypatch, end)
     assert np.array_equal(values["PD"], [1.0, 1.5, 1.5 * signs[0]]) and np.array_equal(tangent, [1.0, 1.0, signs[1]])

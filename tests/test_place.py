@@ -21,7 +21,7 @@ def asked(is_virtual, bound=np.inf):
 
 @pytest.mark.parametrize("edge", [0.003, 0.3, 0.75, 0.999])
 def test_beyond_the_end_of_a_boundary_it_is_the_last_admissible_one(edge):
-    last, held, virtual = place._approach_targets(asked(lambda change: change > edge), np.ones(1))
+    last, held, virtual = place._follow_path_to_targets(asked(lambda change: change > edge), np.ones(1))
     assert edge - place.MIN_FRACTION < last.fraction <= edge and last.change[0] == pytest.approx(
         last.fraction, abs=1e-12
     )
@@ -34,11 +34,11 @@ def test_beyond_the_end_of_a_boundary_it_is_the_last_admissible_one(edge):
 
 
 def test_a_target_beyond_a_virtual_stretch_is_met():
-    last, _, virtual = place._approach_targets(asked(lambda change: 0.3 < change < 0.6), np.ones(1))
+    last, _, virtual = place._follow_path_to_targets(asked(lambda change: 0.3 < change < 0.6), np.ones(1))
     assert last.fraction == 1.0 and not virtual and place._failure_reason(1.0, virtual, ()) == ""
 
 
 def test_where_a_bound_stops_it_that_is_told():
-    last, held, virtual = place._approach_targets(asked(lambda change: False, 0.4), np.ones(1))
+    last, held, virtual = place._follow_path_to_targets(asked(lambda change: False, 0.4), np.ones(1))
     assert 0.4 - place.MIN_FRACTION < last.fraction <= 0.4 and held.all() and not virtual
     assert "damping is at a bound" in place._failure_reason(last.fraction, virtual, ("damping",))

@@ -13,10 +13,10 @@ import jaxvibro as jv
 from jaxvibro import plot
 from jaxvibro.attractors.find import Attractor
 from jaxvibro.branches.branch import Branch, Segment, make_special
-from jaxvibro.plot import impact_path, style
+from jaxvibro.plot import impact_insertion, style
 from jaxvibro.plot.smooth_line import SUBDIVISIONS, smooth_line
 from jaxvibro.problem.end import End
-from jaxvibro.problem.orbit_rows import dataset_row
+from jaxvibro.problem.orbit_curve import dataset_row
 
 SCENE = jv.make_scene(3.0, 2.1, 0.05, 0.7, (-1.0, jv.Wall(1.0, 0.5, motion=jv.Motion(0.3, 0.5, 2))))
 
@@ -290,7 +290,7 @@ def test_neighbouring_colours_differ_in_grey():
 
 def test_a_path_breaks_at_impacts_and_obeys_the_impact_law():
     trajectory = jv.simulate(SCENE, jv.State(0.0, 0.0), 6, 300)
-    time, x, v, places = impact_path.insert_impacts(trajectory, SCENE)
+    time, x, v, places = impact_insertion.insert_impacts(trajectory, SCENE)
     assert len(places) == trajectory.sizes["impact"] > 5
     assert np.isnan(x[places + 1]).all() and np.all(np.diff(time) >= 0)
     for at, gap in ((places, -1), (places + 2, 1)):
@@ -301,12 +301,13 @@ def test_a_path_breaks_at_impacts_and_obeys_the_impact_law():
 
 def test_a_wall_in_a_picture_is_where_and_as_fast_as_it_is():
     phase, wall, small = np.linspace(0.0, 7.0, 50), SCENE.right, 1e-6
-    np.testing.assert_allclose(impact_path.wall_position(wall, phase), 1.0 + 0.3 * np.cos(2 * phase + 0.5))
+    np.testing.assert_allclose(impact_insertion.wall_position(wall, phase), 1.0 + 0.3 * np.cos(2 * phase + 0.5))
     rate = (
-        impact_path.wall_position(wall, phase + 2.1 * small) - impact_path.wall_position(wall, phase - 2.1 * small)
+        impact_insertion.wall_position(wall, phase + 2.1 * small)
+        - impact_insertion.wall_position(wall, phase - 2.1 * small)
     ) / (2 * small)
-    np.testing.assert_allclose(impact_path.wall_velocity(wall, 2.1, phase), rate, atol=1e-8)
-    assert (impact_path.wall_position(SCENE.left, phase) == -1.0).all()
+    np.testing.assert_allclose(impact_insertion.wall_velocity(wall, 2.1, phase), rate, atol=1e-8)
+    assert (impact_insertion.wall_position(SCENE.left, phase) == -1.0).all()
 
 
 @pytest.mark.parametrize("draw", [plot.portrait, plot.trace])

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import jaxvibro as jv
-from jaxvibro.flight.coefficients import compute_coefficients
-from jaxvibro.flight.soft_entry_step import SAFETY_MARGIN, STEP_SHARE, is_certified
+from jaxvibro.flight.flight_coefficients import make_flow_coefficients
+from jaxvibro.flight.soft_wall_first_step import SAFETY_MARGIN, STEP_SHARE, is_first_step_certified
 
 OMEGA = 2.1
 WALLS = [(10.0, 0.0), (1e2, 0.1), (1e4, 11.3), (1e7, 2000.0), (1e10, 0.1)]
@@ -19,7 +19,7 @@ def plunge_of(stiffness, damping, motion=None):
     """The step into the right wall of a scene."""
     wall = jv.Wall(0.8, stiffness=stiffness, damping=damping, motion=motion)
     scene = jv.make_scene(amplitude=1.5, frequency=OMEGA, damping=0.05, restitution=0.7, walls=(None, wall))
-    return compute_coefficients(scene).soft_flows[0].entry_step
+    return make_flow_coefficients(scene).soft_flows[0].first_step
 
 
 def free(stiffness, damping, time):
@@ -56,7 +56,7 @@ def test_the_step_is_the_flow_over_most_of_a_half_swing(stiffness, damping):
     given = np.array(step.free_flow) * [1.0, root, 1.0]
     np.testing.assert_allclose(given, [v + 2.0 * damping * y, root * y, v], rtol=0, atol=1e-14)
     y, v = driven(stiffness, damping, time, OMEGA)
-    for forced in (step.forced_flow, step.wall_flow):
+    for forced in (step.forced_flow, step.wall_motion_response):
         (in_phase, speed), (quadrature, quadrature_speed) = forced
         assert abs(in_phase + 1j * quadrature - y) < 1e-14 * abs(y)
         assert abs(speed + 1j * quadrature_speed - v) < 1e-14 / root
@@ -66,11 +66,11 @@ def test_the_step_is_the_flow_over_most_of_a_half_swing(stiffness, damping):
 
 @pytest.mark.parametrize(("stiffness", "damping"), WALLS)
 def test_an_entry_that_is_just_fast_enough_just_stays_within(stiffness, damping):
-    step = plunge_of(stiffness, damping)._replace(push_change=jnp.zeros(()))
+    step = plunge_of(stiffness, damping)._replace(force_change_bound=jnp.zeros(()))
     time, push = np.linspace(0.0, 1.0, 401)[1:] * float(step.time), -0.7
-    slowest = -float(step.speed_per_push) * push
-    assert bool(is_certified(step, 1.0001 * slowest, push))
-    assert not bool(is_certified(step, 0.9999 * slowest, push))
+    slowest = -float(step.speed_per_force) * push
+    assert bool(is_first_step_certified(step, 1.0001 * slowest, push))
+    assert not bool(is_first_step_certified(step, 0.9999 * slowest, push))
     y = slowest * free(stiffness, damping, time)[0] + under(stiffness, damping, time, push)
     assert np.all(y > 0)
     least = slowest / SAFETY_MARGIN * free(stiffness, damping, time)[0] + under(stiffness, damping, time, push)
@@ -79,15 +79,15 @@ def test_an_entry_that_is_just_fast_enough_just_stays_within(stiffness, damping)
 
 def test_a_push_may_change_within_the_step():
     step = plunge_of(1e4, 11.3)
-    assert float(step.push_change) == pytest.approx(1.5 * OMEGA * float(step.time), rel=1e-14)
-    change = float(step.push_change)
-    assert bool(is_certified(step, 1e-12, 1.0001 * change))
-    slowest = float(step.speed_per_push) * change
-    assert bool(is_certified(step, 1.0001 * slowest, 0.0))
-    assert not bool(is_certified(step, 0.9999 * slowest, 0.0))
+    assert float(step.force_change_bound) == pytest.approx(1.5 * OMEGA * float(step.time), rel=1e-14)
+    change = float(step.force_change_bound)
+    assert bool(is_first_step_certified(step, 1e-12, 1.0001 * change))
+    slowest = float(step.speed_per_force) * change
+    assert bool(is_first_step_certified(step, 1.0001 * slowest, 0.0))
+    assert not bool(is_first_step_certified(step, 0.9999 * slowest, 0.0))
 
 
 @pytest.mark.parametrize(("stiffness", "damping"), [(3.0, 0.1), (1e4, 80.0), (1e4, 500.0)])
 def test_no_step_where_the_drive_is_fast_or_the_damping_strong(stiffness, damping):
     step = plunge_of(stiffness, damping)
-    assert np.isinf(float(step.speed_per_push)) and not bool(is_certified(step, 1e6, 1e6))
+    assert np.isinf(float(step.speed_per_force)) and not bool(is_first_step_certified(step, 1e6, 1e6))

@@ -12,7 +12,7 @@ from pathlib import Path
 import jax
 
 import jaxvibro as jv
-from jaxvibro.compiled import compiler_hints, kernels
+from jaxvibro.compiled import kernel_calls, lane_arithmetic
 from jaxvibro.compiled.hints_in_use import describe_hints
 from jaxvibro.studies import command, environment
 from jaxvibro.studies.environment import describe_environment, format_environment
@@ -29,8 +29,8 @@ def test_what_is_described(cache):
     with jax.enable_x64(False):
         assert describe_environment()["jax"]["x64"] is False
     assert found["processor"]["logical_cores"] == os.cpu_count()
-    assert found["hints"]["options"] == compiler_hints.COMPILER_OPTIONS
-    assert found["hints"]["block_width"] == kernels.block_width()
+    assert found["hints"]["options"] == lane_arithmetic.COMPILER_OPTIONS
+    assert found["hints"]["block_width"] == kernel_calls.block_width()
     kept = {"writable": True, "used_by_jax": True, "used_for_traced_functions": True, "reason_if_not": None}
     assert found["cache"] == {"folder": str(cache), **kept}
     assert json.loads(json.dumps(found, allow_nan=False)) == found
@@ -52,9 +52,9 @@ def test_a_cache_that_is_not_used_says_why(cache):
 def test_hints_are_none_for_other_devices(monkeypatch):
     marks = describe_hints()["marks"]
     assert marks["stage"]["inlineable"] == "false" and marks["one_kernel"]["xla_cpu_small_call"] == "true"
-    monkeypatch.setattr(kernels, "on_cpu", lambda: False)
+    monkeypatch.setattr(kernel_calls, "is_traced_for_cpu", lambda: False)
     found = describe_hints()
-    assert (found["applied"], found["marks"], found["block_width"]) == (False, {}, kernels.GPU_BLOCK_WIDTHS[0])
+    assert (found["applied"], found["marks"], found["block_width"]) == (False, {}, kernel_calls.GPU_BLOCK_WIDTHS[0])
 
 
 def test_a_processor_without_a_description(monkeypatch):
@@ -67,9 +67,9 @@ def test_the_marks_that_are_described_are_those_of_compiled_code():
     """Of a stage within one kernel, in the lowered text."""
 
     def twice(x):
-        return compiler_hints.stage(lambda x: 2.0 * x, x)
+        return lane_arithmetic.call_without_inlining(lambda x: 2.0 * x, x)
 
-    text = jax.jit(lambda x: kernels.call_as_kernel(twice, x)).lower(jax.numpy.ones(3)).as_text()
+    text = jax.jit(lambda x: kernel_calls.call_as_kernel(twice, x)).lower(jax.numpy.ones(3)).as_text()
     found = {name: value for marks in describe_hints()["marks"].values() for name, value in marks.items()}
     assert dict(re.findall(r'(inlineable|xla_cpu_small_call) = "(\w+)"', text)) == found
 

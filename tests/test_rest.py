@@ -6,7 +6,7 @@ from scipy.optimize import brentq
 
 import jaxvibro as jv
 from jaxvibro.maps import itinerary
-from jaxvibro.maps.sticking_phases import find_sticking_phases
+from jaxvibro.maps.sticking_phase_intervals import find_sticking_phases
 
 # amplitude, frequency, damping, restitution, wall, side: the mass rests on it once a period
 BY_HAND = [
@@ -127,5 +127,7 @@ def test_on_both_walls_and_on_one_that_takes_all_speed():
 
 
 def test_labels():
-    assert itinerary.label(("RRR",), "R") == "P1-0-inf" and itinerary.label(("LR", "L"), "R") == "P2-2-inf"
-    assert itinerary.label(("L", "RR"), "LR") == "P2-inf-inf" and itinerary.label(("LR",)) == "P111"
+    assert (
+        itinerary.format_label(("RRR",), "R") == "P1-0-inf" and itinerary.format_label(("LR", "L"), "R") == "P2-2-inf"
+    )
+    assert itinerary.format_label(("L", "RR"), "LR") == "P2-inf-inf" and itinerary.format_label(("LR",)) == "P111"

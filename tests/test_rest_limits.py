@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 import jaxvibro as jv
-from continuation import augmented_systems, limits
+from continuation import augmented_systems, computation_limits
 from jaxvibro.branches import through_sticking
 from jaxvibro.problem import sticking_limits
-from jaxvibro.problem.orbit_conversion import orbit_row_of
-from jaxvibro.problem.orbit_point import set_up_problem
+from jaxvibro.problem.orbit_conversion import orbit_point_of
+from jaxvibro.problem.orbit_point import set_up_equations
 
 
 @pytest.fixture(scope="module")
@@ -17,7 +17,7 @@ def resting_orbit():
     scene = jv.make_scene(1.5, 0.5, 0.05, 0.5, (None, 0.5))
     orbit = jv.find_orbit(scene, jv.State(0.0, 0.0))
     assert orbit.rests
-    return set_up_problem(scene, "amplitude", orbit_row_of(orbit, 1.5))
+    return set_up_equations(scene, "amplitude", orbit_point_of(orbit, 1.5))
 
 
 @pytest.mark.slow
@@ -27,7 +27,7 @@ def test_a_measure_of_a_rest_is_looked_for_by_what_it_depends_on(resting_orbit, 
     along, z = resting_orbit
     count, given = [], sticking_limits.excess_speeds
     row = int(np.flatnonzero(np.isfinite(given(along, z)))[0])
-    whole = augmented_systems.central_differences(lambda z: given(along, z)[row], z)
+    whole = augmented_systems.two_point_derivative(lambda z: given(along, z)[row], z)
     assert np.count_nonzero(whole) > 2 and len(z) >= 17
 
     def counted(along, z):
@@ -45,8 +45,8 @@ def test_a_measure_of_a_rest_is_looked_for_by_what_it_depends_on(resting_orbit, 
 def test_the_search_beyond_a_rest_is_given_up_when_the_time_is_over(resting_orbit, monkeypatch):
     """Neither looks for another orbit then: that would fly for dozens of periods."""
     along, z = resting_orbit
-    over = limits.Limits(deadline=0.0)
+    over = computation_limits.Limits(deadline=0.0)
     monkeypatch.setattr(through_sticking, "_settled_orbit", lambda *given: pytest.fail("it is looked for"))
-    monkeypatch.setattr(sticking_limits, "toggle_lift_off", lambda *given: None)
+    monkeypatch.setattr(sticking_limits, "toggle_early_lift_off", lambda *given: None)
     assert through_sticking.find_sticking_exits(along, z, 1.0, 1.0, over) is None
-    assert through_sticking.complete_chatter(along, z, 1.0, 1.0, over) is None
+    assert through_sticking.locate_nearby_chatter(along, z, 1.0, 1.0, over) is None

@@ -9,7 +9,7 @@ import pytest
 
 import jaxvibro as jv
 from jaxvibro.flight.flow import fly
-from jaxvibro.maps.one_period import REPLAY_SLOTS
+from jaxvibro.maps.reference_strobe import REPLAY_SLOTS
 from jaxvibro.scene.codes import Contact
 from tests import rest_slopes_proof
 from tests.reference import rest_slopes, slopes

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 import jaxvibro as jv
-from continuation import augmented_systems, driver, point_rows
+from continuation import augmented_systems, continuation_loop, point_rows
 from continuation.arclength import Point
-from continuation.driver import EventDetector
-from continuation.problem import Constants, equilibria, problem_of
+from continuation.continuation_loop import EventDetector
+from continuation.problem import SystemConstants, equilibria, make_problem
 from jaxvibro.branches.branch import scene_at_value
 
 rng = np.random.default_rng(11)
@@ -44,9 +44,14 @@ def drawn(count):
 def test_rows_are_those_of_lists():
     points, one = drawn(5), point_rows.row_at(drawn(1), 0)
     plain = listed(points)
-    assert listed(point_rows.head(points, 3)) == plain[:3] and listed(point_rows.reverse_rows(points)) == plain[::-1]
+    assert (
+        listed(point_rows.first_rows(points, 3)) == plain[:3] and listed(point_rows.reverse_rows(points)) == plain[::-1]
+    )
     assert tuple(np.asarray(leaf).tolist() for leaf in point_rows.row_at(points, -2)) == plain[-2]
-    assert listed(point_rows.join_rows([points, points, point_rows.head(points, 2)])) == plain + plain[1:] + plain[1:2]
+    assert (
+        listed(point_rows.join_rows([points, points, point_rows.first_rows(points, 2)]))
+        == plain + plain[1:] + plain[1:2]
+    )
     for place in range(1, 6):
         found = listed(point_rows.insert_row(points, place, one))
         expected = [*plain[:place], tuple(np.asarray(leaf).tolist() for leaf in one), *plain[place:]]
@@ -66,7 +71,7 @@ def test_what_is_known_is_asked_of_new_points_alone(kept, new):
     held = [leaf.copy() for leaf in view]
     zs = rng.permutation(np.concatenate([before[kept], rng.normal(size=(new, 3))]), axis=0)
     watch.asked = 0
-    found = driver._diagnose(watch, zs, before, view)
+    found = continuation_loop._diagnose_new_points(watch, zs, before, view)
     assert watch.asked == new
     for one, other in zip(found, watch.diagnose(zs), strict=True):
         np.testing.assert_array_equal(one, other)
@@ -80,7 +85,7 @@ def curved(u, p, args):
 
 
 def test_bends_are_second_derivatives():
-    problem, given = problem_of(equilibria(curved), ("p",)), Constants({}, None)
+    problem, given = make_problem(equilibria(curved), ("p",)), SystemConstants({}, None)
     for _ in range(5):
         (x, y, p), left = rng.normal(size=3), rng.normal(size=2)
         first = np.array([[2 * y, 2 * x, -3.0], [2 * x, 0.0, 0.0], [-3.0, 0.0, 0.0]])

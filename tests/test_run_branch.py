@@ -15,7 +15,7 @@ from jaxvibro import plot
 from jaxvibro.branches import branch_tree
 from jaxvibro.problem.end import End
 from jaxvibro.problem.orbit_point import OrbitPoint
-from jaxvibro.studies import command, compute, figures, scene_file
+from jaxvibro.studies import command, result_pictures, scene_file, scene_file_studies
 from tests.scene_files import SCENE, check_refusal, each_of
 
 SCENE_FILE = Path(__file__).parents[1] / "scenes" / "branches.toml"
@@ -38,7 +38,7 @@ bounds = [0.5, 3.0]
 def followed(tmp_path_factory):
     """What a file that asks for branches alone gives: its folder and its summary; and what was `Found`."""
     out, found = tmp_path_factory.mktemp("branch"), []
-    plain = compute.run_studies
+    plain = scene_file_studies.run_studies
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(
             sys.modules[jv.run.__module__], "run_studies", lambda *given: found.append(plain(*given)) or found[0]
@@ -109,11 +109,11 @@ def test_branches_are_drawn_alone_and_over_what_was_swept_along_their_parameter(
 
     def picked(*changes, **others):
         drawn.clear()
-        file = scene_file.read(SCENE_FILE, ["branch.bounds=[0.0, 4.0]", *changes])
-        figures.main_picture(replace(found, file=msgspec.structs.replace(file, attractors=None), **others))
+        file = scene_file.read_scene_file(SCENE_FILE, ["branch.bounds=[0.0, 4.0]", *changes])
+        result_pictures.draw_main_picture(replace(found, file=msgspec.structs.replace(file, attractors=None), **others))
         return list(drawn)
 
-    figures.main_picture(found)
+    result_pictures.draw_main_picture(found)
     assert drawn == 3 * ["x"] + 3 * ["v"]
     assert picked() == [("x", True), *3 * ["x"], ("v", True), *3 * ["v"]]
     assert picked("branch.at.damping=0.06") == [("x", False), ("v", False)]
@@ -125,10 +125,11 @@ def test_a_diagram_of_branches_says_where_it_is_and_takes_what_is_of_the_same_sc
     found = followed[2]
     assert (found.diagram_parameter, found.diagram_value(found.file.branch)) == ("amplitude", 2.0)
     at = [
-        scene_file.read(SCENE_FILE, [f"orbits.at={given}"]).orbits for given in ("{amplitude=3}", "{damping=0.1}", "{}")
+        scene_file.read_scene_file(SCENE_FILE, [f"orbits.at={given}"]).orbits
+        for given in ("{amplitude=3}", "{damping=0.1}", "{}")
     ]
     assert [found.diagram_value(each) for each in at] == [3.0, None, 4.65]
-    heading = figures._heading(found, "scene")
+    heading = result_pictures._heading_text(found, "scene")
     assert "A$" not in heading and "2.1" in heading
 
 
@@ -145,11 +146,11 @@ def test_a_start_that_settles_on_no_orbit_is_one_clear_line(tmp_path, capsys):
 
 
 def test_a_branch_has_defaults():
-    asked = scene_file.read(SCENE_FILE).branch
+    asked = scene_file.read_scene_file(SCENE_FILE).branch
     assert (asked.parameter, asked.bounds, asked.max_period, asked.at) == ("amplitude", (0.0, 6.0), 2, {"amplitude": 2})
     assert (asked.start.x, asked.start.v, asked.settle, asked.largest_step) == (0.9, -1.1, 200, 0.1)
     table = "branch = {parameter='frequency', bounds=[1, 3]}"
-    file = msgspec.to_builtins(msgspec.structs.replace(scene_file.read(SCENE_FILE), branch=None))
+    file = msgspec.to_builtins(msgspec.structs.replace(scene_file.read_scene_file(SCENE_FILE), branch=None))
     asked = scene_file.parse_tables(scene_file.apply_change(file, table)).branch
     assert (asked.start.x, asked.start.v, asked.at, asked.max_period) == (0.0, 0.0, {}, 1)
 
@@ -193,9 +194,9 @@ def test_a_bad_branch_is_one_clear_line(change, key, said):
 
 
 def test_a_branch_survives_writing(tmp_path):
-    file = scene_file.read(SCENE_FILE, ["branch.at.'right.restitution'=0.5", "branch.settle=0"])
-    scene_file.dump(file, tmp_path / "copy.toml")
-    assert scene_file.read(tmp_path / "copy.toml") == file
+    file = scene_file.read_scene_file(SCENE_FILE, ["branch.at.'right.restitution'=0.5", "branch.settle=0"])
+    scene_file.write_scene_file(file, tmp_path / "copy.toml")
+    assert scene_file.read_scene_file(tmp_path / "copy.toml") == file
 
 
 PLAIN = jv.make_scene(2.0, 2.1, 0.05, 0.7, (-1.0, 1.0))
@@ -247,11 +248,11 @@ def test_a_branch_and_its_mirror_image_are_one_of_two():
     both = Walk("P111", point("EP", 1.0, [0.5], [0.5]))
     for one in (own, image, other, both):
         one.scene, one.name = PLAIN, "amplitude"
-    assert branch_tree.mirror_images([both, own, other, image]) == {3: 1}
-    assert branch_tree.mirror_images([own, own, both]) == {}
+    assert branch_tree.originals_of_mirrors([both, own, other, image]) == {3: 1}
+    assert branch_tree.originals_of_mirrors([own, own, both]) == {}
     for one in (own, image):
         one.name = "left.position"
-    assert branch_tree.mirror_images([own, image]) == {}
+    assert branch_tree.originals_of_mirrors([own, image]) == {}
 
 
 def walked(monkeypatch, first, ways, symmetric=False, **given):
@@ -263,9 +264,9 @@ def walked(monkeypatch, first, ways, symmetric=False, **given):
         return ways[one.kind, one.value]
 
     monkeypatch.setattr(branch_tree, "follow", lambda orbit, name, bounds, **settings: first)
-    monkeypatch.setattr(branch_tree, "_new_starts", starts)
-    monkeypatch.setattr(branch_tree, "follow_from_start", lambda one, start, bounds, **settings: start)
-    monkeypatch.setattr(branch_tree, "set_up_problem", lambda scene, name, spot: (None, None))
+    monkeypatch.setattr(branch_tree, "_prime_period_starts", starts)
+    monkeypatch.setattr(branch_tree, "follow_away_from_point", lambda one, start, bounds, **settings: start)
+    monkeypatch.setattr(branch_tree, "set_up_equations", lambda scene, name, spot: (None, None))
     monkeypatch.setattr(branch_tree, "is_repeated", lambda along, z: False)
     monkeypatch.setattr(branch_tree, "stays_symmetric", lambda scene, name: symmetric)
     monkeypatch.setattr(branch_tree, "mirror_branch", reflected)
@@ -355,7 +356,7 @@ def test_symmetric_orbits_that_cross_a_loop_of_asymmetric_ones_are_followed(tmp_
     file.write_text(SCENE + LOOP)
     numbers = {"amplitude": 0.6871, "frequency": 0.8333, "damping": 0.015, "restitution": 0.6}
     changes = [f"scene.{key}={value}" for key, value in numbers.items()]
-    loop, *crossing = compute.run_studies(scene_file.read(file, changes)).branches
+    loop, *crossing = scene_file_studies.run_studies(scene_file.read_scene_file(file, changes)).branches
     (breaking,) = [one.value for one in loop.special if one.kind == "SB"]
     assert End.CLOSED in loop.ends and breaking == pytest.approx(0.914752380254, abs=1e-9)
     for one, value in zip(crossing, (0.5, 3.0), strict=True):

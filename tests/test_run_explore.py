@@ -9,7 +9,7 @@ import xarray as xr
 
 import jaxvibro as jv
 from jaxvibro.branches.diagram import Diagram
-from jaxvibro.studies import command, compute, scene_file
+from jaxvibro.studies import command, scene_file, scene_file_studies
 from tests.scene_files import SCENE, check_refusal, each_of
 
 SCENES = Path(__file__).parents[1] / "scenes"
@@ -37,14 +37,14 @@ def explored(branch, tmp_path, monkeypatch):
 
     `explore` itself is left out: it has tests of its own, which take longer.
     """
-    asked, found, plain = [], [], compute.run_studies
+    asked, found, plain = [], [], scene_file_studies.run_studies
 
     def explore(scene, name, bounds, **given):
         given.pop("progress")(1)
         asked.append((scene, name, bounds, given))
         return Diagram(name, bounds, scene, (branch,), (), True, REASON, {})
 
-    monkeypatch.setattr(compute, "explore", explore)
+    monkeypatch.setattr(scene_file_studies, "explore", explore)
     monkeypatch.setattr(
         sys.modules[jv.run.__module__], "run_studies", lambda *each: found.append(plain(*each)) or found[0]
     )
@@ -85,7 +85,7 @@ def test_what_explore_refuses_is_told_with_the_files_key(tmp_path, monkeypatch, 
     def explore(*given, **settings):
         raise jv.ArgumentError("bounds", "must hold some value", [0.0, 4.0])
 
-    monkeypatch.setattr(compute, "explore", explore)
+    monkeypatch.setattr(scene_file_studies, "explore", explore)
     (tmp_path / "all.toml").write_text(SCENE + EXPLORE)
     assert command.main(["run", str(tmp_path / "all.toml"), "--out", str(tmp_path / "out")]) == 2
     assert capsys.readouterr().err.splitlines()[-1] == "jaxvibro: explore.bounds: must hold some value; got [0.0, 4.0]"
@@ -99,25 +99,25 @@ def file(tmp_path):
 
 
 def test_an_explore_has_defaults_and_survives_writing(file, tmp_path):
-    asked = scene_file.read(file)
+    asked = scene_file.read_scene_file(file)
     assert asked.branch_table is asked.explore and asked.explore.budget == 7
-    scene_file.dump(asked, tmp_path / "copy.toml")
-    assert scene_file.read(tmp_path / "copy.toml") == asked
+    scene_file.write_scene_file(asked, tmp_path / "copy.toml")
+    assert scene_file.read_scene_file(tmp_path / "copy.toml") == asked
     text = SCENE + EXPLORE[: EXPLORE.index("at = {")]
     file.write_text(text)
-    asked = scene_file.read(file).explore
+    asked = scene_file.read_scene_file(file).explore
     assert (asked.parameter, asked.bounds, asked.at) == ("amplitude", (0.0, 4.0), {})
     assert (asked.max_period, asked.seed, asked.budget) == (8, 0, None)
 
 
 def test_a_locus_may_follow_what_was_explored(file):
     changes = ["locus.parameters=['amplitude', 'damping']", "locus.bounds={amplitude=[0, 9], damping=[0.01, 0.2]}"]
-    asked = scene_file.read(file, changes)
+    asked = scene_file.read_scene_file(file, changes)
     assert asked.locus.bounds["damping"] == (0.01, 0.2) and asked.branch is None
     with pytest.raises(
         jv.ArgumentError, match=r"^locus\.bounds\.damping: must contain the damping of \[explore\], 0\.06; got"
     ):
-        scene_file.read(file, [*changes, "locus.bounds.damping=[0.01, 0.055]"])
+        scene_file.read_scene_file(file, [*changes, "locus.bounds.damping=[0.01, 0.055]"])
 
 
 ALLOWED = "(parameter, bounds, at, max_period, seed, budget, max_seconds)"

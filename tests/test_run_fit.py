@@ -8,7 +8,7 @@ import pytest
 from matplotlib.figure import Figure
 
 import jaxvibro as jv
-from jaxvibro.studies.record_file import load_record
+from jaxvibro.studies.record_file import load_measured_record
 from jaxvibro.studies.schema import FitTable
 
 SCENES = Path(__file__).parents[1] / "scenes"
@@ -60,10 +60,10 @@ def test_a_record_in_physical_units_is_the_same_record(tmp_path):
     samples = FitTable(record="samples.csv", sigma=1e3 * given.sigma, free={}, sigma_v=given.sigma_v, phase=0.3)
     impacts = FitTable(record="impacts.csv", sigma=1e-3 / natural, free={})
     assert_alike(plain, jv.record_from_physical(given, rig))
-    assert_alike(plain, load_record(tmp_path, samples, rig))
-    assert_alike(heard, load_record(tmp_path, impacts, rig))
+    assert_alike(plain, load_measured_record(tmp_path, samples, rig))
+    assert_alike(heard, load_measured_record(tmp_path, impacts, rig))
     with pytest.raises(jv.SceneError, match=r"line 1: must be time,x,v, as the scene has no \[scene.scales\]"):
-        load_record(tmp_path, samples, jv.make_scene(1.0, 2.0, 0.1, 0.7, (-1.0, 1.0)))
+        load_measured_record(tmp_path, samples, jv.make_scene(1.0, 2.0, 0.1, 0.7, (-1.0, 1.0)))
     few = jv.SampleRecord(times[:2] / natural, x[:2], 0.01)
     with pytest.warns(UserWarning, match="are its times in seconds"), pytest.raises(jv.ArgumentError):
         jv.fit(rig, few, {"damping": 0.1, "amplitude": 1.0})

@@ -13,11 +13,11 @@ from matplotlib.figure import Figure
 
 import jaxvibro as jv
 from jaxvibro import plot
-from jaxvibro.loci import loci
-from jaxvibro.loci.bistability import coexistences
+from jaxvibro.loci import loci_of_branches
+from jaxvibro.loci.bistability import find_coexistence_loci
 from jaxvibro.loci.locus_start import KINDS
-from jaxvibro.studies import compute, report, scene_file, schema
-from jaxvibro.studies import figures as picture
+from jaxvibro.studies import result_pictures as picture
+from jaxvibro.studies import results_report, scene_file, scene_file_studies, schema
 from tests.reference import closed
 from tests.scene_files import check_refusal, each_of
 
@@ -36,7 +36,7 @@ SMALL = [
 def followed(tmp_path_factory):
     """What a file that asks for loci gives: its folder and its summary; and what was `Found`."""
     out, found = tmp_path_factory.mktemp("loci"), []
-    plain = compute.run_studies
+    plain = scene_file_studies.run_studies
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(
             sys.modules[jv.run.__module__], "run_studies", lambda *given: found.append(plain(*given)) or found[0]
@@ -128,13 +128,17 @@ def test_the_picture_has_its_bounds_and_draws_mirror_images_once(followed, monke
     draw = plot.locus
     monkeypatch.setattr(plot, "locus", lambda each, ax, **more: axes.append(each.label) or draw(each, ax, **more))
     monkeypatch.setattr(picture, "png_bytes", lambda figure: figures.append(figure))
-    picture.loci_picture(SimpleNamespace(branches=(), file=found.file, loci=twins, scene_of_table=found.scene_of_table))
+    picture.draw_loci_picture(
+        SimpleNamespace(branches=(), file=found.file, loci=twins, scene_of_table=found.scene_of_table)
+    )
     assert axes == ["P112", "P111"]
     (figure,) = figures
     assert isinstance(figure, Figure) and figure.axes[0].get_ylim() == (LOW, HIGH)
     assert [text.get_text() for text in figure.legends[0].get_texts()] == ["SN of P112 and mirror image", "SN of P111"]
     assert "0.05" in figure.get_suptitle() and "2.1" not in figure.get_suptitle()
-    picture.loci_picture(SimpleNamespace(branches=(), file=found.file, loci=(), scene_of_table=found.scene_of_table))
+    picture.draw_loci_picture(
+        SimpleNamespace(branches=(), file=found.file, loci=(), scene_of_table=found.scene_of_table)
+    )
     assert figures[1].axes[0].get_xlim() == (0.0, 12.0) and not figures[1].legends
 
 
@@ -156,12 +160,12 @@ def test_a_point_between_those_of_a_locus_is_told_from_one_beside_it(turn):
     draw, along = bent(turn)
     one = curve(draw(along))
     for t in np.linspace(-1.99, 1.99, 77):
-        assert loci.contains_point(one, draw(t)), t
+        assert loci_of_branches.contains_point(one, draw(t)), t
     off = np.array([-np.sin(turn), np.cos(turn)])
     for t in along[1:-1]:
         for aside in (1e-4, -1e-4, 0.1):
-            assert not loci.contains_point(one, draw(t) + aside * off), (t, aside)
-    assert not loci.contains_point(one, draw(2.05)) and not loci.contains_point(one, [0.0, 0.0])
+            assert not loci_of_branches.contains_point(one, draw(t) + aside * off), (t, aside)
+    assert not loci_of_branches.contains_point(one, draw(2.05)) and not loci_of_branches.contains_point(one, [0.0, 0.0])
 
 
 def test_special_points_on_one_locus_are_followed_once(monkeypatch):
@@ -170,20 +174,20 @@ def test_special_points_on_one_locus_are_followed_once(monkeypatch):
     branch = jv.follow(jv.find_orbit(scene, jv.State(0.9, -1.1)), "frequency", (1.0, 3.0))
     first, second = branch.points("SB")
     bounds, counts = {"amplitude": (1.0, 2.5), "frequency": (1.05, 1.7)}, []
-    found, refused = loci.follow_loci([branch], PAIR, bounds, progress=counts.append)
+    found, refused = loci_of_branches.follow_loci([branch], PAIR, bounds, progress=counts.append)
     assert [one.kind for one in found] == ["SB"] and refused == () and counts == [1, 2]
     assert (
-        loci.count_points([branch], bounds) == 2
-        and loci.count_points([branch], bounds | {"frequency": (1.3, 1.7)}) == 1
+        loci_of_branches.count_points_to_follow([branch], bounds) == 2
+        and loci_of_branches.count_points_to_follow([branch], bounds | {"frequency": (1.3, 1.7)}) == 1
     )
-    assert all(loci.contains_point(found[0], [2.0, one.value]) for one in (first, second))
-    assert not loci.contains_point(found[0], [2.0, first.value + 1e-5])
+    assert all(loci_of_branches.contains_point(found[0], [2.0, one.value]) for one in (first, second))
+    assert not loci_of_branches.contains_point(found[0], [2.0, first.value + 1e-5])
     followed = []
-    monkeypatch.setattr(loci, "locus", lambda one, *given, **settings: followed.append(one) or found[0])
-    loci.follow_loci([branch, branch], PAIR, bounds, ("SN", "SB"))
+    monkeypatch.setattr(loci_of_branches, "locus", lambda one, *given, **settings: followed.append(one) or found[0])
+    loci_of_branches.follow_loci([branch, branch], PAIR, bounds, ("SN", "SB"))
     assert followed == [first]
-    loci.follow_loci([branch], PAIR, bounds, ("SN", "PD"))
-    loci.follow_loci([branch], PAIR, {"amplitude": (2.1, 2.5), "frequency": (1.05, 1.7)})
+    loci_of_branches.follow_loci([branch], PAIR, bounds, ("SN", "PD"))
+    loci_of_branches.follow_loci([branch], PAIR, {"amplitude": (2.1, 2.5), "frequency": (1.05, 1.7)})
     assert followed == [first]
 
 
@@ -191,24 +195,26 @@ def test_a_point_that_cannot_be_followed_is_told(followed):
     """A symmetry breaking is no point of a scene whose walls are unlike."""
     found = followed[2]
     names, bounds = ("amplitude", "right.position"), {"amplitude": (0.0, 9.0), "right.position": (0.5, 2.0)}
-    curves, refused = loci.follow_loci(found.branches, names, bounds, ("SB",))
+    curves, refused = loci_of_branches.follow_loci(found.branches, names, bounds, ("SB",))
     assert curves == () and [(one.kind, one.label) for one, _ in refused] == [("SB", "P111")]
     (why,) = [why for _, why in refused]
     assert why.startswith("must keep the scene symmetric")
-    told = compute.StudyResults(found.file, found.scene, None, None, None, found.branches, None, curves, refused)
-    lines = report.results_table(told, "loci.toml").splitlines()
+    told = scene_file_studies.StudyResults(
+        found.file, found.scene, None, None, None, found.branches, None, curves, refused
+    )
+    lines = results_report.format_results_table(told, "loci.toml").splitlines()
     assert f"not followed: SB of P111 at amplitude = {refused[0][0].value:.12g}: {why}" in lines
-    (line,) = report.summary(told, {})["not_followed"]
+    (line,) = results_report.summarise_results(told, {})["not_followed"]
     assert (line["kind"], line["label"], line["reason"]) == ("SB", "P111", why) and abs(
         line["value"] - 3.5438922
     ) < 1e-7
 
 
 def test_a_locus_has_defaults():
-    asked = scene_file.read(LOCI, ["locus = {largest_step = 0.2}"]).locus
+    asked = scene_file.read_scene_file(LOCI, ["locus = {largest_step = 0.2}"]).locus
     assert asked.parameters == PAIR and asked.bounds == {"amplitude": (0.0, 12.0), "frequency": (1.2, 3.0)}
     assert asked.kinds == schema.LOCUS_KINDS == KINDS and asked.largest_step == 0.2
-    assert scene_file.read(FIG4).locus is None
+    assert scene_file.read_scene_file(FIG4).locus is None
 
 
 ALLOWED = "(parameters, bounds, kinds, largest_step, max_seconds)"
@@ -277,30 +283,30 @@ def test_loci_need_branches(tmp_path):
     with pytest.raises(
         jv.ArgumentError, match=r"^locus: must come with \[branch\] or \[explore\], whose special points"
     ):
-        scene_file.read(tmp_path / "lone.toml")
+        scene_file.read_scene_file(tmp_path / "lone.toml")
 
 
 def test_a_locus_survives_writing(tmp_path):
     old, new = "{amplitude = [0.0, 12.0], frequency = [1.2, 3.0]}", "{damping = [0, 1], 'right.position' = [0.9, 2]}"
     text = LOCI.read_text().replace(old, new)
     (tmp_path / "other.toml").write_text(text.replace('["amplitude", "frequency"]', '["damping", "right.position"]'))
-    file = scene_file.read(tmp_path / "other.toml", ["locus.kinds=['GR']"])
-    scene_file.dump(file, tmp_path / "copy.toml")
-    assert scene_file.read(tmp_path / "copy.toml") == file
+    file = scene_file.read_scene_file(tmp_path / "other.toml", ["locus.kinds=['GR']"])
+    scene_file.write_scene_file(file, tmp_path / "copy.toml")
+    assert scene_file.read_scene_file(tmp_path / "copy.toml") == file
     assert file.locus.bounds == {"damping": (0.0, 1.0), "right.position": (0.9, 2.0)}
     with pytest.raises(jv.ArgumentError) as caught:
-        scene_file.read(tmp_path / "other.toml", ["locus.bounds.'right.position'=[1, 'far']"])
+        scene_file.read_scene_file(tmp_path / "other.toml", ["locus.bounds.'right.position'=[1, 'far']"])
     assert caught.value.key == "locus.bounds.right.position[1]"
 
 
 def test_where_two_motions_exist_together(followed):
     _, _, found = followed
-    ((first, second, told),) = coexistences(found.branches, found.loci)
+    ((first, second, told),) = find_coexistence_loci(found.branches, found.loci)
     assert told == "P100 and P111" and {first.kind, second.kind} == {"SN", "GR"}
-    assert coexistences(found.branches, [first]) == []
+    assert find_coexistence_loci(found.branches, [first]) == []
 
 
 def test_no_stable_motions_no_region(followed):
     one = next(each for each in followed[2].branches if each.points("SN"))
     unstable = replace(one, data=one.data.assign(stable=0 * one.data["stable"]))
-    assert coexistences([unstable], followed[2].loci) == []
+    assert find_coexistence_loci([unstable], followed[2].loci) == []

@@ -10,7 +10,7 @@ import xarray as xr
 
 import jaxvibro as jv
 from jaxvibro import plot
-from jaxvibro.studies import compute, figures, report, results_dataset, scene_file
+from jaxvibro.studies import result_pictures, results_dataset, results_report, scene_file, scene_file_studies
 from tests.scene_files import SCENE
 
 SCENE_FILE = Path(__file__).parents[1] / "scenes" / "branches.toml"
@@ -68,14 +68,14 @@ def test_the_data_hold_the_orbits(orbited):
 
 def unbranched(*changes):
     """Figure 4's file with these changes, without its branches."""
-    return msgspec.structs.replace(scene_file.read(SCENE_FILE, changes), branch=None)
+    return msgspec.structs.replace(scene_file.read_scene_file(SCENE_FILE, changes), branch=None)
 
 
 @pytest.fixture(scope="module")
 def beside():
     """Attractors and orbits of one scene beside a sweep."""
     changes = [f"sweep.{key}=5" for key in ("count", "settle", "keep")] + ["attractors.starts=50"]
-    return compute.run_studies(unbranched(*changes, "orbits={max_period=1, starts=20, at={amplitude=4.65}}"))
+    return scene_file_studies.run_studies(unbranched(*changes, "orbits={max_period=1, starts=20, at={amplitude=4.65}}"))
 
 
 def test_orbits_among_the_attractors_are_left_to_them(beside):
@@ -92,35 +92,39 @@ def test_a_diagram_gets_both_and_portraits_are_nine_at_most(beside, monkeypatch)
     monkeypatch.setattr(plot, "mark", lambda some, value, variable, ax, units: marked.append((len(some), value)))
     monkeypatch.setattr(plot, "mark_orbits", lambda some, value, variable, ax, units: marked.append((len(some), value)))
     monkeypatch.setattr(plot, "orbit", lambda one, ax, units: drawn.append(one.label))
-    figures.main_picture(beside)
+    result_pictures.draw_main_picture(beside)
     assert marked == 2 * [(4, 4.65), (3, 4.65)] and drawn == []
     file = msgspec.structs.replace(beside.file, sweep=None, attractors=None)
-    figures.main_picture(replace(beside, file=file, swept=None, attractors=None, orbits=beside.orbits + beside.orbits))
+    result_pictures.draw_main_picture(
+        replace(beside, file=file, swept=None, attractors=None, orbits=beside.orbits + beside.orbits)
+    )
     assert drawn == 3 * ["P111"] + 2 * ["P112"] + 2 * ["P121"] + 2 * ["P111"]
 
 
 def test_a_state_at_another_phase_is_told_with_it(beside):
     state = jv.State(0.2, -0.4, 1.8, 0.0)
-    table = report.results_table(
+    table = results_report.format_results_table(
         replace(beside, orbits=(beside.orbits[0], replace(beside.orbits[3], state=state))), "name"
     )
     assert "x and v at the phase (rad) given" in table
     assert " 0.200000000000 -0.400000000000 1.800000000000 RLR " in " ".join(table.split())
-    assert "x and v at phase 0;" in report.results_table(beside, "name")
+    assert "x and v at phase 0;" in results_report.format_results_table(beside, "name")
 
 
 def test_orbits_with_another_parameter_than_the_sweep_s_stay_out_of_the_diagram():
     file = unbranched("orbits={at={damping=0.1}}")
-    found = compute.StudyResults(file, file.scene.make(), None, (), ())
+    found = scene_file_studies.StudyResults(file, file.scene.make(), None, (), ())
     assert found.diagram_value(file.orbits) is None and found.diagram_value(file.attractors) == 4.65
     assert (found.scene_of_table(file.orbits).damping, found.scene_of_table(file.attractors).amplitude) == (0.1, 4.65)
 
 
 def test_a_scene_without_such_orbits_says_so():
     file = unbranched("orbits={}")
-    found = compute.StudyResults(
+    found = scene_file_studies.StudyResults(
         msgspec.structs.replace(file, sweep=None, attractors=None), file.scene.make(), None, None, ()
     )
-    assert "200 starts (seed 0): none found" in report.results_table(found, "name")
-    assert report.summary(found, {})["orbits"] == [] and figures.main_picture(found).startswith(b"\x89PNG")
-    assert results_dataset.results_dataset(found).sizes == {}
+    assert "200 starts (seed 0): none found" in results_report.format_results_table(found, "name")
+    assert results_report.summarise_results(found, {})["orbits"] == [] and result_pictures.draw_main_picture(
+        found
+    ).startswith(b"\x89PNG")
+    assert results_dataset.make_results_dataset(found).sizes == {}

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import jaxvibro as jv
-from jaxvibro.branches.scenario import _classify, grazing_return_of
-from jaxvibro.problem.contact_exponent import contact_exponent
+from jaxvibro.branches.scenario import _classify_outcome, grazing_return_of
+from jaxvibro.problem.contact_effect_exponent import contact_effect_exponent
 from jaxvibro.problem.square_root_map import SquareRootMap
 from tests.branch_proof import error
 from tests.scenario_proof import followed, matrix_in_digits
@@ -102,21 +102,21 @@ MATRICES = [
 def test_windows_are_those_of_the_map(matrix, n):
     """Its orbits with one impact in n returns and their multipliers, by M, C and E themselves."""
     near = SquareRootMap(2.0, matrix)
-    one, kick, across = near.window(n), np.array([0.0, -2.0]), np.array([1.0, 0.0])
+    one, kick, across = near.added_impact_window(n), np.array([0.0, -2.0]), np.array([1.0, 0.0])
     power = np.linalg.matrix_power(matrix, n)
-    for s in (0.01, 0.3, one.fold_root, one.doubling_root, one.grazing_root):
+    for s in (0.01, 0.3, one.fold_root, one.doubling_root, one.next_grazing_root):
         if not (np.isfinite(s) and s > 0):
             continue
         mu, y = one.depth(s), np.linalg.solve(np.eye(2) - power, power @ kick) * s
         assert across @ y + mu == pytest.approx(s * s, abs=1e-12)
         later = [across @ np.linalg.matrix_power(matrix, k) @ (y + kick * s) + mu for k in range(1, n)]
-        assert (max(later, default=-1.0) < 0) == (s < one.grazing_root) or s == one.grazing_root
+        assert (max(later, default=-1.0) < 0) == (s < one.next_grazing_root) or s == one.next_grazing_root
         roots = np.linalg.eigvals(power @ (np.eye(2) + np.outer(kick, across) / (2 * s)))
-        if s == one.grazing_root:
+        if s == one.next_grazing_root:
             assert max(later) == pytest.approx(0.0, abs=1e-12)
         elif s in (one.fold_root, one.doubling_root):
             assert min(abs(roots - (1.0 if s == one.fold_root else -1.0))) < 1e-9
-        elif s < one.grazing_root:
+        elif s < one.next_grazing_root:
             assert (abs(roots).max() < 1.0) == (
                 s > (one.min_stable_root if np.isfinite(one.min_stable_root) else np.inf)
             )
@@ -141,8 +141,8 @@ def triangular(first, other, corner=1.0):
     ],
 )
 def test_what_signs_decide(near, follows, deeper):
-    assert _classify(near, True) == (follows, deeper)
-    assert _classify(near, False)[0] is (FOLLOWS.UNSTABLE if follows is FOLLOWS.UNSTABLE else FOLLOWS.OPEN)
+    assert _classify_outcome(near, True) == (follows, deeper)
+    assert _classify_outcome(near, False)[0] is (FOLLOWS.UNSTABLE if follows is FOLLOWS.UNSTABLE else FOLLOWS.OPEN)
 
 
 @pytest.mark.parametrize("angle", [0.3, 1.0, 2.0, 3.0])
@@ -220,13 +220,13 @@ def test_powers_of_soft_walls():
         return jv.Wall(1.0, law=jv.Push(function, numbers))
 
     soft = jv.make_scene(1.0, 2.0, 0.1, 0.7, (None, jv.Wall(1.0, stiffness=9.0))).right
-    assert contact_exponent(soft) == 1.5
-    assert contact_exponent(law(lambda d, r, p: p["k"] * d**1.5, k=5.0)) == 2.0
-    assert contact_exponent(law(lambda d, r, p: p["k"] * d**1.5 * (1 + 0.2 * r), k=5.0)) == 2.0
-    assert contact_exponent(law(lambda d, r, p: p["k"] * d + 0.3 * r, k=5.0)) == 1.5
-    assert contact_exponent(law(lambda d, r, p: p["k"] * d**2 + 0.3 * r, k=5.0)) == 1.5
-    assert contact_exponent(law(lambda d, r, p: p["k"] * d**2, k=5.0)) == 2.5
-    assert np.isnan(contact_exponent(law(lambda d, r, p: p["k"] * np.exp(-1 / d), k=5.0)))
+    assert contact_effect_exponent(soft) == 1.5
+    assert contact_effect_exponent(law(lambda d, r, p: p["k"] * d**1.5, k=5.0)) == 2.0
+    assert contact_effect_exponent(law(lambda d, r, p: p["k"] * d**1.5 * (1 + 0.2 * r), k=5.0)) == 2.0
+    assert contact_effect_exponent(law(lambda d, r, p: p["k"] * d + 0.3 * r, k=5.0)) == 1.5
+    assert contact_effect_exponent(law(lambda d, r, p: p["k"] * d**2 + 0.3 * r, k=5.0)) == 1.5
+    assert contact_effect_exponent(law(lambda d, r, p: p["k"] * d**2, k=5.0)) == 2.5
+    assert np.isnan(contact_effect_exponent(law(lambda d, r, p: p["k"] * np.exp(-1 / d), k=5.0)))
 
 
 @pytest.mark.long

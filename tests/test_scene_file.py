@@ -21,7 +21,7 @@ KEYS_OF_SCENE = "(amplitude, frequency, damping, restitution, left, right, force
 
 
 def test_fig4_says_what_the_figure_shows():
-    file = scene_file.read(FIG4)
+    file = scene_file.read_scene_file(FIG4)
     scene = jv.load_scene(FIG4)
     assert [float(scene.parameter(name)) for name in ("frequency", "damping", "restitution")] == [2.1, 0.05, 0.7]
     assert (scene.left.position, scene.right.position, scene.left.restitution) == (-1.0, 1.0, None)
@@ -38,7 +38,7 @@ def test_fig4_says_what_the_figure_shows():
 
 def test_reading_needs_no_double_precision_until_the_scene_is_made():
     with jax.enable_x64(False):
-        assert scene_file.read(FIG4).scene.amplitude == 4.65
+        assert scene_file.read_scene_file(FIG4).scene.amplitude == 4.65
         assert jv.load_scene(FIG4, dtype=jnp.float32).dtype == jnp.float32
         with pytest.raises(jv.SceneError, match="jax_enable_x64"):
             jv.load_scene(FIG4)
@@ -158,7 +158,7 @@ def test_an_empty_file_and_a_missing_one(tmp_path):
 
 
 def test_changes_go_in_before_the_check():
-    file = scene_file.read(
+    file = scene_file.read_scene_file(
         FIG4,
         [
             "scene.amplitude=3",
@@ -175,25 +175,25 @@ def test_changes_go_in_before_the_check():
 
 
 def test_orbits_have_defaults_and_values_of_their_own():
-    asked = scene_file.read(FIG4, ["orbits = {}"]).orbits
+    asked = scene_file.read_scene_file(FIG4, ["orbits = {}"]).orbits
     assert (asked.max_period, asked.starts, asked.seed, asked.at) == (4, 200, 0, {})
-    asked = scene_file.read(FIG4, ["orbits = {max_period=32, starts=7, seed=3, at={amplitude=3}}"]).orbits
+    asked = scene_file.read_scene_file(FIG4, ["orbits = {max_period=32, starts=7, seed=3, at={amplitude=3}}"]).orbits
     assert (asked.max_period, asked.starts, asked.seed, asked.at) == (32, 7, 3, {"amplitude": 3.0})
 
 
 def test_a_start_is_held_against_the_walls_at_phase_0_of_the_first_value():
     change = ["scene.right.motion.amplitude=0.5", "sweep.parameter='right.position'", "sweep.legs.0.to=2.0"]
     legs = ["sweep.legs.0.start.x=6.4", "sweep.legs.1.from=3.0", "sweep.legs.1.start.x=3.5"]
-    assert scene_file.read(FIG4, change + legs).sweep.legs[1].start.x == 3.5
+    assert scene_file.read_scene_file(FIG4, change + legs).sweep.legs[1].start.x == 3.5
     with pytest.raises(jv.SceneError, match=r"sweep\.legs\[1\]\.start\.x: .* at -1\.0 and 3\.5; got 3\.6"):
-        scene_file.read(FIG4, [*change, *legs, "sweep.legs.1.start.x=3.6"])
+        scene_file.read_scene_file(FIG4, [*change, *legs, "sweep.legs.1.start.x=3.6"])
 
 
 def test_a_whole_file_survives_writing(tmp_path):
     changes = ["scene.right.restitution=0.6", "attractors.at.'right.restitution'=0.5", "orbits.max_period=2"]
-    file = scene_file.read(FIG4, changes)
-    scene_file.dump(file, tmp_path / "copy.toml")
-    assert scene_file.read(tmp_path / "copy.toml") == file
+    file = scene_file.read_scene_file(FIG4, changes)
+    scene_file.write_scene_file(file, tmp_path / "copy.toml")
+    assert scene_file.read_scene_file(tmp_path / "copy.toml") == file
 
 
 def test_nothing_is_overwritten_or_left_half_written(tmp_path):
@@ -244,4 +244,4 @@ def test_a_scene_survives_writing_bit_for_bit(scene, tmp_path_factory):
     path = tmp_path_factory.mktemp("scenes") / "scene.toml"
     jv.save_scene(scene, path)
     assert bits(jv.load_scene(path)) == bits(scene)
-    assert scene_table.make_scene_table(scene) == scene_file.read(path).scene
+    assert scene_table.make_scene_table(scene) == scene_file.read_scene_file(path).scene

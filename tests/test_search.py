@@ -6,10 +6,10 @@ import pytest
 
 import jaxvibro as jv
 from jaxvibro.branches.follow import polish_orbit
-from jaxvibro.design.bifurcation_tests import FLIP, FOLD, ZERO_SPEED, differentiate_tests
-from jaxvibro.design.margin import impact_sequence_of
-from jaxvibro.design.point_equations import complete_scene, parameter_mask
-from jaxvibro.problem.diagnostics import diagnose
+from jaxvibro.design.bifurcation_gradients import FLIP, FOLD, ZERO_SPEED, evaluate_test_gradients
+from jaxvibro.design.parameter_rays import impact_sequence_of
+from jaxvibro.design.special_point_equations import complete_scene, parameter_mask
+from jaxvibro.problem.orbit_diagnostics import diagnose
 
 FREE = {"amplitude": 0.5, "frequency": 0.2}
 
@@ -60,7 +60,7 @@ def test_aims_are_differences_of_orbits_found_again():
     rows = np.stack([np.asarray(leaf) for leaf in jax.tree.leaves(numbers)])
     given = jax.tree.map(lambda leaf: np.asarray(leaf)[None], impact_sequence_of(orbit))
     tests, slopes = (
-        np.asarray(each)[0] for each in differentiate_tests(jax.tree.structure(numbers), given, rows[None], units)
+        np.asarray(each)[0] for each in evaluate_test_gradients(jax.tree.structure(numbers), given, rows[None], units)
     )
 
     def seen(scene):

@@ -8,9 +8,9 @@ import pytest
 
 import jaxvibro as jv
 from continuation import augmented_systems
-from jaxvibro.loci.locus_start import locus_problems, make_locus_start
-from jaxvibro.loci.point_continuation import parameter_gradient, prepare_point
-from jaxvibro.problem.equations import continuation_problem
+from jaxvibro.loci.locus_start import make_locus_start, problems_at_locus_start
+from jaxvibro.loci.point_continuation import make_continued_point, value_gradient
+from jaxvibro.problem.orbit_equations import continuation_problem
 
 
 def begun(kind):
@@ -69,7 +69,7 @@ def test_several_that_are_one_keep_an_sb(points):
 def test_a_fold_that_is_held_moves_as_its_sensitivity_says():
     orbit, names = begun("PD"), ("damping", "frequency")
     (point,) = jv.follow(orbit, "amplitude", (0.0, 6.0), "backward", stop="SN").points("SN")
-    assert parameter_gradient(prepare_point(point, names)) == pytest.approx(
+    assert value_gradient(make_continued_point(point, names)) == pytest.approx(
         jv.sensitivity(point, names).values, rel=1e-8
     )
 
@@ -77,10 +77,10 @@ def test_a_fold_that_is_held_moves_as_its_sensitivity_says():
 @pytest.mark.parametrize("kind", ["PD", "SB"])
 def test_the_equations_of_a_locus_are_zero_at_the_point(points, kind):
     """A change comes back as its opposite, after the whole or half of the orbit."""
-    ((curve, z),) = locus_problems(make_locus_start(points[kind]), ("amplitude", "damping"))
-    assert abs(np.asarray(augmented_systems.evaluate(continuation_problem(curve), z, curve)[0])).max() < 1e-9
+    ((curve, z),) = problems_at_locus_start(make_locus_start(points[kind]), ("amplitude", "damping"))
+    assert abs(np.asarray(augmented_systems.evaluate_problem(continuation_problem(curve), z, curve)[0])).max() < 1e-9
     turned = curve._replace(multiplier=-curve.multiplier)
-    assert abs(np.asarray(augmented_systems.evaluate(continuation_problem(turned), z, turned)[0][-1])) > 1e-3
+    assert abs(np.asarray(augmented_systems.evaluate_problem(continuation_problem(turned), z, turned)[0][-1])) > 1e-3
 
 
 @pytest.mark.parametrize("names", [(), ("amplitude",), ("damping", "damping"), ("size",)])

@@ -1,10 +1,11 @@
 """The verification scripts run: a small case of a third of them in each run."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
-from . import smoke
+from . import conftest, smoke
 
 NAMES = sorted(smoke.SCRIPTS)
 
@@ -24,3 +25,13 @@ def test_a_small_case_of_a_verification_script_runs(name, tmp_path):
 
 def test_a_script_that_fails_is_reported():
     assert "no_such_kind" in smoke.script_error("soft_studies", ["no_such_kind"])
+
+
+def test_a_test_that_is_stopped_has_passed():
+    def run():
+        raise smoke.OutOfTime
+
+    item, call = SimpleNamespace(stash={}), pytest.CallInfo.from_call(run, "call")
+    report = conftest.pytest_runtest_makereport(item, call)
+    next(report)
+    assert call.excinfo is None and item.stash[smoke.STOPPED]

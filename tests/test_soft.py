@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 import jaxvibro as jv
-from jaxvibro.flight.coefficients import compute_coefficients
-from jaxvibro.maps.contact_duration import contact_time_of
+from jaxvibro.flight.flight_coefficients import make_flow_coefficients
+from jaxvibro.maps.contact_duration import contact_duration_of
 from jaxvibro.orbits.impact_equations import ImpactSequence
-from jaxvibro.problem import soft_grazing
-from jaxvibro.problem.equations import OrbitEquations
+from jaxvibro.problem import soft_wall_grazing
+from jaxvibro.problem.orbit_equations import OrbitEquations
 from jaxvibro.scene.codes import Contact
 from tests import soft_proof
 
@@ -68,15 +68,15 @@ def test_a_short_stay_has_its_own_digits():
     scene = jv.make_scene(0.0, 0.05, 0.0, 0.7, (None, jv.Wall(0.0, stiffness=1e10 - 1.0, damping=0.0)))
     none, one = jnp.zeros(1), jnp.ones(1)
     given = (
-        compute_coefficients(scene),
+        make_flow_coefficients(scene),
         Contact.ENTERED * one,
         none,
         one,
         one,
         none,
-        8.0 * compute_coefficients(scene).period * one,
+        8.0 * make_flow_coefficients(scene).period * one,
     )
-    assert float(jax.jit(contact_time_of)(*given)[0]) == pytest.approx(np.pi / 1e5, rel=1e-15, abs=0.0)
+    assert float(jax.jit(contact_duration_of)(*given)[0]) == pytest.approx(np.pi / 1e5, rel=1e-15, abs=0.0)
 
 
 @pytest.mark.long
@@ -217,7 +217,7 @@ def test_where_a_contact_loses_its_speed_is_known():
     cycle = ImpactSequence(np.zeros(3), np.zeros(3), np.array([-1.0, 1.0, 0.0]), np.zeros(()), np.ones(()))
     along = OrbitEquations(scene, scene, cycle)
     zs = np.array([[0.1, 0.2, 0.0, left, right, 0.0, 2.0] for left, right in ((3, 1), (1, -1), (-1, -1), (-2, -1))])
-    assert soft_grazing.is_past_zero_speed(along, zs).tolist() == [False, False, True, False]
+    assert soft_wall_grazing.has_passed_zero_speed(along, zs).tolist() == [False, False, True, False]
 
 
 @pytest.mark.long

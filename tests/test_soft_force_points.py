@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import jaxvibro as jv
-from jaxvibro.flight.coefficients import flow_coefficients
+from jaxvibro.flight.flight_coefficients import flow_coefficients
 from jaxvibro.orbits import force_law_contact_map
 from tests.reference import soft_force_points as reference
 from tests.test_soft_force import spring

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 import jaxvibro as jv
-from jaxvibro.loci.point_continuation import continue_point, prepare_point
-from jaxvibro.reproduction import fitting
+from jaxvibro.loci.point_continuation import continue_to_values, make_continued_point
+from jaxvibro.reproduction import special_point_fitting
 from jaxvibro.scene.scene import harden_wall
 from tests.reference import compliant
 
@@ -98,7 +98,7 @@ def test_a_fold_moves_with_the_hardness_as_differences_of_the_reference_say(bran
     slope, by_amplitude = jv.sensitivity(point, ("hardness", "amplitude")).values
     assert slope == pytest.approx((by_hardness(step) - by_hardness(-step)) / (2 * step), rel=1e-7)
     assert by_amplitude == pytest.approx(float(jv.sensitivity(point, NAMES)[0]), rel=1e-11)
-    harder, share = continue_point(prepare_point(point, ("hardness",)), [1.05])
+    harder, share = continue_to_values(make_continued_point(point, ("hardness",)), [1.05])
     assert share == 1.0 and harder.value == pytest.approx(by_hardness(0.05), abs=1e-12)
     with pytest.raises(jv.ArgumentError, match=r"^names: must not contain the hardness together"):
         jv.sensitivity(point, ("hardness", "left.stiffness"))
@@ -122,20 +122,24 @@ def test_a_grazing_moves_as_the_closed_form(free):
     by_damping = compliant.grazing(A, GAMMA + step) - compliant.grazing(A, GAMMA - step)
     expected = [float(one) / (2 * step) for one in (by_amplitude, by_damping)] + [0.0]
     assert jv.sensitivity(graze, NAMES).values == pytest.approx(expected, abs=1e-8)
-    point, share = continue_point(prepare_point(graze, NAMES), [0.4, 0.05, 0.1])
+    point, share = continue_to_values(make_continued_point(graze, NAMES), [0.4, 0.05, 0.1])
     assert share == 1.0 and point.value == pytest.approx(float(compliant.grazing(0.4, 0.05)), abs=1e-13)
 
 
 @pytest.mark.slow
 def test_figure_10_fitted_is_the_reference_to_ten_digits(branches, free):
     folds, (graze,) = [fold(one) for one in branches.values()], free.points("GR")
-    both = fitting.fit_values([prepare_point(one, ("damping",)) for one in folds], [1.48, 1.74], [0.05], 0.0, 0.5)
+    both = special_point_fitting.fit_parameters(
+        [make_continued_point(one, ("damping",)) for one in folds], [1.48, 1.74], [0.05], 0.0, 0.5
+    )
     assert both.converged and both.values[0] == pytest.approx(0.0761074934, abs=1e-9)
     assert abs(both.jacobian.T @ both.misfits).max() < 1e-12
     for k2, one in zip(NEAR, both.points, strict=True):
         assert one.value == pytest.approx(exact_fold(k2, A, both.values[0], GAMMA2), abs=1e-10)
-    points = [prepare_point(one, NAMES) for one in (*folds, graze)]
-    three = fitting.fit_values(points, [1.48, 1.74, 1.18], (0.45, 0.1, 0.2), (0.05, 0.0, 0.0), (2.0, 0.5, 1.0))
+    points = [make_continued_point(one, NAMES) for one in (*folds, graze)]
+    three = special_point_fitting.fit_parameters(
+        points, [1.48, 1.74, 1.18], (0.45, 0.1, 0.2), (0.05, 0.0, 0.0), (2.0, 0.5, 1.0)
+    )
     assert three.converged and abs(three.misfits).max() < 1e-13
     amplitude, gamma, gamma2 = three.values
     for k2, one in zip(NEAR, three.points, strict=False):

@@ -8,9 +8,9 @@ import pytest
 from scipy.linalg import expm
 
 import jaxvibro as jv
-from jaxvibro.branches.explore import _resumed_state, make_exploration_task
-from jaxvibro.flight.coefficients import compute_coefficients
-from jaxvibro.scene.parameters import mark_parameters
+from jaxvibro.branches.explore import _resumed_exploration, make_exploration_request
+from jaxvibro.flight.flight_coefficients import make_flow_coefficients
+from jaxvibro.scene.scene_parameters import mark_parameters
 
 RIGID_SN = 0.508057896812
 HARDNESSES = np.linspace(5.0, 8.0, 4)
@@ -109,13 +109,13 @@ def test_hardness_moves_all_soft_walls_and_holds_what_they_give_back():
 def test_a_diagram_along_the_hardness_goes_on_from_any_of_its_values():
     soft = jv.soften(rigid(), 1e3)
     given = "hardness", (2.0, 4.0), 2, 0, None, 0.1
-    first = make_exploration_task(soft, *given)
+    first = make_exploration_request(soft, *given)
     part = jv.Diagram("hardness", first.bounds, first.scene, (), (), False, "", first.settings)
-    assert _resumed_state(part, make_exploration_task(soft.replace(hardness=3.7), *given)) == ((), ())
+    assert _resumed_exploration(part, make_exploration_request(soft.replace(hardness=3.7), *given)) == ((), ())
     changes = {"damping": 0.06}, {"left.damping": 1.0}, {"right.position": 1.1}
     for other in (*(soft.replace(**each) for each in changes), jv.soften(rigid(restitution=0.6), 1e3)):
         with pytest.raises(jv.ArgumentError, match=r"^resume: must have the same scene"):
-            _resumed_state(part, make_exploration_task(other, *given))
+            _resumed_exploration(part, make_exploration_request(other, *given))
 
 
 def test_a_branch_sees_the_walls_that_replace_gives():
@@ -125,8 +125,8 @@ def test_a_branch_sees_the_walls_that_replace_gives():
     values = {1: 6.0, 2: 0.1}
     there = jax.tree.map(lambda leaf, mark: values.get(int(mark), leaf), flat, which)
     found, meant = (
-        compute_coefficients(there).walls,
-        compute_coefficients(scene.replace(damping=0.1, hardness=6.0)).walls,
+        make_flow_coefficients(there).walls,
+        make_flow_coefficients(scene.replace(damping=0.1, hardness=6.0)).walls,
     )
     for one, other in zip(found, meant, strict=True):
         assert float(one.stiffness) == pytest.approx(float(other.stiffness), rel=1e-14)

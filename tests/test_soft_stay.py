@@ -10,14 +10,14 @@ import pytest
 
 import jaxvibro as jv
 from continuation.numpy_evaluation import NumpyEvaluator
-from jaxvibro.compiled.kernels import call_as_kernel
+from jaxvibro.compiled.kernel_calls import call_as_kernel
 from jaxvibro.flight import flow
-from jaxvibro.flight.coefficients import compute_coefficients
+from jaxvibro.flight.flight_coefficients import make_flow_coefficients
 from jaxvibro.flight.linear_flow import acceleration_and_jerk
 from jaxvibro.flight.soft_wall_exit import first_exit_time
 from jaxvibro.flight.wall_motion import select_lists_by_side, wall_jet
 from jaxvibro.maps import contact_duration
-from jaxvibro.orbits import contact_phase, saltation
+from jaxvibro.orbits import contact_maps, contact_phase
 from jaxvibro.scene.codes import Contact
 
 WALLS = {
@@ -44,15 +44,15 @@ def entries(kind, seed=5):
 
 
 def returned(scene, side, cosine, sine, speed):
-    built = compute_coefficients(scene)
+    built = make_flow_coefficients(scene)
     longest = contact_phase.MAX_PERIODS * built.period + 0.0 * speed
     return first_exit_time(built, side * Contact.ENTERED, side * speed, cosine, sine, longest)
 
 
 def certified(scene, side, cosine, sine, speed):
-    built = compute_coefficients(scene)
+    built = make_flow_coefficients(scene)
     longest = contact_phase.MAX_PERIODS * built.period + 0.0 * speed
-    return contact_duration.contact_time_of(
+    return contact_duration.contact_duration_of(
         built, side * Contact.ENTERED, 0.0 * speed, side * speed, cosine, sine, longest
     )
 
@@ -61,7 +61,7 @@ def moved(function, scene, side, cosine, sine, speed, near):
     """What a function of a stay gives, and how that changes with amplitude, frequency and speed at once."""
 
     def ends(amplitude, frequency, speed):
-        built = compute_coefficients(replace(scene, amplitude=amplitude, frequency=frequency))
+        built = make_flow_coefficients(replace(scene, amplitude=amplitude, frequency=frequency))
         return tuple(function(built, side, cosine, sine, speed, near))[:4]
 
     given = scene.amplitude, scene.frequency, jnp.asarray(speed)
@@ -74,7 +74,7 @@ def kept(built, side, cosine, sine, speed, near):
 
     def before(late, faster):
         end = contact_duration.solve_contact_end(
-            built, side, *flow.rotate_by_angle(cosine, sine, built.frequency * late), speed + faster, near, 2
+            built, side, *flow.rotate_phasor_by_angle(cosine, sine, built.frequency * late), speed + faster, near, 2
         )
         ways = [wall_jet(wall, built.frequency, end.cosine, end.sine, 1) for wall in built.walls]
         where, pace = (0.0 * speed if each is None else each for each in select_lists_by_side(side, built.walls, ways))
@@ -92,7 +92,7 @@ def kept(built, side, cosine, sine, speed, near):
 
 
 def met(built, side, cosine, sine, speed, near):
-    found = saltation.evaluate_contact_map(built, side, cosine, sine, speed)
+    found = contact_maps.evaluate_contact_map(built, side, cosine, sine, speed)
     return [found.state_by_time, found.state_by_speed]
 
 
@@ -138,7 +138,7 @@ def test_second_derivatives_of_a_stay_are_differences_of_the_first(kind):
 
     def along(s, near):
         """All of a stay, where amplitude, frequency and speed are s times greater by one."""
-        built = compute_coefficients(replace(scene, amplitude=scene.amplitude + s, frequency=scene.frequency + s))
+        built = make_flow_coefficients(replace(scene, amplitude=scene.amplitude + s, frequency=scene.frequency + s))
         found = contact_phase.solve_contact_phase(built, side, cosine, sine, speed * (1.0 + s), near)
         return jnp.stack([each for each in jax.tree.leaves(found) if jnp.shape(each)])
 

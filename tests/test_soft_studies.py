@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import jaxvibro as jv
-from jaxvibro.maps.inverse import require_reversible, strobe_backward
+from jaxvibro.maps.strobe_inverse import require_reversible, strobe_backward
 from jaxvibro.problem.end import End
 from tests.basins_proof import bisected, distance
 from tests.graze_within_proof import branch_of, drawn, held, within

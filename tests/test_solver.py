@@ -11,9 +11,9 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import jaxvibro as jv
-from jaxvibro.flight.series import RULES
+from jaxvibro.flight.power_series import RULES
 from jaxvibro.scene.codes import Status
-from jaxvibro.scene.force_trace import SERIES_OPS_SET
+from jaxvibro.scene.force_operations import SERIES_OPS_SET
 
 OMEGA, DAMPING, R = 2.1, 0.05, 0.7
 COUNT = 64

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import jaxvibro as jv
-from jaxvibro.attractors import tangent
+from jaxvibro.attractors import tangent_growth
 from jaxvibro.flight.wall_positions import wall_states
 from jaxvibro.maps.iterate import iterate
 from jaxvibro.scene.codes import Status
@@ -18,7 +18,7 @@ FIXED, MOVING, SOFT, SOFT_MOVING = (False, 0), (False, 1), (True, 0), (True, 1)
 SPENT = """
 import jax, jax.numpy as jnp
 from jax import lax
-from jaxvibro.compiled.kernels import call_as_kernel
+from jaxvibro.compiled.kernel_calls import call_as_kernel
 
 def carried(a, spent):
     turn = lambda carry: (carry[0] + 1, 2.0 * carry[1], carry[2])
@@ -50,7 +50,7 @@ def test_what_runs_lanes_on_keeps_the_status_of_those_that_are_given_up():
     scene, start, status = capped((FIXED, MOVING), 256, 1)
     free = jv.State(start.x, start.v, start.phase, np.zeros(256))
     run = iterate(scene, free, 2)
-    laps = tangent.run_tangents(scene, tangent.start_tangents(free), 2)[1]
+    laps = tangent_growth.run_tangents(scene, tangent_growth.start_tangents(free), 2)[1]
     swept = jv.sweep(scene, "damping", np.asarray(scene.damping)[None], free, settle=1, keep=1)
     for found, x in ((run.status, run.x), (laps.status, laps.x), (swept.status.values[0], swept.x.values[0].T)):
         assert (found[status >= Status.CAP] >= Status.CAP).all()

@@ -10,9 +10,9 @@ import pytest
 
 import jaxvibro as jv
 from jaxvibro.output import atomic_folder, file_lock
-from jaxvibro.output.atomic_folder import complete_folder, remove_abandoned
+from jaxvibro.output.atomic_folder import create_folder_atomically, remove_abandoned_folders
 from jaxvibro.output.file_lock import exclusive_lock, shared_lock
-from jaxvibro.stores.filling import complete_study
+from jaxvibro.stores.study_completion import complete_study
 from jaxvibro.stores.zarr_store import METADATA_FILE, OpenStore
 
 from .counted_study import Counted
@@ -30,9 +30,9 @@ def test_processes_that_create_one_store_at_once_share_it():
 
 def test_the_loser_of_a_race_leaves_the_winners_folder(tmp_path):
     path = tmp_path / "store"
-    with complete_folder(path) as slow:
+    with create_folder_atomically(path) as slow:
         slow.mkdir()
-        with complete_folder(path) as fast:
+        with create_folder_atomically(path) as fast:
             fast.mkdir()
             (fast / "winner").write_text("")
         assert slow != fast and slow.is_dir()
@@ -41,14 +41,14 @@ def test_the_loser_of_a_race_leaves_the_winners_folder(tmp_path):
 
 
 def test_the_loser_of_a_race_refuses_another_study(tmp_path, monkeypatch):
-    path, plain = tmp_path / "store", complete_folder
+    path, plain = tmp_path / "store", create_folder_atomically
 
     def later(place):
         monkeypatch.undo()
         complete_study(Counted(3), jv.Store(path), None)
         return plain(place)
 
-    monkeypatch.setattr("jaxvibro.stores.zarr_store.complete_folder", later)
+    monkeypatch.setattr("jaxvibro.stores.zarr_store.create_folder_atomically", later)
     with pytest.raises(jv.ArgumentError, match="must hold this study: scene differs"):
         complete_study(Counted(3, offset=0.25), jv.Store(path), None)
     complete_study(Counted(3), jv.Store(tmp_path / "other"), None)
@@ -57,7 +57,7 @@ def test_the_loser_of_a_race_refuses_another_study(tmp_path, monkeypatch):
 
 
 def test_an_error_leaves_nothing(tmp_path):
-    with pytest.raises(ArithmeticError), complete_folder(tmp_path / "store") as part:
+    with pytest.raises(ArithmeticError), create_folder_atomically(tmp_path / "store") as part:
         part.mkdir()
         raise ArithmeticError
     assert list(tmp_path.iterdir()) == []
@@ -66,7 +66,7 @@ def test_an_error_leaves_nothing(tmp_path):
 def test_a_folder_that_cannot_be_made_is_named(tmp_path):
     (tmp_path / "file").write_text("")
     for path in (tmp_path / "file" / "store", tmp_path / ("a" * 300)):
-        with pytest.raises(OSError, match=re.escape(str(path))), complete_folder(path):
+        with pytest.raises(OSError, match=re.escape(str(path))), create_folder_atomically(path):
             pass
 
 
@@ -81,12 +81,12 @@ def abandoned(folder, name):
 def test_folders_of_dead_processes_alone_are_removed(tmp_path):
     path = tmp_path / "a [b].zarr"
     dead, another = abandoned(tmp_path, path.name), abandoned(tmp_path, "c.zarr")
-    with complete_folder(path) as live:
+    with create_folder_atomically(path) as live:
         live.mkdir()
-        remove_abandoned(path)
+        remove_abandoned_folders(path)
         assert live.is_dir() and not dead.exists() and another.is_dir()
         assert sorted(one.suffix for one in tmp_path.glob(".a*")) == [".lock", ".partial"]
-    remove_abandoned(tmp_path / "missing" / "store")
+    remove_abandoned_folders(tmp_path / "missing" / "store")
 
 
 def test_opening_a_store_removes_what_a_killed_creator_left(tmp_path):
@@ -109,11 +109,11 @@ def test_a_name_taken_before_it_is_locked_is_given_up(tmp_path, monkeypatch):
         return plain(descriptor)
 
     monkeypatch.setattr(atomic_folder, "try_lock", slow)
-    with complete_folder(tmp_path / "store") as part:
+    with create_folder_atomically(tmp_path / "store") as part:
         part.mkdir()
         assert part.with_suffix(".lock").is_file() and part.with_suffix(".lock") not in removed
         monkeypatch.undo()
-        remove_abandoned(tmp_path / "store")
+        remove_abandoned_folders(tmp_path / "store")
         assert part.is_dir()
     assert list(tmp_path.iterdir()) == [tmp_path / "store"]
 
@@ -121,11 +121,11 @@ def test_a_name_taken_before_it_is_locked_is_given_up(tmp_path, monkeypatch):
 def test_without_locks_nothing_is_taken_for_abandoned(tmp_path, monkeypatch):
     monkeypatch.setattr(file_lock, "fcntl", None)
     path = tmp_path / "store"
-    with complete_folder(path) as part:
+    with create_folder_atomically(path) as part:
         part.mkdir()
         assert not part.with_suffix(".lock").exists()
         dead = abandoned(tmp_path, "store")
-        remove_abandoned(path)
+        remove_abandoned_folders(path)
         assert part.is_dir() and dead.is_dir()
     assert path.is_dir()
 

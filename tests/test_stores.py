@@ -21,9 +21,9 @@ from distributed import LocalCluster
 
 import jaxvibro as jv
 from jaxvibro.output.checksums import netcdf_bytes
-from jaxvibro.stores import filling, zarr_store
-from jaxvibro.stores.filling import complete_study
-from jaxvibro.stores.study import Grid, fingerprint_axis
+from jaxvibro.stores import study_completion, zarr_store
+from jaxvibro.stores.study_completion import complete_study
+from jaxvibro.stores.study_protocol import Grid, fingerprint_array
 
 from .counted_study import Counted, counts
 from .stored_bits import bits
@@ -34,7 +34,7 @@ def test_chunks_cover_a_grid_once():
     seen = np.zeros(grid.shape, int)
     for number in range(grid.n_chunks):
         seen[grid.chunk_slices(number)] += 1
-        assert seen[grid.chunk_slices(number)].size == grid.n_cells(number)
+        assert seen[grid.chunk_slices(number)].size == grid.n_chunk_cells(number)
     assert (seen == 1).all()
 
 
@@ -77,7 +77,7 @@ def test_what_is_done_is_not_done_again(tmp_path):
 KILLED = """
 import sys
 from tests.counted_study import Counted
-from jaxvibro.stores.filling import complete_study
+from jaxvibro.stores.study_completion import complete_study
 from jaxvibro import Store
 complete_study(Counted(30, 0.03, sys.argv[2]), Store(sys.argv[1]), None)
 """
@@ -147,9 +147,9 @@ def test_another_study_is_refused(tmp_path):
 
 
 def test_an_axis_is_told_in_plain_numbers():
-    assert fingerprint_axis(np.linspace(1.5, 4.0, 10)).startswith("10, 1.5 to 4.0, ")
-    assert fingerprint_axis(np.empty(0)).startswith("0, none")
-    assert fingerprint_axis(np.array([1, 2])) != fingerprint_axis(np.array([1.0, 2.0]))
+    assert fingerprint_array(np.linspace(1.5, 4.0, 10)).startswith("10, 1.5 to 4.0, ")
+    assert fingerprint_array(np.empty(0)).startswith("0, none")
+    assert fingerprint_array(np.array([1, 2])) != fingerprint_array(np.array([1.0, 2.0]))
 
 
 def test_other_versions_are_refused(tmp_path, monkeypatch):
@@ -183,7 +183,7 @@ def test_what_is_no_store_is_refused(tmp_path):
 
 def test_sizes_are_looked_at_before_anything_is_made(tmp_path, monkeypatch):
     with monkeypatch.context() as patch:
-        patch.setattr(filling, "MAX_BYTES", 700)
+        patch.setattr(study_completion, "MAX_BYTES", 700)
         with pytest.raises(jv.ArgumentError, match="store: must be given for results of more than"):
             complete_study(Counted(9), None, None)  # of 9 times 4 times 20 bytes
     monkeypatch.setattr(shutil, "disk_usage", lambda path: SimpleNamespace(free=100))
@@ -195,7 +195,7 @@ def test_sizes_are_looked_at_before_anything_is_made(tmp_path, monkeypatch):
 
 def test_what_is_done_is_a_sample_of_the_whole():
     for chunks in (1, 2, 3, 6, 9, 100, 245, 1000):
-        order = filling.spread_chunks(chunks)
+        order = study_completion.spread_chunk_order(chunks)
         assert sorted(order) == list(range(chunks))
         for count in range(8, chunks, 7):
             quarters = np.bincount(np.array(order[:count]) * 4 // chunks, minlength=4)

@@ -9,7 +9,7 @@ import pytest
 
 import jaxvibro as jv
 from jaxvibro.flight.flow import fly
-from jaxvibro.maps import one_period
+from jaxvibro.maps import reference_strobe
 from jaxvibro.scene.codes import Contact, Status
 from tests.lanes import one_by_one
 from tests.proof import STRUCTURES, first_flights, strobe_errors
@@ -107,7 +107,7 @@ def test_a_speed_that_falls_nearly_to_zero_is_no_turning_point():
     """Of full steps: Halley's step is short where the pull is zero, though the speed is not."""
     scene = jv.make_scene(4.80168422825537, 2.1, 0.05, 0.7, WALLS)
     start = jv.State(-0.15317286635469873, 0.882185742781255)
-    run = jax.jit(partial(one_period.strobe, periods=1, slots=4, min_lanes=1, clearance=True))
+    run = jax.jit(partial(reference_strobe.reference_strobe, periods=1, slots=4, min_lanes=1, clearance=True))
     impacts = run(scene, jax.tree.map(jnp.asarray, start))[1]
     assert impacts.count == 2 and np.isinf(impacts.least_clearance)
     assert np.isinf(measured(scene, start)[1].least_clearance)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import jaxvibro as jv
-from jaxvibro.flight.wall_positions import clamp_to_walls, wall_states
+from jaxvibro.flight.wall_positions import adapt_to_moved_walls, wall_states
 from jaxvibro.scene.check import ArgumentError
 from jaxvibro.scene.codes import Status
 
@@ -114,7 +114,7 @@ def test_fit_at_moving_walls():
     assert abs(pace + 0.25 * 2 * 2.1 * np.sin(3.1)) < 1e-15
     given = jv.State(*(jnp.array(a) for a in ([2.0, 0.3, 0.2, 0.2, -1.0], [3.0, 3.0, 3.0, 3.0, 1.0])), 1.3)
     contact = jnp.array([0.0, 0.0, 2.0, 1.0, -1.0])
-    kept = clamp_to_walls(moving, jv.State(given.x, given.v, 1.3, contact))
+    kept = adapt_to_moved_walls(moving, jv.State(given.x, given.v, 1.3, contact))
     assert np.allclose(kept.x, [high, 0.3, high, high, -1.0], rtol=0, atol=0)
     assert np.allclose(kept.v, [3.0, 3.0, pace, 3.0, 1.0], rtol=0, atol=0)
     assert list(kept.contact) == [0.0, 0.0, 2.0, 0.0, -1.0]

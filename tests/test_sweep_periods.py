@@ -7,7 +7,7 @@ import pytest
 
 import jaxvibro as jv
 from jaxvibro.studies import sweep_report
-from jaxvibro.studies.sweep_periods import NOT_SETTLED, find_stretches, motion_periods
+from jaxvibro.studies.sweep_periods import NOT_SETTLED, find_motion_periods, find_sweep_stretches
 
 
 def swept(scene, values, settle, keep):
@@ -35,18 +35,18 @@ def test_chaos_and_transients_are_told_apart():
     and has after 400."""
     scene = jv.make_scene(6.0, 2.1, 0.05, 0.7, (-1.0, 1.0))
     data = swept(scene, [2.0, 5.6, 6.0], 300, 40)
-    assert motion_periods(data, scene, 300).ravel().tolist() == [1, 2, 0]
+    assert find_motion_periods(data, scene, 300).ravel().tolist() == [1, 2, 0]
     last = data.isel(step=-1, leg=0, period=-1)
     assert growth(scene, jv.State(float(last["x"]), float(last["v"]))) > 0.1
     linear = jv.make_scene(0.2, 1.3, 0.015, 0.7, (-1.0, 1.0))
-    assert motion_periods(swept(linear, [0.2, 0.25], 100, 20), linear, 100).ravel().tolist() == [NOT_SETTLED] * 2
-    assert motion_periods(swept(linear, [0.2, 0.25], 400, 20), linear, 400).ravel().tolist() == [1, 1]
+    assert find_motion_periods(swept(linear, [0.2, 0.25], 100, 20), linear, 100).ravel().tolist() == [NOT_SETTLED] * 2
+    assert find_motion_periods(swept(linear, [0.2, 0.25], 400, 20), linear, 400).ravel().tolist() == [1, 1]
 
 
 def test_the_words_of_a_table():
     scene = jv.make_scene(0.2, 1.3, 0.015, 0.7, (-1.0, 1.0))
     data = swept(scene, [0.2, 0.25], 10, 6)
-    (one,) = find_stretches(data, scene, 10)  # too few periods were left out to tell
+    (one,) = find_sweep_stretches(data, scene, 10)  # too few periods were left out to tell
     assert one.periods == 0 and one.motion == "not settled" and one.count == 2
     asked = SimpleNamespace(parameter="amplitude", count=2, settle=10, keep=6)
     found = SimpleNamespace(file=SimpleNamespace(sweep=asked), scene=scene, swept=data, stretches=[one])

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import jaxvibro as jv
-from jaxvibro.compiled.kernels import BLOCK_WIDTH
+from jaxvibro.compiled.kernel_calls import BLOCK_WIDTH
 from jaxvibro.flight.wall_positions import wall_states
-from jaxvibro.maps import iterate, two_tiers
+from jaxvibro.maps import iterate, two_tier_strobe
 from tests.lanes import at
 from tests.status_proof import RIGID, draw
 from tests.tiers_proof import bits, chatter, compared, full, grazing, lean, measured, same, usual
@@ -55,7 +55,8 @@ def test_no_bit_depends_on_the_batch(kind):
 
 @pytest.mark.long
 @pytest.mark.parametrize(
-    "count", [two_tiers.BLOCKS_PER_STRIP * BLOCK_WIDTH + 1, 2 * two_tiers.BLOCKS_PER_STRIP * BLOCK_WIDTH - 30]
+    "count",
+    [two_tier_strobe.BLOCKS_PER_STRIP * BLOCK_WIDTH + 1, 2 * two_tier_strobe.BLOCKS_PER_STRIP * BLOCK_WIDTH - 30],
 )
 def test_lanes_in_strips_are_those_in_blocks(count):
     scene, start = usual(np.random.default_rng(9), count, RIGID[4])
@@ -87,11 +88,11 @@ def test_turning_points_are_those_of_a_motion_sampled_densely():
 
 def test_the_tier_of_a_scene():
     scene = jv.make_scene(2.0, 2.1, 0.05, 0.7, (-1.0, 1.0))
-    assert two_tiers.has_fast_path(scene)
+    assert two_tier_strobe.has_fast_path(scene)
     single = jax.tree.map(jnp.float32, scene)
-    assert not two_tiers.has_fast_path(single)
-    assert not two_tiers.has_fast_path(jv.make_scene(2.0, 2.1, 0.05, 0.7, (None, None)))
-    assert not two_tiers.has_fast_path(jv.make_scene(2.0, 2.1, 0.05, 0.7, (-1.0, jv.Wall(1.0, stiffness=50.0))))
+    assert not two_tier_strobe.has_fast_path(single)
+    assert not two_tier_strobe.has_fast_path(jv.make_scene(2.0, 2.1, 0.05, 0.7, (None, None)))
+    assert not two_tier_strobe.has_fast_path(jv.make_scene(2.0, 2.1, 0.05, 0.7, (-1.0, jv.Wall(1.0, stiffness=50.0))))
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ import pytest
 
 import continuation as co
 from continuation import arclength
-from continuation.driver import End
+from continuation.continuation_loop import End
 from tests.reference import maps
 
 MIX = np.array([[1.0, 0.3, -0.2], [0.5, 1.0, 0.4], [-0.1, 0.6, 1.0]])

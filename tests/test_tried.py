@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import jaxvibro as jv
-from jaxvibro.attractors import derived_candidates
-from jaxvibro.attractors.shares import share_bounds, share_text
+from jaxvibro.attractors import derived_attractors
+from jaxvibro.attractors.basin_fraction_bounds import compute_share_bounds, format_share
 from jaxvibro.maps import itinerary
 from jaxvibro.scene.scene import replace_unchecked
 
@@ -58,22 +58,22 @@ def drawn(kind, seed):
 def test_a_free_response_that_keeps_off_the_walls_is_known(kind):
     for seed in range(8):
         scene, keeps = drawn(kind, seed)
-        found = derived_candidates.free_response(scene, [])
+        found = derived_attractors.derive_free_response(scene, [])
         assert len(found) == keeps
         for one in found:
-            numbers, (w, c) = one.fields, (float(scene.frequency), float(scene.damping))
+            numbers, (w, c) = one.attractor_fields, (float(scene.frequency), float(scene.damping))
             slope = np.gradient(response(scene), ANGLES) * w
             assert abs(numbers["state"].x - response(scene)[0]) < 1e-12 * (1 + abs(response(scene)).max())
             assert abs(numbers["state"].v - slope[0]) < 1e-3 * (1 + abs(slope).max())
             slowest = c - np.sqrt(max(0.0, c * c - 1.0))
             assert abs(numbers["exponent"] + slowest * 2 * np.pi / w) < 1e-6
-            assert derived_candidates.free_response(scene, found) == []
+            assert derived_attractors.derive_free_response(scene, found) == []
 
 
 @pytest.mark.parametrize("frequency", [2.1, 1.0, 0.5])
 def test_without_damping_it_does_not_attract(frequency):
     scene = jv.make_scene(1.0, frequency, 0.0, 0.7, (-1e4, 1e4))
-    assert derived_candidates.free_response(scene, []) == []
+    assert derived_attractors.derive_free_response(scene, []) == []
 
 
 def test_stable_p100_is_listed_whatever_the_starts_say():
@@ -81,7 +81,7 @@ def test_stable_p100_is_listed_whatever_the_starts_say():
     scene = jv.make_scene(3.0, 2.1, 0.05, 0.7, (-1.0, 1.0))
     found = jv.find_attractors(scene, starts=64)
     one = next(one for one in found if one.label == "P100")
-    assert one.share == 0.0 and one.share_bounds == share_bounds(0, 64) and one.mirror_of == found.index(one)
+    assert one.share == 0.0 and one.share_bounds == compute_share_bounds(0, 64) and one.mirror_of == found.index(one)
     assert one.orbit.stable and "no start settled on it" in one.note
     assert abs(sum(each.share for each in found) - 1.0) < 1e-12
     end, _ = jv.strobe(scene, one.state)
@@ -108,14 +108,14 @@ def test_bounds_are_where_the_binomial_tails_are_small(count, starts):
     def at_least(k, p):
         return sum(comb(starts, i) * p**i * (1 - p) ** (starts - i) for i in range(k, starts + 1))
 
-    low, high = share_bounds(count, starts)
+    low, high = compute_share_bounds(count, starts)
     assert abs(at_least(count, low) - 0.025) < 1e-12 and abs(1 - at_least(count + 1, high) - 0.025) < 1e-12
 
 
 def test_bounds_of_none_and_of_all():
-    assert share_bounds(0, 200) == (0.0, pytest.approx(1 - 0.05 ** (1 / 200), abs=1e-15))
-    assert share_bounds(200, 200) == (pytest.approx(0.05 ** (1 / 200), abs=1e-15), 1.0)
-    assert share_bounds(0, 1) == (0.0, pytest.approx(0.95, abs=1e-15))
+    assert compute_share_bounds(0, 200) == (0.0, pytest.approx(1 - 0.05 ** (1 / 200), abs=1e-15))
+    assert compute_share_bounds(200, 200) == (pytest.approx(0.05 ** (1 / 200), abs=1e-15), 1.0)
+    assert compute_share_bounds(0, 1) == (0.0, pytest.approx(0.95, abs=1e-15))
 
 
 def test_shares_are_told_with_their_bounds():
@@ -124,7 +124,7 @@ def test_shares_are_told_with_their_bounds():
 
     told = []
     for count in (0, 92, 200):
-        One.share, One.share_bounds = count / 200, share_bounds(count, 200)
-        told.append(share_text(One))
+        One.share, One.share_bounds = count / 200, compute_share_bounds(count, 200)
+        told.append(format_share(One))
     both = "46.0 % of starts (38.9 to 53.2 %)"
     assert told == ["0 of 200 starts: below 1.5 %", both, "200 of 200 starts: above 98.5 %"]

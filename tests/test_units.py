@@ -17,8 +17,8 @@ from jaxvibro import plot
 from jaxvibro.branches.branch import describe_extent
 from jaxvibro.output.units import to_physical
 from jaxvibro.plot.branch import find_covering_line
-from jaxvibro.problem import impact_loads, stability
-from jaxvibro.problem.end import End, parse_end, rescale_reason
+from jaxvibro.problem import impact_loads, stability_descriptions
+from jaxvibro.problem.end import End, parse_end, rescale_reason_text
 from jaxvibro.scene.scales import Scales
 
 RIG = {"mass": 0.5, "damping_ratio": 0.05, "stiffness": 3e4, "force": 30.0, "frequency_hz": 82.0, "restitution": 0.7}
@@ -163,8 +163,8 @@ def test_a_table_tells_stability_and_names_of_other_programs(followed):
 def test_why_a_branch_ends_is_told_in_another_unit():
     for end in End:
         reason = end.reason(2.0, "SN").text
-        assert parse_end(rescale_reason(reason, 3.0)) is end
-        assert ("6" in rescale_reason(reason, 3.0)) == ("2" in reason)
+        assert parse_end(rescale_reason_text(reason, 3.0)) is end
+        assert ("6" in rescale_reason_text(reason, 3.0)) == ("2" in reason)
 
 
 @pytest.mark.slow
@@ -197,22 +197,25 @@ def test_what_comes_to_rest_leaves_all_its_energy():
 def test_stability_in_words():
     pairs = np.array([[0.5, 0.2], [1.5, 0.1], [-1.5, 0.1], [-2.0, 3.0], [1.0, 0.3], [np.inf, np.inf], [0.6 + 0.6j] * 2])
     told = ["stable", "saddle", "flip saddle", "repelling", "neutral", "repelling", "stable"]
-    assert stability.stability_words(pairs).tolist() == told
+    assert stability_descriptions.stability_words(pairs).tolist() == told
 
 
 def test_a_table_s_stability_is_that_of_the_points():
     """Beside a special point it is that of the neighbours, at an end that of the end itself, also next to a PD."""
     pairs = np.array([[-0.9, -0.03], [-1.0, -0.02], [-1.1338, -0.0198]])
-    assert [stability.stability_around(pairs, k) for k in range(3)] == [
+    assert [stability_descriptions.stability_around(pairs, k) for k in range(3)] == [
         "stable",
         "stable to flip saddle",
         "flip saddle",
     ]
-    assert stability.stability_words(pairs[-1:]).tolist() == ["flip saddle"]
+    assert stability_descriptions.stability_words(pairs[-1:]).tolist() == ["flip saddle"]
     near = np.array([[0.9, 0.3], [1.0, 0.3], [1.0, 0.1], [0.8, 0.1]])  # two saddle-nodes, no point between them
-    assert [stability.stability_around(near, k) for k in (1, 2)] == ["stable to neutral", "neutral to stable"]
+    assert [stability_descriptions.stability_around(near, k) for k in (1, 2)] == [
+        "stable to neutral",
+        "neutral to stable",
+    ]
     apart = np.array([[-0.9, -0.3], [-1.0, -0.3], [1.0, 0.3], [1.2, 0.3]])  # a PD, then an SN: stable in between
-    assert [stability.stability_around(apart, k) for k in (1, 2)] == ["stable", "stable to saddle"]
+    assert [stability_descriptions.stability_around(apart, k) for k in (1, 2)] == ["stable", "stable to saddle"]
 
 
 def test_a_table_and_a_frame_agree_on_the_ends(followed):

@@ -11,8 +11,8 @@ import pytest
 
 import jaxvibro as jv
 from continuation import augmented_systems, numpy_evaluation, persistent_jit
-from jaxvibro.branches.follow import set_up_problem
-from jaxvibro.problem.equations import continuation_problem
+from jaxvibro.branches.follow import set_up_equations
+from jaxvibro.problem.orbit_equations import continuation_problem
 from jaxvibro.problem.orbit_point import OrbitPoint
 
 ROOT = Path(__file__).parents[1]
@@ -46,7 +46,7 @@ def placed():
     """(equations, z) of a motion without impacts."""
     scene = jv.make_scene(2.0, 2.1, 0.05, 0.7, (-1.0, 1.0))
     none = np.zeros(0)
-    return set_up_problem(scene, "amplitude", OrbitPoint(2.0, none, none, none, 1, 0.0, 0.0, 0.0))
+    return set_up_equations(scene, "amplitude", OrbitPoint(2.0, none, none, none, 1, 0.0, 0.0, 0.0))
 
 
 def test_the_text_is_read_and_the_module_made_only_where_it_is_compiled(placed, cache, monkeypatch):
@@ -57,7 +57,9 @@ def test_the_text_is_read_and_the_module_made_only_where_it_is_compiled(placed, 
     )
 
     def found():
-        anew = persistent_jit.persistent_jit(augmented_systems.evaluate.__wrapped__, static_argnums=0, numpy_first=True)
+        anew = persistent_jit.persistent_jit(
+            augmented_systems.evaluate_problem.__wrapped__, static_argnums=0, numpy_first=True
+        )
         return [np.asarray(each) for each in anew(continuation_problem(along), z, along)]
 
     def kept(kind):

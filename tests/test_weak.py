@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import jaxvibro as jv
-from jaxvibro.attractors import classify
+from jaxvibro.attractors import classify_attractors
 from jaxvibro.attractors.weak_chaos import assess_weak_chaos
 from tests.attractors_proof import drawn
 from tests.reference.lyapunov import Oscillator, exponents
@@ -31,19 +31,19 @@ def test_where_the_first_look_decides_nothing_the_estimator_does(monkeypatch):
     """Two chaotic attractors, mirror images, and two orbits: the same starts on each as with the first look."""
     given = scene(5.0, left=-1.0)
     found = jv.find_attractors(given, starts=32)
-    first = classify.largest_exponents
+    first = classify_attractors.largest_exponents
 
     def unsure(*numbers):
         rates, errors = first(*numbers)
         return rates, np.where(rates > 0, rates, errors)
 
-    monkeypatch.setattr(classify, "largest_exponents", unsure)
+    monkeypatch.setattr(classify_attractors, "largest_exponents", unsure)
     again = jv.find_attractors(given, starts=32)
     assert sorted(one.label for one in again) == ["P111", "P111", "chaotic", "chaotic"]
     assert sorted((one.label, one.share) for one in again) == sorted((one.label, one.share) for one in found)
     wild = [one for one in again if one.kind == "chaotic"]
     assert all("standard error of its exponent" in one.note and abs(one.exponent - 0.343) < 0.01 for one in wild)
-    monkeypatch.setattr(classify, "MAX_LONG_ESTIMATES", 0)
+    monkeypatch.setattr(classify_attractors, "MAX_LONG_ESTIMATES", 0)
     (*orbits, rest) = jv.find_attractors(given, starts=32)
     assert [one.kind for one in orbits] == ["periodic"] * 2 and "was not examined for long" in rest.note
 

@@ -15,9 +15,9 @@ import jax
 import numpy as np
 
 import jaxvibro as jv
-from jaxvibro.compiled.blocks import MIN_LANES
-from jaxvibro.compiled.compiler_hints import COMPILER_OPTIONS
-from jaxvibro.maps import one_period, two_tiers
+from jaxvibro.compiled.lane_arithmetic import COMPILER_OPTIONS
+from jaxvibro.compiled.lane_blocks import MIN_LANES
+from jaxvibro.maps import reference_strobe, two_tier_strobe
 from tests.lanes import at
 from tests.status_proof import RIGID, draw
 
@@ -42,17 +42,17 @@ class Compared(NamedTuple):
 
 @partial(jax.jit, compiler_options=COMPILER_OPTIONS)
 def lean(scene, start):
-    return two_tiers.fast_strobe(scene, start, SLOTS, MIN_LANES)
+    return two_tier_strobe.fast_strobe(scene, start, SLOTS, MIN_LANES)
 
 
 @partial(jax.jit, compiler_options=COMPILER_OPTIONS)
 def measured(scene, start):
-    return two_tiers.fast_strobe(scene, start, SLOTS, MIN_LANES, clearance=True)
+    return two_tier_strobe.fast_strobe(scene, start, SLOTS, MIN_LANES, clearance=True)
 
 
 @partial(jax.jit, compiler_options=COMPILER_OPTIONS)
 def full(scene, start):
-    return one_period.strobe(scene, start, 1, SLOTS, MIN_LANES, clearance=True)
+    return reference_strobe.reference_strobe(scene, start, 1, SLOTS, MIN_LANES, clearance=True)
 
 
 def compared(scene, start):

@@ -35,7 +35,7 @@ RECORDS = {
     "branches": (
         *("branches.branch.Special", "branches.branch.Segment", "branches.normal_form.NormalForm"),
         *("branches.user_monitors.MonitoredPoint", "problem.end.End"),
-        *("branches.curves.Curves", "branches.curves.Piece", "branches.curves.Marks"),
+        *("branches.branch_curves.Curves", "branches.branch_curves.Piece", "branches.branch_curves.Marks"),
     ),
     "loci": ("loci.locus.Codim2",),
     "studies": ("studies.run.Done", "studies.warm.Warmed"),

@@ -6,17 +6,17 @@ import numpy as np
 import xarray as xr
 from jaxtyping import ArrayLike, Float, Real
 
-from continuation.limits import limits_of
+from continuation.computation_limits import make_limits
 
 from ..maps.initial_conditions import initial_box
 from ..output.units import LENGTH, SPEED, scales_attributes
 from ..scene import check
 from ..scene.scene import Scene
-from ..stores.filling import Store, complete_study
+from ..stores.study_completion import Store, complete_study
+from .basin_boundaries import BOX_SIZE, basin_entropies, boundary_dimension
 from .basin_labels import OUTSIDE, build_neighbourhoods
 from .basins_study import BasinsStudy
 from .find import Attractor, find_attractors
-from .fractal import BOX_SIZE, basin_entropies, boundary_dimension
 
 STARTS_PER_CHUNK = 1 << 16  # initial states of a chunk
 MAX_PERIODS = 2000  # drive periods after which a state is unresolved
@@ -69,8 +69,8 @@ def basins(
         attractor was recognised. Along ``attractor``: ``name`` (P n p q, ``"chaotic"``, ...), ``kind``, ``mirror_of``
         (index of the mirror image, -1 for none), ``point_x`` and ``point_v`` (points on the section at the phase,
         padded with nan), ``fraction`` (of the initial states that are not beyond a rigid wall), and ``fraction_error``
-        (spread between the four subgrids of every other row and column, plus the unresolved fraction). Along ``side``,
-        the side of a box in cells: ``mixed``, the fraction of boxes with more than one label. Attributes: the
+        (standard deviation over the four subgrids of every other row and column, plus the unresolved fraction). Along
+        ``side``, the side of a box in cells: ``mixed``, the fraction of boxes with more than one label. Attributes: the
         parameters of the scene, ``phase``, ``basin_entropy`` and ``boundary_basin_entropy`` of boxes of 5 x 5 initial
         states, ``boundary_dimension`` and ``boundary_dimension_error``.
 
@@ -86,14 +86,18 @@ def basins(
 
     Notes
     -----
-    An initial state is on a periodic attractor once it is inside an ellipse that the return map takes into itself,
-    which is tested on a fan of states. It is on a chaotic attractor after eight consecutive checks, eight periods
-    apart, near a sample of that attractor. An attractor with an impact on a rigid wall exactly at the phase of the
-    section has no such ellipse: choose another phase. Many labels -1 indicate an attractor that is missing: call
-    `find_attractors` with more initial states.
+    An initial state is assigned to a periodic attractor once the motion is inside an ellipse that the return map takes
+    into itself. This property of the ellipse is tested with states in many directions. An initial state is assigned to
+    a chaotic attractor after eight consecutive checks, eight periods apart, at which the motion is near a sample of
+    that attractor.
 
-    After `max_seconds`, initial states that are not done count as unresolved, and the attribute ``stopped`` gives the
-    reason. A later call with the same store resumes. The errors of the store are passed on.
+    A periodic attractor with an impact on a rigid wall exactly at the phase of the section has no such ellipse: choose
+    another phase. Many labels -1 indicate that an attractor is missing: call `find_attractors` with more initial
+    states.
+
+    After `max_seconds`, initial states that are not done have the label -3 and count as unresolved in
+    ``fraction_error``, and the attribute ``stopped`` gives the reason. A later call with the same store resumes.
+    Exceptions of the store propagate.
 
     References
     ----------
@@ -106,88 +110,98 @@ def basins(
     >>> data["fraction"].values.round(2).tolist()
     [0.87, 0.13]
     """
-    limits = limits_of(None, max_seconds, None, check.ArgumentError)
-    check.require_single(scene)
+    computation_limits = make_limits(None, max_seconds, None, check.ArgumentError)
+    check.require_single_scene(scene)
     x, v = _check_axis("x", x), _check_axis("v", v)
-    phase_angle = check.finite_array("phase", phase, np.float64)
+    phase_angle = check.check_finite_array("phase", phase, np.float64)
     if phase_angle.shape:
         raise check.ArgumentError("phase", "must be a number", phase_angle)
-    patience = check.whole_number("patience", patience, 1)
+    patience = check.check_whole_number("patience", patience, 1)
     attractors = find_attractors(scene) if attractors is None else tuple(attractors)
-    x_min, x_max, max_speed = initial_box(scene)
+    start_box_x_min, start_box_x_max, start_box_max_speed = initial_box(scene)
     neighbourhoods = build_neighbourhoods(
-        scene, attractors, float(phase_angle), float(max(abs(x_min), abs(x_max), max_speed))
+        scene,
+        attractors,
+        float(phase_angle),
+        float(max(abs(start_box_x_min), abs(start_box_x_max), start_box_max_speed)),
     )
     labels = tuple(attractor.label for attractor in attractors)
-    study = BasinsStudy(scene, x, v, float(phase_angle), tuple(neighbourhoods), labels, patience, STARTS_PER_CHUNK)
-    data = complete_study(study, store, progress and (lambda record: progress(record.done)), limits)
-    return _make_dataset(scene, float(phase_angle), attractors, neighbourhoods, data)
+    basins_study = BasinsStudy(
+        scene, x, v, float(phase_angle), tuple(neighbourhoods), labels, patience, STARTS_PER_CHUNK
+    )
+    label_data = complete_study(
+        basins_study, store, progress and (lambda record: progress(record.done)), computation_limits
+    )
+    return _make_dataset(scene, float(phase_angle), attractors, neighbourhoods, label_data)
 
 
-def _check_axis(key, values) -> Float[np.ndarray, " numbers"]:
-    """Return the values of an axis, checked."""
-    values = check.finite_array(key, values, np.float64)
+def _check_axis(axis_name, values) -> Float[np.ndarray, " numbers"]:
+    """Check the values of a grid axis and return them as an array."""
+    values = check.check_finite_array(axis_name, values, np.float64)
     if values.ndim != 1 or len(values) < 2 or not (np.diff(values) > 0).all():
-        raise check.ArgumentError(key, "must be at least two numbers in increasing order", values)
+        raise check.ArgumentError(axis_name, "must be at least two numbers in increasing order", values)
     return values
 
 
-def _make_dataset(scene, phase, attractors, neighbourhoods, data):
-    """Return the named result: labels, basin fractions, entropies and boundary dimension."""
-    labels, max_points = (
-        data["label"].values,
+def _make_dataset(scene, phase, attractors, neighbourhoods, label_data):
+    """Return the Dataset of labels, basin fractions, entropies and boundary dimension."""
+    labels, max_attractor_points = (
+        label_data["label"].values,
         max((len(neighbourhood.points) for neighbourhood in neighbourhoods), default=0),
     )
-    points = np.full((len(neighbourhoods), max_points, 2), np.nan)
-    for point_row, neighbourhood in zip(points, neighbourhoods, strict=True):
-        point_row[: len(neighbourhood.points)] = neighbourhood.points
+    padded_points = np.full((len(neighbourhoods), max_attractor_points, 2), np.nan)
+    for points_of_attractor, neighbourhood in zip(padded_points, neighbourhoods, strict=True):
+        points_of_attractor[: len(neighbourhood.points)] = neighbourhood.points
     fractions, fraction_errors = _basin_fractions(labels, len(neighbourhoods))
-    boundary = boundary_dimension(labels)
-    entropy, boundary_entropy = basin_entropies(labels)
+    dimension = boundary_dimension(labels)
+    basin_entropy, boundary_entropy = basin_entropies(labels)
     mirror_indices = [-1 if attractor.mirror_of is None else attractor.mirror_of for attractor in attractors]
     return xr.Dataset(
         {
-            "label": data["label"],
-            "periods": data["periods"],
+            "label": label_data["label"],
+            "periods": label_data["periods"],
             "fraction": ("attractor", fractions, {"long_name": "share of the starts beyond no rigid wall"}),
             "fraction_error": ("attractor", fraction_errors),
-            "point_x": (("attractor", "point"), points[..., 0], {"units": LENGTH}),
-            "point_v": (("attractor", "point"), points[..., 1], {"units": SPEED}),
-            "mixed": ("side", boundary.mixed_shares, {"long_name": "share of boxes with more than one label"}),
+            "point_x": (("attractor", "point"), padded_points[..., 0], {"units": LENGTH}),
+            "point_v": (("attractor", "point"), padded_points[..., 1], {"units": SPEED}),
+            "mixed": ("side", dimension.mixed_fractions, {"long_name": "share of boxes with more than one label"}),
         },
         coords={
-            "x": data["x"],
-            "v": data["v"],
+            "x": label_data["x"],
+            "v": label_data["v"],
             "name": ("attractor", [attractor.label for attractor in attractors]),
             "kind": ("attractor", [attractor.kind for attractor in attractors]),
             "mirror_of": ("attractor", np.array(mirror_indices, int)),
-            "side": ("side", boundary.box_sides, {"units": "cells"}),
+            "side": ("side", dimension.box_sides, {"units": "cells"}),
         },
         attrs={
             **scene.numbers,
             **scales_attributes(scene),
-            **{key: data.attrs[key] for key in ("stopped",) if key in data.attrs},
+            **{attr_name: label_data.attrs[attr_name] for attr_name in ("stopped",) if attr_name in label_data.attrs},
             "phase": phase,
-            "basin_entropy": entropy,
+            "basin_entropy": basin_entropy,
             "boundary_basin_entropy": boundary_entropy,
             "entropy_box": BOX_SIZE,
-            "boundary_dimension": float(boundary.value),
-            "boundary_dimension_error": float(boundary.error),
+            "boundary_dimension": float(dimension.value),
+            "boundary_dimension_error": float(dimension.error),
         },
     )
 
 
 def _basin_fractions(labels, n_attractors):
-    """Return (basin fractions, their errors), each (count,), of the starts that are not beyond a rigid wall."""
+    """Return (basin fractions, errors of the fractions), each of shape (attractors,).
 
-    def basin_shares(subgrid_labels):
-        """Return the fraction of each attractor on a grid of labels."""
-        n_inside = max(1, (subgrid_labels != OUTSIDE).sum())
-        return np.array([(subgrid_labels == index).sum() for index in range(n_attractors)]) / n_inside
+    Initial states beyond a rigid wall are not counted.
+    """
+
+    def fractions_on_grid(grid_labels):
+        """Return the basin fraction of each attractor on a grid of labels."""
+        n_possible_starts = max(1, (grid_labels != OUTSIDE).sum())
+        return np.array([(grid_labels == index).sum() for index in range(n_attractors)]) / n_possible_starts
 
     subgrid_fractions = [
-        basin_shares(labels[row_offset::2, column_offset::2]) for row_offset in (0, 1) for column_offset in (0, 1)
+        fractions_on_grid(labels[row_offset::2, column_offset::2]) for row_offset in (0, 1) for column_offset in (0, 1)
     ]
-    n_starts, n_outside = labels.size, int((labels == OUTSIDE).sum())
-    unresolved_share = float((labels < 0).sum() - n_outside) / max(1, n_starts - n_outside)
-    return basin_shares(labels), np.std(subgrid_fractions, axis=0, ddof=1) + unresolved_share
+    n_starts, n_beyond_walls = labels.size, int((labels == OUTSIDE).sum())
+    unresolved_fraction = float((labels < 0).sum() - n_beyond_walls) / max(1, n_starts - n_beyond_walls)
+    return fractions_on_grid(labels), np.std(subgrid_fractions, axis=0, ddof=1) + unresolved_fraction

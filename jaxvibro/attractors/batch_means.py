@@ -13,7 +13,7 @@ def standard_error(block_sums, block_periods):
     Parameters
     ----------
     block_sums : ndarray
-        Sums over blocks of periods. Array of shape (blocks, copies).
+        Sums of the quantity over blocks of periods, one column per copy of the motion. Array of shape (blocks, copies).
     block_periods : int
         Periods of a block.
 
@@ -24,18 +24,24 @@ def standard_error(block_sums, block_periods):
 
     Notes
     -----
-    Blocks of a copy are correlated, so batches of 1, 2, 4, ... blocks are formed. The error grows with their length
-    until they are long enough, and the largest error counts. Copies may be correlated as well. The spread in time of
-    the mean over the copies assumes no independence between them, and is used if it is larger beyond doubt.
+    Successive blocks of a copy are correlated. Batches of 1, 2, 4, ... blocks are therefore formed. The estimated error
+    grows with the length of the batches until the batches are independent. The result is the largest estimate.
+
+    The copies may be correlated as well. A second estimate, from the variation in time of the mean over the copies,
+    does not assume independent copies. The second estimate is included if there are at least `MIN_TIME_BATCHES` batches
+    and it is significantly larger than the first.
     """
-    errors, batch_length = [np.inf if len(block_sums) < MIN_BATCHES else 0.0], 1
-    while (n_batches := len(block_sums) // batch_length) >= MIN_BATCHES:
-        means = block_sums[: n_batches * batch_length].reshape(n_batches, batch_length, -1).mean(axis=1) / block_periods
-        errors.append(means.std(ddof=1) / means.size**0.5)
-        common_error = means.mean(axis=1).std(ddof=1) / n_batches**0.5
-        if n_batches >= MIN_TIME_BATCHES and common_error > errors[-1] * (
+    error_estimates, blocks_per_batch = [np.inf if len(block_sums) < MIN_BATCHES else 0.0], 1
+    while (n_batches := len(block_sums) // blocks_per_batch) >= MIN_BATCHES:
+        batch_means = (
+            block_sums[: n_batches * blocks_per_batch].reshape(n_batches, blocks_per_batch, -1).mean(axis=1)
+            / block_periods
+        )
+        error_estimates.append(batch_means.std(ddof=1) / batch_means.size**0.5)
+        time_scatter_error = batch_means.mean(axis=1).std(ddof=1) / n_batches**0.5
+        if n_batches >= MIN_TIME_BATCHES and time_scatter_error > error_estimates[-1] * (
             1.0 + EXCESS_ERRORS / (2.0 * n_batches) ** 0.5
         ):
-            errors.append(common_error)
-        batch_length *= 2
-    return float(max(errors))
+            error_estimates.append(time_scatter_error)
+        blocks_per_batch *= 2
+    return float(max(error_estimates))

@@ -1,8 +1,9 @@
 """Average the Lyapunov exponents of motions that do not recur, over many copies of a motion.
 
-The first exponent is the mean growth of a tangent vector. The second is the rest of ``ln abs det M``, which follows
-from impacts and damping (`orbit_exponents.log_determinant`). With one tangent and the determinant this is Benettin's
-method for two exponents.
+The first exponent is the mean logarithmic growth of a tangent vector per period. The sum of both exponents is the mean
+of ``ln abs det M``, where M is the derivative of the stroboscopic map over one period. The determinant follows from the
+impacts and the damping (`orbit_exponents.log_determinant`). This is Benettin's method for two exponents, with the
+determinant in place of a second tangent vector.
 """
 
 from typing import NamedTuple
@@ -11,14 +12,14 @@ import jax
 import numpy as np
 from jaxtyping import Float, Int
 
-from ..compiled.kernels import BLOCK_WIDTH
+from ..compiled.kernel_calls import BLOCK_WIDTH
 from ..maps.initial_conditions import initial_box
 from ..scene.codes import Contact, Status
 from ..scene.state import State
 from .batch_means import standard_error
 from .orbit_exponents import ExponentEstimate, log_determinant, measured_area_growth, undefined_estimate
-from .recurrence import recurrence_distances, recurrence_periods
-from .tangent import RECORDED_PERIODS, TangentLanes, run_tangents, start_tangents, worse_status_on_host
+from .recurrence import compute_return_distances, find_recurrence_periods
+from .tangent_growth import RECORDED_PERIODS, TangentLanes, run_tangents, start_tangents, worse_status_on_host
 
 BLOCK_PERIODS = 16  # periods whose growth is summed
 INITIAL_CHUNKS = 16  # times `RECORDED_PERIODS` before the first check of the error
@@ -26,7 +27,7 @@ MIN_GROWTH_RATE = 0.02  # growth per period below which copies may stay together
 
 
 class SettledLanes(NamedTuple):
-    """Lanes after a transient, as NumPy arrays, lanes last.
+    """Lanes after a transient, as NumPy arrays whose last axis holds the lanes.
 
     Attributes
     ----------
@@ -37,7 +38,7 @@ class SettledLanes(NamedTuple):
     periods : ndarray
         Periods after which each lane recurs; 0 if it does not.
     growth_rate : ndarray
-        Mean growth per period.
+        Mean logarithmic growth of the tangent per period.
     visited_states : State
         Visited states, `RECORDED_PERIODS` apart. Leaves of shape (visits, lanes).
     scale : ndarray
@@ -52,145 +53,213 @@ class SettledLanes(NamedTuple):
     scale: Float[np.ndarray, " lanes"]
 
     @property
-    def is_valid(self) -> bool:
-        """True if a single lane has a finite state."""
+    def has_finite_state(self) -> bool:
+        """True if the state is finite; defined for a single lane."""
         return bool(np.isfinite(np.ravel(self.lanes.state.x)[0]))
 
     @property
-    def is_unsettled(self) -> bool:
-        """True if a single lane has a finite state and does not recur yet."""
-        return self.is_valid and not self.periods[0]
+    def is_nonrecurrent(self) -> bool:
+        """True if the state is finite and has not recurred; defined for a single lane."""
+        return self.has_finite_state and not self.periods[0]
 
 
-def run_until_recurrence(scene, lanes, settle, max_rounds):
-    """Return `SettledLanes` after `settle` periods and up to `max_rounds` rounds of `RECORDED_PERIODS`.
+def run_until_recurrence(scene, tangent_lanes, transient_periods, max_rounds):
+    """Simulate lanes for a transient and then until they recur.
 
-    The rounds end once all lanes recur. scene: a single one, or one with a lane of its own for each lane.
+    Parameters
+    ----------
+    scene : Scene
+        Scene, single or with one lane for each of `tangent_lanes`.
+    tangent_lanes : TangentLanes
+        Initial states and tangents.
+    transient_periods : int
+        Drive periods of the transient.
+    max_rounds : int
+        Largest number of rounds of `RECORDED_PERIODS` periods after the transient. The rounds end earlier if all lanes
+        with a finite state recur.
+
+    Returns
+    -------
+    SettledLanes
+        Lanes after the last round.
     """
-    lanes, records = run_tangents(scene, lanes, settle + RECORDED_PERIODS)
-    previous_distances, status, dtype = recurrence_distances(records.points), records.status, lanes.state.x.dtype
-    x_min, x_max, _ = initial_box(scene)
-    max_speed = np.max(abs(records.v), where=np.isfinite(records.v), initial=0.0)
-    scale = max(abs(x_min).max(), abs(x_max).max(), max_speed)
-    periods, growth_rates, visited_states = np.zeros(len(lanes.state.x), int), [], []
+    tangent_lanes, period_records = run_tangents(scene, tangent_lanes, transient_periods + RECORDED_PERIODS)
+    previous_distances, status, dtype = (
+        compute_return_distances(period_records.points),
+        period_records.status,
+        tangent_lanes.state.x.dtype,
+    )
+    start_box_x_min, start_box_x_max, _ = initial_box(scene)
+    overall_max_speed = np.max(abs(period_records.v), where=np.isfinite(period_records.v), initial=0.0)
+    max_state_magnitude = max(abs(start_box_x_min).max(), abs(start_box_x_max).max(), overall_max_speed)
+    periods, growth_rates, visited_states = np.zeros(len(tangent_lanes.state.x), int), [], []
     for _ in range(max_rounds):
-        lanes, records = run_tangents(scene, lanes, RECORDED_PERIODS)
-        distances = recurrence_distances(records.points)
+        tangent_lanes, period_records = run_tangents(scene, tangent_lanes, RECORDED_PERIODS)
+        return_distances = compute_return_distances(period_records.points)
         periods = np.where(
-            periods > 0, periods, recurrence_periods(distances, previous_distances, RECORDED_PERIODS, scale, dtype)
+            periods > 0,
+            periods,
+            find_recurrence_periods(return_distances, previous_distances, RECORDED_PERIODS, max_state_magnitude, dtype),
         )
-        growth_rates.append(records.growth.mean(axis=0))
-        visited_states.append(lanes.state)
-        previous_distances, status = distances, worse_status_on_host(status, records.status)
-        if np.all((periods > 0) | ~np.isfinite(lanes.state.x)):
+        growth_rates.append(period_records.log_growth.mean(axis=0))
+        visited_states.append(tangent_lanes.state)
+        previous_distances, status = return_distances, worse_status_on_host(status, period_records.status)
+        if np.all((periods > 0) | ~np.isfinite(tangent_lanes.state.x)):
             break
     visited_states = jax.tree.map(lambda *leaves: np.stack(leaves), *visited_states)
     return SettledLanes(
-        lanes, status, periods, np.mean(growth_rates, axis=0), visited_states, np.full(len(periods), scale)
+        tangent_lanes,
+        status,
+        periods,
+        np.mean(growth_rates, axis=0),
+        visited_states,
+        np.full(len(periods), max_state_magnitude),
     )
 
 
 def estimate_exponents(scene, settled_lanes, target_error, max_periods):
-    """Return (`ExponentEstimate`, None) of the motion of a single scene.
+    """Estimate the exponents of one motion from `BLOCK_WIDTH` copies of it.
 
-    If the motion ends on a periodic orbit, its `SettledLanes` take the place of None. settled_lanes: of one lane;
-    target_error: standard error at which the average ends, after at most about `max_periods`. `BLOCK_WIDTH` copies of
-    the motion are simulated: from visited states with slightly different velocities, until they have separated. If they
-    hardly separate, all start at one state, so that their correlation is visible.
+    The copies start from visited states with slightly different velocities. They are simulated until they have
+    separated. The exponents are then averaged over time and copies. If the growth rate is small, copies may remain
+    correlated. All copies then start near the same state, so that their correlation appears at equal times and enters
+    the error estimate (`batch_means.standard_error`).
+
+    Parameters
+    ----------
+    scene : Scene
+        Scene without lanes.
+    settled_lanes : SettledLanes
+        One lane after the transient.
+    target_error : float
+        Standard error at which the averaging ends.
+    max_periods : int
+        Approximate largest number of drive periods that are averaged, over all copies.
+
+    Returns
+    -------
+    estimate : ExponentEstimate
+        Exponents of the motion.
+    settled_lanes : SettledLanes or None
+        One lane on the periodic orbit that a copy has reached; None if no copy recurs.
     """
-    scale = settled_lanes.scale[0]
-    lanes = _make_copies(settled_lanes, scale)
-    dtype = lanes.state.x.dtype
-    growth_rate = settled_lanes.growth_rate[0] if settled_lanes.growth_rate[0] > MIN_GROWTH_RATE else MIN_GROWTH_RATE
-    separation_periods = np.log(np.finfo(dtype).eps ** -0.5) / growth_rate
-    lanes, records = run_tangents(scene, lanes, RECORDED_PERIODS * (1 + int(separation_periods / RECORDED_PERIODS)))
-    block_sums, status, n_chunks = (
+    max_state_magnitude = settled_lanes.scale[0]
+    tangent_lanes = _make_perturbed_copies(settled_lanes, max_state_magnitude)
+    dtype = tangent_lanes.state.x.dtype
+    tangent_growth_rate = (
+        settled_lanes.growth_rate[0] if settled_lanes.growth_rate[0] > MIN_GROWTH_RATE else MIN_GROWTH_RATE
+    )
+    separation_periods = np.log(np.finfo(dtype).eps ** -0.5) / tangent_growth_rate
+    tangent_lanes, period_records = run_tangents(
+        scene, tangent_lanes, RECORDED_PERIODS * (1 + int(separation_periods / RECORDED_PERIODS))
+    )
+    block_sums, status, total_rounds_planned = (
         [],
-        records.status,
+        period_records.status,
         max(2, min(INITIAL_CHUNKS, max_periods // (RECORDED_PERIODS * BLOCK_WIDTH))),
     )
     while True:
-        for _ in range(n_chunks - len(block_sums)):
-            previous_records, (lanes, records) = records, run_tangents(scene, lanes, RECORDED_PERIODS)
-            time_within = np.moveaxis(records.time_within, -1, 0)
-            quantities = np.stack(
+        for _ in range(total_rounds_planned - len(block_sums)):
+            previous_records, (tangent_lanes, period_records) = (
+                period_records,
+                run_tangents(scene, tangent_lanes, RECORDED_PERIODS),
+            )
+            time_in_walls = np.moveaxis(period_records.time_in_walls, -1, 0)
+            quantities_to_average = np.stack(
                 [
-                    records.growth,
-                    records.left_impacts,
-                    records.right_impacts,
-                    records.n_impacts,
-                    measured_area_growth(scene, records),
-                    *time_within,
+                    period_records.log_growth,
+                    period_records.left_impacts,
+                    period_records.right_impacts,
+                    period_records.n_impacts,
+                    measured_area_growth(scene, period_records),
+                    *time_in_walls,
                 ]
             )
-            block_sums.append(quantities.reshape(len(quantities), -1, BLOCK_PERIODS, BLOCK_WIDTH).sum(2))
-            status = worse_status_on_host(status, records.status)
+            block_sums.append(
+                quantities_to_average.reshape(len(quantities_to_average), -1, BLOCK_PERIODS, BLOCK_WIDTH).sum(2)
+            )
+            status = worse_status_on_host(status, period_records.status)
         estimate = _average_blocks(scene, np.concatenate(block_sums, axis=1), int(status.max()))
-        periods = recurrence_periods(
-            recurrence_distances(records.points),
-            recurrence_distances(previous_records.points),
+        periods = find_recurrence_periods(
+            compute_return_distances(period_records.points),
+            compute_return_distances(previous_records.points),
             RECORDED_PERIODS,
-            scale,
+            max_state_magnitude,
             dtype,
         )
         if status.max() < Status.CAP and periods.any():
-            recurrent_lane = np.flatnonzero(periods)[:1]
+            recurrent_lane_index = np.flatnonzero(periods)[:1]
             return estimate, settled_lanes._replace(
-                lanes=_select_lanes(lanes, recurrent_lane), periods=periods[recurrent_lane]
+                lanes=_select_lanes(tangent_lanes, recurrent_lane_index), periods=periods[recurrent_lane_index]
             )
-        max_error = estimate.error.max()
-        if not max_error > target_error or estimate.count >= max_periods:
+        largest_error = estimate.error.max()
+        if not largest_error > target_error or estimate.count >= max_periods:
             return estimate, None
-        n_chunks_needed = len(block_sums) * min(2.0, 1.05 * (max_error / target_error) ** 2)
-        n_chunks = min(
-            max(len(block_sums) + 1, int(np.ceil(n_chunks_needed))), -(-max_periods // (RECORDED_PERIODS * BLOCK_WIDTH))
+        total_rounds_needed = len(block_sums) * min(2.0, 1.05 * (largest_error / target_error) ** 2)
+        total_rounds_planned = min(
+            max(len(block_sums) + 1, int(np.ceil(total_rounds_needed))),
+            -(-max_periods // (RECORDED_PERIODS * BLOCK_WIDTH)),
         )
 
 
-def _select_lanes(lanes, selection):
-    return jax.tree.map(lambda leaf: leaf[selection], lanes)
+def _select_lanes(tangent_lanes, lane_indices):
+    return jax.tree.map(lambda leaf: leaf[lane_indices], tangent_lanes)
 
 
-def _make_copies(settled_lanes, scale):
-    """Return the `TangentLanes` of `BLOCK_WIDTH` copies of a motion."""
-    n_visits = len(settled_lanes.visited_states.x) if settled_lanes.growth_rate[0] > MIN_GROWTH_RATE else 1
-    visit_indices = -1 - np.arange(BLOCK_WIDTH) % n_visits
-    state = jax.tree.map(lambda leaf: leaf[visit_indices, 0], settled_lanes.visited_states)
+def _make_perturbed_copies(settled_lanes, max_state_magnitude):
+    """Return the `TangentLanes` of `BLOCK_WIDTH` slightly perturbed copies of a motion."""
+    n_visited_states = len(settled_lanes.visited_states.x) if settled_lanes.growth_rate[0] > MIN_GROWTH_RATE else 1
+    visited_state_indices = -1 - np.arange(BLOCK_WIDTH) % n_visited_states
+    state = jax.tree.map(lambda leaf: leaf[visited_state_indices, 0], settled_lanes.visited_states)
     dtype = state.x.dtype
-    speed_offsets = np.random.default_rng(0).normal(size=BLOCK_WIDTH) * np.finfo(dtype).eps ** 0.4 * scale
-    is_movable = (state.contact == 0) | (abs(state.contact) == Contact.WITHIN)
-    v = np.where(is_movable, state.v + speed_offsets.astype(dtype), state.v)
+    velocity_offsets = (
+        np.random.default_rng(0).normal(size=BLOCK_WIDTH) * np.finfo(dtype).eps ** 0.4 * max_state_magnitude
+    )
+    can_be_perturbed = (state.contact == 0) | (abs(state.contact) == Contact.WITHIN)
+    v = np.where(can_be_perturbed, state.v + velocity_offsets.astype(dtype), state.v)
     return start_tangents(State(state.x, v, state.phase, state.contact))
 
 
 def _average_blocks(scene, block_sums, status):
-    """Return the `ExponentEstimate` of sums over blocks, shape (7, blocks, copies).
+    """Compute the `ExponentEstimate` from sums over blocks of periods, of shape (7, blocks, copies).
 
-    The sums are of growth, impacts (left, right, all), `measured_area_growth` and the time inside each wall.
+    The seven quantities are the logarithmic growth, the impacts on the left wall, on the right wall and on both, the
+    `measured_area_growth`, and the times inside the left and the right wall.
     """
-    growth, left_impacts, right_impacts, all_impacts, area_growth, *time_within = block_sums
-    n_periods = growth.size * BLOCK_PERIODS
-    if status >= Status.CAP or np.isnan(growth).any() or np.isposinf(growth).any():
+    log_growth_sums, left_impact_sums, right_impact_sums, impact_sums, area_growth_sums, *time_in_walls = block_sums
+    n_periods = log_growth_sums.size * BLOCK_PERIODS
+    if status >= Status.CAP or np.isnan(log_growth_sums).any() or np.isposinf(log_growth_sums).any():
         return undefined_estimate(status if status else Status.NONFINITE)
-    exponent, exponent_sum = (
-        growth.sum() / n_periods,
-        log_determinant(scene, left_impacts.sum(), right_impacts.sum(), n_periods, area_growth.sum()) / n_periods,
+    largest_exponent, exponent_sum = (
+        log_growth_sums.sum() / n_periods,
+        log_determinant(scene, left_impact_sums.sum(), right_impact_sums.sum(), n_periods, area_growth_sums.sum())
+        / n_periods,
     )
-    impact_rates, time_within = (
-        np.array([block_values.sum() for block_values in quantities]) / n_periods
-        for quantities in ((all_impacts, left_impacts, right_impacts), time_within)
+    impacts_per_period, time_in_walls = (
+        np.array([block_array.sum() for block_array in block_arrays]) / n_periods
+        for block_arrays in ((impact_sums, left_impact_sums, right_impact_sums), time_in_walls)
     )
-    if np.isneginf(exponent):
-        return ExponentEstimate(np.full(2, -np.inf), np.zeros(2), impact_rates, time_within, 0, status, n_periods)
-    errors = np.array([standard_error(growth, BLOCK_PERIODS), 0.0])
+    if np.isneginf(largest_exponent):
+        return ExponentEstimate(
+            np.full(2, -np.inf), np.zeros(2), impacts_per_period, time_in_walls, 0, status, n_periods
+        )
+    errors = np.array([standard_error(log_growth_sums, BLOCK_PERIODS), 0.0])
     if np.isfinite(exponent_sum):
         errors[1] = standard_error(
-            log_determinant(scene, left_impacts, right_impacts, BLOCK_PERIODS, area_growth) - growth, BLOCK_PERIODS
+            log_determinant(scene, left_impact_sums, right_impact_sums, BLOCK_PERIODS, area_growth_sums)
+            - log_growth_sums,
+            BLOCK_PERIODS,
         )
-    if abs(exponent) < MIN_GROWTH_RATE:
+    if abs(largest_exponent) < MIN_GROWTH_RATE:
         errors = np.maximum(
-            errors, 1.0 / (len(growth) * BLOCK_PERIODS)
+            errors, 1.0 / (len(log_growth_sums) * BLOCK_PERIODS)
         )  # a mere shear grows like ln(time), which looks like a steady rate
     return ExponentEstimate(
-        np.array([exponent, exponent_sum - exponent]), errors, impact_rates, time_within, 0, status, n_periods
+        np.array([largest_exponent, exponent_sum - largest_exponent]),
+        errors,
+        impacts_per_period,
+        time_in_walls,
+        0,
+        status,
+        n_periods,
     )

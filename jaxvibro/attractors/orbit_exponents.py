@@ -1,7 +1,10 @@
 """Compute the Lyapunov exponents of many periodic orbits, ``ln abs(multiplier) / n``.
 
-The determinant of M is known without error from impacts and damping, ``ln det M = 2 sum ln R - 2 gamma n T`` (paper,
-(38)). It gives the second multiplier, however much smaller than the first. Inside a soft wall gamma2 replaces gamma.
+M is the derivative of the stroboscopic map over the n periods of an orbit, and T is the drive period. For a spring and
+a damper the determinant of M is known without error from impacts and damping, ``ln det M = 2 sum ln R - 2 gamma n T``
+(paper, (38)). Inside a soft wall gamma2 replaces gamma. Under a user-defined force the determinant is computed from the
+derivatives of the single periods. The determinant gives the second multiplier, even if this multiplier is much smaller
+than the first.
 """
 
 from typing import NamedTuple
@@ -12,29 +15,29 @@ from jaxtyping import ArrayLike, Bool, Float, Int
 from ..scene.codes import Contact, Status
 from ..scene.scene import SIDES
 from ..scene.state import State
-from .tangent import run_tangents, start_tangents
+from .tangent_growth import run_tangents, start_tangents
 
 NEUTRAL_RATE = 1e-5  # growth per period that rounding may produce
 NEWTON_STEPS = 5  # Newton steps on the stroboscopic map: the last two differ by rounding
 
 
 class ExponentEstimate(NamedTuple):
-    """Lyapunov exponents of one motion, or of many, lanes first.
+    """Lyapunov exponents of one motion, or of many motions with the lanes on the first axis.
 
     Attributes
     ----------
     exponent : ndarray
-        Exponents per period, the larger first. Array of shape (2,).
+        Exponents per period, the larger first. Array of shape (..., 2).
     error : ndarray
-        Their errors. Array of shape (2,).
+        Errors of the exponents. Array of shape (..., 2).
     impacts : ndarray
-        Impacts per period: all, left, right. Array of shape (3,).
+        Impacts per period: all, left, right. Array of shape (..., 3).
     within : ndarray
-        Time inside each wall per period: left, right. Array of shape (2,).
+        Time inside each wall per period: left, right. Array of shape (..., 2).
     periods : int
         Periods of the orbit; 0 for none.
     status : int
-        Status, as in `tangent.run_tangents`.
+        Status, as in `tangent_growth.run_tangents`.
     count : int
         Periods averaged.
     """
@@ -49,55 +52,57 @@ class ExponentEstimate(NamedTuple):
 
     @property
     def is_repelling(self) -> Bool[ArrayLike, " *lanes"]:
-        """True if motions near it certainly leave it."""
+        """True if the largest exponent is positive beyond rounding."""
         return self.exponent[..., 0] > NEUTRAL_RATE
 
 
 def undefined_estimate(status):
-    """Return the `ExponentEstimate` of a motion that has none."""
-    undefined = np.full(2, np.nan)
-    return ExponentEstimate(undefined, undefined, np.full(3, np.nan), undefined, *np.array([0, status, 0]))
+    """Return an `ExponentEstimate` of nan, for a motion without exponents."""
+    undefined_pair = np.full(2, np.nan)
+    return ExponentEstimate(
+        undefined_pair, undefined_pair, np.full(3, np.nan), undefined_pair, *np.array([0, status, 0])
+    )
 
 
-def measured_area_growth(scene, records):
-    """Return the part of ``ln abs det M`` of each recorded period that `log_determinant` cannot derive.
+def measured_area_growth(scene, period_records):
+    """Return the part of ``ln abs det M`` of each recorded period that `log_determinant` does not compute.
 
-    For a user-defined force it is all of it, from the matrices; else the part of the damping of soft walls in the time
-    inside them.
+    Under a user-defined force this part is all of ``ln abs det M``, computed from the recorded matrices. Otherwise it
+    is the contribution of the difference between the damping of the soft walls and the damping of the scene.
     """
     if scene.force is None:
-        area_growth = np.zeros_like(records.growth)
+        area_growth = np.zeros_like(period_records.log_growth)
         for side in scene.soft_sides:
-            extra_damping = np.asarray(scene.parameter(f"{side}.damping")) - np.asarray(scene.damping)
-            area_growth -= 2.0 * extra_damping * records.time_within[..., SIDES.index(side)]
+            excess_wall_damping = np.asarray(scene.parameter(f"{side}.damping")) - np.asarray(scene.damping)
+            area_growth -= 2.0 * excess_wall_damping * period_records.time_in_walls[..., SIDES.index(side)]
         return area_growth
-    a, b, c, d = np.moveaxis(records.matrix, -1, 0)
+    xx, xv, vx, vv = np.moveaxis(period_records.matrix, -1, 0)
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.log(abs(a * d - b * c))
+        return np.log(abs(xx * vv - xv * vx))
 
 
 def log_determinant(scene, left_impacts, right_impacts, n_periods, area_growth):
-    """Return ``ln abs det M`` of `n_periods` periods with these impacts on each wall (numbers that broadcast).
+    """Return ``ln abs det M`` over `n_periods` periods with given numbers of impacts on each wall.
 
-    area_growth: sum of `measured_area_growth`.
+    area_growth: sum of `measured_area_growth` over the periods. The numbers may be arrays that broadcast.
     """
     if scene.force is not None:
         return area_growth
-    period = 2.0 * np.pi / np.asarray(scene.frequency)
-    log_det = area_growth - 2.0 * np.asarray(scene.damping) * period * n_periods
+    drive_period = 2.0 * np.pi / np.asarray(scene.frequency)
+    log_abs_det = area_growth - 2.0 * np.asarray(scene.damping) * drive_period * n_periods
     for side, n_impacts in (("left", left_impacts), ("right", right_impacts)):
         if side in scene.walls and side not in scene.soft_sides:
             with np.errstate(divide="ignore", invalid="ignore"):
-                log_det = log_det + np.where(
+                log_abs_det = log_abs_det + np.where(
                     n_impacts > 0, 2.0 * n_impacts * np.log(np.asarray(scene.bounce(side))), 0.0
                 )
-    return log_det
+    return log_abs_det
 
 
 def compute_orbit_exponents(scene, state, periods):
     """Compute the exponents of the periodic orbits near some states.
 
-    Newton's method on the stroboscopic map brings the states to rounding.
+    Newton's method on the stroboscopic map converges to rounding.
 
     Parameters
     ----------
@@ -111,106 +116,133 @@ def compute_orbit_exponents(scene, state, periods):
     Returns
     -------
     ExponentEstimate
-        Exponents of the best Newton step. The errors are the distances to those of the second best.
+        Exponents at the Newton step with the smallest residual. The errors are the differences from the exponents at
+        the step with the second smallest residual.
     """
-    newton_steps = []
+    step_results = []
     for _ in range(NEWTON_STEPS):
-        _, records = run_tangents(scene, start_tangents(state), int(periods.max()))
-        residual = records.points[periods - 1, np.arange(len(periods))] - np.stack([state.x, state.v], -1)
-        quantities = (
-            records.left_impacts,
-            records.right_impacts,
-            records.n_impacts,
-            measured_area_growth(scene, records),
-            *np.moveaxis(records.time_within, -1, 0),
+        _, period_records = run_tangents(scene, start_tangents(state), int(periods.max()))
+        return_residual = period_records.points[periods - 1, np.arange(len(periods))] - np.stack([state.x, state.v], -1)
+        period_quantities = (
+            period_records.left_impacts,
+            period_records.right_impacts,
+            period_records.n_impacts,
+            measured_area_growth(scene, period_records),
+            *np.moveaxis(period_records.time_in_walls, -1, 0),
         )
         left_impacts, right_impacts, all_impacts, area_growth, *time_within = (
-            _sum_periods(quantity, periods) for quantity in quantities
+            _sum_first_periods(period_values, periods) for period_values in period_quantities
         )
-        matrix, log_scale = _matrix_product(records.matrix, periods)
+        normalised_product, log_scale = _multiply_period_matrices(period_records.matrix, periods)
         log_multipliers = _log_multipliers(
-            matrix, log_scale, log_determinant(scene, left_impacts, right_impacts, periods, area_growth)
+            normalised_product, log_scale, log_determinant(scene, left_impacts, right_impacts, periods, area_growth)
         )
-        residual_norm = np.nan_to_num(abs(residual).max(axis=1), nan=np.inf)
-        newton_steps.append(
+        residual_norm = np.nan_to_num(abs(return_residual).max(axis=1), nan=np.inf)
+        step_results.append(
             (
                 residual_norm,
                 log_multipliers / periods[:, None],
                 np.stack([all_impacts, left_impacts, right_impacts, *time_within], -1),
-                records.status,
+                period_records.status,
             )
         )
-        state = _newton_update(state, matrix, log_scale, residual)
-    residual_norm, log_multipliers, all_impacts, status = map(np.stack, zip(*newton_steps, strict=True))
-    best_step, second_step = np.argsort(residual_norm, axis=0, kind="stable")[:2]
+        state = _newton_update(state, normalised_product, log_scale, return_residual)
+    residual_norm, exponents_by_step, impacts_and_wall_times_by_step, status = map(
+        np.stack, zip(*step_results, strict=True)
+    )
+    best_step_indices, second_best_indices = np.argsort(residual_norm, axis=0, kind="stable")[:2]
     lanes = np.arange(len(periods))
-    return _combine_estimates(
-        log_multipliers[best_step, lanes],
-        log_multipliers[second_step, lanes],
-        all_impacts[best_step, lanes],
-        status[best_step, lanes],
+    return _estimate_with_errors(
+        exponents_by_step[best_step_indices, lanes],
+        exponents_by_step[second_best_indices, lanes],
+        impacts_and_wall_times_by_step[best_step_indices, lanes],
+        status[best_step_indices, lanes],
         periods,
     )
 
 
-def _sum_periods(values, periods):
+def _sum_first_periods(period_values, periods):
     """Return the sum of the first `periods` rows of each lane."""
-    return np.where(np.arange(len(values))[:, None] < periods, values, 0.0).sum(axis=0)
+    return np.where(np.arange(len(period_values))[:, None] < periods, period_values, 0.0).sum(axis=0)
 
 
-def _matrix_product(matrices, periods):
-    """Return (normalised product, logarithm of its scale) of the matrices of each period, (periods, lanes, 4)."""
+def _multiply_period_matrices(period_matrices, periods):
+    """Multiply the derivatives (periods, lanes, 4) of the periods of each orbit.
+
+    Returns (product divided by its largest entry, logarithm of this entry).
+    """
     n_lanes = len(periods)
-    product, log_scale = np.tile(np.eye(2, dtype=matrices.dtype), (n_lanes, 1, 1)), np.zeros(n_lanes, matrices.dtype)
-    for period in range(periods.max()):
-        is_active = (period < periods)[:, None, None]
-        product = np.where(is_active, matrices[period].reshape(n_lanes, 2, 2) @ product, product)
-        largest = abs(product).max(axis=(1, 2))
-        product = product / np.where(largest > 0, largest, 1.0)[:, None, None]
+    normalised_product, log_scale = (
+        np.tile(np.eye(2, dtype=period_matrices.dtype), (n_lanes, 1, 1)),
+        np.zeros(n_lanes, period_matrices.dtype),
+    )
+    for period_index in range(periods.max()):
+        is_within_orbit = (period_index < periods)[:, None, None]
+        normalised_product = np.where(
+            is_within_orbit,
+            period_matrices[period_index].reshape(n_lanes, 2, 2) @ normalised_product,
+            normalised_product,
+        )
+        largest_entry = abs(normalised_product).max(axis=(1, 2))
+        normalised_product = normalised_product / np.where(largest_entry > 0, largest_entry, 1.0)[:, None, None]
         with np.errstate(divide="ignore"):
-            log_scale = log_scale + np.log(largest)
-    return product, log_scale
+            log_scale = log_scale + np.log(largest_entry)
+    return normalised_product, log_scale
 
 
-def _log_multipliers(matrix, log_scale, log_det):
-    """Return ``ln abs`` of the two multipliers, the larger first, (lanes, 2); log_det: ``ln abs det M``."""
-    half_trace = 0.5 * abs(matrix[:, 0, 0] + matrix[:, 1, 1])
+def _log_multipliers(normalised_product, log_scale, log_abs_det):
+    """Return ``ln abs`` of the two multipliers, the larger first, (lanes, 2); log_abs_det: ``ln abs det M``."""
+    half_trace = 0.5 * abs(normalised_product[:, 0, 0] + normalised_product[:, 1, 1])
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        discriminant = half_trace * half_trace - np.exp(log_det - 2.0 * log_scale)
-        larger = np.where(
+        discriminant = half_trace * half_trace - np.exp(log_abs_det - 2.0 * log_scale)
+        larger_log_multiplier = np.where(
             discriminant < 0,
-            0.5 * log_det,
+            0.5 * log_abs_det,
             log_scale + np.log(half_trace + np.sqrt(np.where(discriminant < 0, 0.0, discriminant))),
         )
-        smaller = np.where(np.isneginf(log_det), -np.inf, log_det - larger)
-    return np.where(np.isneginf(log_scale)[:, None], -np.inf, np.stack([larger, smaller], -1))
+        smaller_log_multiplier = np.where(np.isneginf(log_abs_det), -np.inf, log_abs_det - larger_log_multiplier)
+    return np.where(
+        np.isneginf(log_scale)[:, None], -np.inf, np.stack([larger_log_multiplier, smaller_log_multiplier], -1)
+    )
 
 
-def _newton_update(state, matrix, log_scale, residual):
-    """Return the states after Newton's next step, unchanged for a mass that is on a wall.
+def _newton_update(state, normalised_product, log_scale, return_residual):
+    """Return the states after a Newton step; the state of a mass on a wall is unchanged.
 
-    A mass inside a soft wall may come out of it; it is then free.
+    The contact code of a changed state is 0, because the step may move the mass out of a soft wall.
     """
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        jacobian = np.eye(2) - matrix * np.exp(log_scale)[:, None, None]
-        (a, b), (c, d) = np.moveaxis(jacobian, 0, -1)
-        step = np.stack([d * residual[:, 0] - b * residual[:, 1], a * residual[:, 1] - c * residual[:, 0]]) / (
-            a * d - b * c
-        )
-    is_within = abs(state.contact) == Contact.WITHIN
-    is_valid = np.isfinite(step).all(axis=0) & np.isfinite(log_scale) & (is_within | (state.contact == 0))
-    x, v = np.where(is_valid, step, 0.0).astype(residual.dtype)
-    return State(state.x + x, state.v + v, state.phase, np.where(is_valid, 0.0, state.contact).astype(residual.dtype))
-
-
-def _combine_estimates(exponents, second_exponents, impacts, status, periods):
-    """Return the `ExponentEstimate` from the exponents of the best and of the second best step."""
-    invalid = (np.isnan(exponents) | np.isposinf(exponents)).any(axis=1) | (status >= Status.CAP)
-    with np.errstate(invalid="ignore"):
-        difference = abs(exponents - second_exponents) + 4.0 * np.finfo(exponents.dtype).eps * abs(exponents)
-    error = np.where(np.isneginf(exponents), 0.0, np.where(np.isnan(difference), np.inf, difference))
-    exponents, error, impacts = (
-        np.where(invalid[:, None], np.nan, array) for array in (exponents, error, impacts / periods[:, None])
+        jacobian = np.eye(2) - normalised_product * np.exp(log_scale)[:, None, None]
+        (xx, xv), (vx, vv) = np.moveaxis(jacobian, 0, -1)
+        newton_step = np.stack(
+            [
+                vv * return_residual[:, 0] - xv * return_residual[:, 1],
+                xx * return_residual[:, 1] - vx * return_residual[:, 0],
+            ]
+        ) / (xx * vv - xv * vx)
+    is_in_soft_wall = abs(state.contact) == Contact.WITHIN
+    can_update = (
+        np.isfinite(newton_step).all(axis=0) & np.isfinite(log_scale) & (is_in_soft_wall | (state.contact == 0))
     )
-    periods, status = np.where(invalid, 0, periods), np.where(invalid & (status == 0), Status.NONFINITE, status)
-    return ExponentEstimate(exponents, error, impacts[:, :3], impacts[:, 3:], periods, status, periods)
+    dx, dv = np.where(can_update, newton_step, 0.0).astype(return_residual.dtype)
+    return State(
+        state.x + dx, state.v + dv, state.phase, np.where(can_update, 0.0, state.contact).astype(return_residual.dtype)
+    )
+
+
+def _estimate_with_errors(exponents, second_best_exponents, impacts_and_wall_times, status, periods):
+    """Return the `ExponentEstimate` from the exponents of the best and of the second best step."""
+    is_invalid = (np.isnan(exponents) | np.isposinf(exponents)).any(axis=1) | (status >= Status.CAP)
+    with np.errstate(invalid="ignore"):
+        exponent_difference = abs(exponents - second_best_exponents) + 4.0 * np.finfo(exponents.dtype).eps * abs(
+            exponents
+        )
+    error = np.where(np.isneginf(exponents), 0.0, np.where(np.isnan(exponent_difference), np.inf, exponent_difference))
+    exponents, error, impacts_and_wall_times = (
+        np.where(is_invalid[:, None], np.nan, estimate_array)
+        for estimate_array in (exponents, error, impacts_and_wall_times / periods[:, None])
+    )
+    periods, status = np.where(is_invalid, 0, periods), np.where(is_invalid & (status == 0), Status.NONFINITE, status)
+    return ExponentEstimate(
+        exponents, error, impacts_and_wall_times[:, :3], impacts_and_wall_times[:, 3:], periods, status, periods
+    )

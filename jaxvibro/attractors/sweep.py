@@ -10,20 +10,20 @@ import xarray as xr
 from jax import lax
 from jaxtyping import ArrayLike, Float, Real
 
-from continuation.limits import UNLIMITED, limits_of, partial_reason
+from continuation.computation_limits import UNLIMITED, make_limits, partial_result_reason
 from continuation.persistent_jit import persistent_jit
 
-from ..compiled.compiler_hints import COMPILER_OPTIONS
-from ..flight.wall_positions import clamp_to_walls
+from ..compiled.lane_arithmetic import COMPILER_OPTIONS
+from ..flight.wall_positions import adapt_to_moved_walls
 from ..maps.strobe import strobe
 from ..output.units import LENGTH, SPEED, scales_attributes, unit_of
 from ..scene import check
 from ..scene.codes import Status
-from ..scene.named_forces import force_name
+from ..scene.predefined_forces import force_name
 from ..scene.scene import Scene
-from ..scene.state import State, check_start
+from ..scene.state import State, check_start_within_walls
 from ..scene.unit_mistakes import require_scene_units
-from ..stores.filling import Store, complete_study
+from ..stores.study_completion import Store, complete_study
 from .sweep_study import SweepStudy
 
 VALUES_PER_CHUNK = 16  # values between two calls of `progress`
@@ -50,8 +50,8 @@ def sweep(
 ) -> xr.Dataset:
     """Sweep a parameter and record the stroboscopic states after a transient.
 
-    The parameter goes through the values in their order. The state at the end of one value starts the next. The record
-    is a bifurcation diagram by simulation.
+    The parameter takes the values in their order. The final state at each value is the initial state at the next value.
+    The result is a bifurcation diagram by simulation.
 
     Parameters
     ----------
@@ -63,7 +63,7 @@ def sweep(
         Values of the parameter. Array of shape (count,), or (count, ...) with lanes: the first axis is the sequence of
         values, and the others broadcast with the scene and the state, as in `strobe`. Each lane is a sweep of its own.
     state : State
-        Initial state at the first value.
+        Initial state at the first value; its fields broadcast with the lanes.
     settle : int, optional
         Drive periods discarded at each value.
     keep : int, optional
@@ -100,11 +100,11 @@ def sweep(
 
     Notes
     -----
-    A wall that moves over the mass from one value to the next carries it along. A lane whose status is CAP or worse
-    (see `Impacts`) has nan at that value and restarts from the initial state at the next.
+    If a change of the value would put the mass beyond a rigid wall, the mass is moved onto the wall. A lane whose
+    status is CAP or worse (see `Impacts`) has nan at this value and restarts from the initial state at the next value.
 
     After `max_seconds`, the values that are not done have nan and the status -1, and the attribute ``stopped`` gives
-    the reason. A later call with the same store resumes. The errors of the store are passed on.
+    the reason. A later call with the same store resumes. Exceptions of the store propagate.
 
     Examples
     --------
@@ -112,30 +112,36 @@ def sweep(
     >>> data["x"].dims, data["x"].shape
     (('amplitude', 'period'), (3, 10))
     """
-    limits = limits_of(None, max_seconds, None, check.ArgumentError)
-    settle, keep = check.whole_number("settle", settle, 0), check.whole_number("keep", keep, 1)
-    chunk = check.whole_number("chunk", chunk, 1)
+    computation_limits = make_limits(None, max_seconds, None, check.ArgumentError)
+    settle, keep = check.check_whole_number("settle", settle, 0), check.check_whole_number("keep", keep, 1)
+    chunk = check.check_whole_number("chunk", chunk, 1)
     values, state = _check_arguments(scene, name, values, state)
-    shape = np.broadcast_shapes(values.shape[1:], scene.shape, *map(np.shape, jax.tree.leaves(state)))
-    lane_inputs = _flatten_lanes(shape, scene, values, state)
+    lane_shape = np.broadcast_shapes(values.shape[1:], scene.shape, *map(np.shape, jax.tree.leaves(state)))
+    lane_inputs = _flatten_lanes(lane_shape, scene, values, state)
     if store is None:
-        results = _run_sweep(*lane_inputs, name, settle, keep, chunk, progress, limits)
-        n_done = int((results[2] >= 0).all(axis=1).sum())
-        stopped = {} if n_done == len(values) else {"stopped": partial_reason(n_done, len(values), "values")}
+        results = _run_sweep(*lane_inputs, name, settle, keep, chunk, progress, computation_limits)
+        n_done_values = int((results[2] >= 0).all(axis=1).sum())
+        stopped_attrs = (
+            {}
+            if n_done_values == len(values)
+            else {"stopped": partial_result_reason(n_done_values, len(values), "values")}
+        )
     else:
-        template = jax.tree.map(lambda leaf: leaf[0], lane_inputs[0])
-        study = SweepStudy(template, name, lane_inputs, _run_lanes, (settle, keep))
-        data = complete_study(study, store, progress and (lambda record: progress(record.done)), limits)
-        stopped = {key: data.attrs[key] for key in ("stopped",) if key in data.attrs}
+        template_scene = jax.tree.map(lambda leaf: leaf[0], lane_inputs[0])
+        sweep_study = SweepStudy(template_scene, name, lane_inputs, _run_lanes, (settle, keep))
+        data = complete_study(
+            sweep_study, store, progress and (lambda record: progress(record.done)), computation_limits
+        )
+        stopped_attrs = {key: data.attrs[key] for key in ("stopped",) if key in data.attrs}
         results = [np.moveaxis(data[key].values, 0, 1) for key in ("x", "v", "status")]
-    arrays = [array.reshape(len(values), *shape, *array.shape[2:]) for array in results]
-    return _make_dataset(scene, name, values, state, arrays).assign_attrs(stopped)
+    arrays = [array.reshape(len(values), *lane_shape, *array.shape[2:]) for array in results]
+    return _make_dataset(scene, name, values, state, arrays).assign_attrs(stopped_attrs)
 
 
 def _check_arguments(scene, name, values, state) -> tuple[Float[np.ndarray, " count *lanes"], State]:
-    """Return (values, state) as arrays of the scene's type, checked."""
+    """Check values and state and return both as arrays of the scene's type."""
     check.require_parameter(name, scene.names, name)
-    values = check.finite_array(name, values, scene.dtype)
+    values = check.check_finite_array(name, values, scene.dtype)
     if values.ndim == 0 or values.shape[0] == 0:
         raise check.ArgumentError(name, "must be a sequence of at least one value", values)
     require_scene_units("values", scene, name, values)
@@ -143,50 +149,56 @@ def _check_arguments(scene, name, values, state) -> tuple[Float[np.ndarray, " co
     aligned_values = values.reshape(values.shape[0], *[1] * n_new_axes, *values.shape[1:])
     scene.replace(**{name: aligned_values})
     state = check_start_state(state, scene.dtype, [("scene", np.empty(scene.shape)), (name, values[0])])
-    check_start(scene.replace(**{name: aligned_values[0]}), state, "at the first value")
+    check_start_within_walls(scene.replace(**{name: aligned_values[0]}), state, "at the first value")
     return values, state
 
 
-def check_start_state(state, dtype, named_arrays):
-    """Return the state as finite arrays of this type that broadcast with the named arrays."""
-    keys = ("x", "v", "phase", "contact")
-    arrays = [check.finite_array(f"state.{key}", getattr(state, key), dtype) for key in keys]
-    check.require_broadcast([*named_arrays, *zip((f"state.{key}" for key in keys), arrays, strict=True)])
+def check_start_state(state, dtype, other_named_arrays):
+    """Return the state as finite arrays of type `dtype`, which must broadcast with the named arrays."""
+    component_names = ("x", "v", "phase", "contact")
+    arrays = [check.check_finite_array(f"state.{key}", getattr(state, key), dtype) for key in component_names]
+    check.require_broadcast(
+        [*other_named_arrays, *zip((f"state.{key}" for key in component_names), arrays, strict=True)]
+    )
     return State(*arrays)
 
 
-def _flatten_lanes(shape, scene, values, state) -> tuple[Scene, Float[np.ndarray, "count lanes"], State]:
+def _flatten_lanes(lane_shape, scene, values, state) -> tuple[Scene, Float[np.ndarray, "count lanes"], State]:
     """Return scene, values (count, lanes) and state with their lanes along one axis."""
-    n_lanes = math.prod(shape)
+    n_lanes = math.prod(lane_shape)
 
-    def flatten(leaf):
-        return np.broadcast_to(leaf, shape).reshape(n_lanes)
+    def flatten_leaf(leaf):
+        return np.broadcast_to(leaf, lane_shape).reshape(n_lanes)
 
-    return jax.tree.map(flatten, scene), np.stack([flatten(value) for value in values]), jax.tree.map(flatten, state)
+    return (
+        jax.tree.map(flatten_leaf, scene),
+        np.stack([flatten_leaf(value) for value in values]),
+        jax.tree.map(flatten_leaf, state),
+    )
 
 
 def _run_lanes(scene, values, start_state, name, settle, keep):
-    """Sweep some lanes without progress reports; the form in which `SweepStudy` calls `_run_sweep`."""
+    """Sweep some lanes without progress reports, as `SweepStudy` requires."""
     return _run_sweep(scene, values, start_state, name, settle, keep, VALUES_PER_CHUNK, None)
 
 
-def _run_sweep(scene, values, start_state, name, settle, keep, chunk_size, progress, limits=UNLIMITED):
+def _run_sweep(scene, values, start_state, name, settle, keep, chunk_size, progress, computation_limits=UNLIMITED):
     """Return x and v (count, lanes, keep) and status (count, lanes), which is -1 after the time limit."""
     state, results = start_state, []
-    for start_index in range(0, len(values), chunk_size):
-        if results and limits.expired:
-            n_remaining, n_lanes = len(values) - start_index, values.shape[1]
-            missing = np.full((n_remaining, keep, n_lanes), np.nan, values.dtype)
-            results.append([missing, missing, np.full((n_remaining, n_lanes), -1, np.int32)])
+    for first_value_index in range(0, len(values), chunk_size):
+        if results and computation_limits.expired:
+            n_remaining, n_lanes = len(values) - first_value_index, values.shape[1]
+            nan_states = np.full((n_remaining, keep, n_lanes), np.nan, values.dtype)
+            results.append([nan_states, nan_states, np.full((n_remaining, n_lanes), -1, np.int32)])
             break
-        chunk_values = values[start_index : start_index + chunk_size]
+        chunk_values = values[first_value_index : first_value_index + chunk_size]
         padded_values = np.pad(chunk_values, ((0, chunk_size - len(chunk_values)), (0, 0)), mode="edge")
         state, arrays = _sweep_chunk(
             scene, padded_values, len(chunk_values), start_state, state, settle, name=name, keep=keep
         )
         results.append([np.asarray(array)[: len(chunk_values)] for array in arrays])
         if progress is not None:
-            progress(start_index + len(chunk_values))
+            progress(first_value_index + len(chunk_values))
     x, v, status = (np.concatenate(arrays) for arrays in zip(*results, strict=True))
     return np.moveaxis(x, 1, 2), np.moveaxis(v, 1, 2), status
 
@@ -194,24 +206,28 @@ def _run_sweep(scene, values, start_state, name, settle, keep, chunk_size, progr
 @persistent_jit(static_argnames=("name", "keep"), compiler_options=COMPILER_OPTIONS)
 def _sweep_chunk(scene, values, n_values, start_state, state, settle, *, name, keep):
     """Return the state after the first `n_values` values, and x, v (values, keep, lanes), status (values, lanes)."""
-    shape = values.shape
-    record = jnp.zeros((shape[0], keep, shape[1]), values.dtype)
-    status = jnp.zeros(shape, jnp.int32)
+    values_by_lanes_shape = values.shape
+    state_record = jnp.zeros((values_by_lanes_shape[0], keep, values_by_lanes_shape[1]), values.dtype)
+    status = jnp.zeros(values_by_lanes_shape, jnp.int32)
 
     def sweep_value(value_index, carry):
-        state, *record = carry
-        value_scene = scene.replace(**{name: values[value_index]})
-        state, x, v, status = _settle_at_value(value_scene, clamp_to_walls(value_scene, state), settle, keep)
-        invalid = status >= Status.CAP
-        state = jax.tree.map(lambda start_leaf, leaf: jnp.where(invalid, start_leaf, leaf), start_state, state)
-        return state, *(array.at[value_index].set(value) for array, value in zip(record, (x, v, status), strict=True))
+        state, *records_of_all_values = carry
+        scene_at_value = scene.replace(**{name: values[value_index]})
+        state, x, v, status = _settle_at_value(
+            scene_at_value, adapt_to_moved_walls(scene_at_value, state), settle, keep
+        )
+        is_invalid = status >= Status.CAP
+        state = jax.tree.map(lambda start_leaf, leaf: jnp.where(is_invalid, start_leaf, leaf), start_state, state)
+        return state, *(
+            array.at[value_index].set(value) for array, value in zip(records_of_all_values, (x, v, status), strict=True)
+        )
 
-    state, *record = lax.fori_loop(0, n_values, sweep_value, (state, record, record, status))
-    return state, record
+    state, *state_record = lax.fori_loop(0, n_values, sweep_value, (state, state_record, state_record, status))
+    return state, state_record
 
 
 def _settle_at_value(scene, state, settle, keep):
-    """Return the state after settle + keep periods, x and v (keep, lanes) of the last `keep`, and the worst status."""
+    """Return the state after settle + keep periods, x and v (keep, lanes) of the last periods, and the worst status."""
 
     def advance_period(period, carry):
         state, x, v, status = carry
@@ -222,17 +238,17 @@ def _settle_at_value(scene, state, settle, keep):
         )
         return state, x.at[record_index].set(state.x), v.at[record_index].set(state.v), worst_status
 
-    record = jnp.zeros((keep, *state.x.shape), state.x.dtype)
+    blank_record = jnp.zeros((keep, *state.x.shape), state.x.dtype)
     state, x, v, status = lax.fori_loop(
-        0, settle + keep, advance_period, (state, record, record, jnp.zeros(state.x.shape, jnp.int32))
+        0, settle + keep, advance_period, (state, blank_record, blank_record, jnp.zeros(state.x.shape, jnp.int32))
     )
-    invalid = status >= Status.CAP
-    return state, jnp.where(invalid, jnp.nan, x), jnp.where(invalid, jnp.nan, v), status
+    is_invalid = status >= Status.CAP
+    return state, jnp.where(is_invalid, jnp.nan, x), jnp.where(is_invalid, jnp.nan, v), status
 
 
-def _make_dataset(scene, name, values, state, arrays):
-    """Return the named result of x, v (count, lanes..., keep) and status (count, lanes...)."""
-    x, v, status = arrays
+def _make_dataset(scene, name, values, state, result_arrays):
+    """Return the Dataset of x, v (count, lanes..., keep) and status (count, lanes...)."""
+    x, v, status = result_arrays
     lane_dims = ["lane"] if status.ndim == 2 else [f"lane_{axis}" for axis in range(status.ndim - 1)]
     step_dim = name if values.ndim == 1 else "step"
     value_array = (
@@ -246,14 +262,14 @@ def _make_dataset(scene, name, values, state, arrays):
         "equation": equation_text(scene),
         "units": UNITS_TEXT,
         "swept": name,
-        **static_attributes(scene),
+        **non_parameter_attributes(scene),
         **scales_attributes(scene),
     }
-    for key, value in (other_parameters(scene, name) | {"phase": state.phase}).items():
+    for other_parameter_name, value in (other_parameters(scene, name) | {"phase": state.phase}).items():
         if np.ndim(value):
-            coords[key] = (lane_dims, np.broadcast_to(value, status.shape[1:]))
+            coords[other_parameter_name] = (lane_dims, np.broadcast_to(value, status.shape[1:]))
         else:
-            attrs[key] = float(value)
+            attrs[other_parameter_name] = float(value)
     variables = {
         "x": ([step_dim, *lane_dims, "period"], x, {"long_name": "position on Sigma", "units": LENGTH}),
         "v": ([step_dim, *lane_dims, "period"], v, {"long_name": "velocity on Sigma", "units": SPEED}),
@@ -265,7 +281,8 @@ def _make_dataset(scene, name, values, state, arrays):
 def other_parameters(scene, name):
     """Return the parameters that are not swept.
 
-    Parameters that a wall inherits from the scene, and those that follow from the swept one, are left out.
+    The result omits the hardness and the parameters that a wall takes from the scene. If the hardness is swept, the
+    result also omits the stiffness and the damping of the soft walls.
 
     Parameters
     ----------
@@ -279,12 +296,19 @@ def other_parameters(scene, name):
     dict of str to array
         Values of the other parameters by name.
     """
-    dependent = [f"{side}.{name}" for side, wall in scene.walls.items() for name in wall.taken]
-    dependent += [
-        f"{side}.{suffix}" for side in scene.soft_sides for suffix in ("stiffness", "damping") if name == "hardness"
+    dependent_names = [f"{side}.{name}" for side, wall in scene.walls.items() for name in wall.taken]
+    dependent_names += [
+        f"{side}.{wall_parameter}"
+        for side in scene.soft_sides
+        for wall_parameter in ("stiffness", "damping")
+        if name == "hardness"
     ]
-    dependent.append("hardness")
-    return {key: scene.parameter(key) for key in scene.names if key != name and key not in dependent}
+    dependent_names.append("hardness")
+    return {
+        parameter_name: scene.parameter(parameter_name)
+        for parameter_name in scene.names
+        if parameter_name != name and parameter_name not in dependent_names
+    }
 
 
 def equation_text(scene):
@@ -300,17 +324,17 @@ def equation_text(scene):
     str
         Equation of motion and impact law.
     """
-    terms = [
-        f" + drive.{k}.amplitude cos({term.harmonic} frequency t + drive.{k}.phase)"
-        for k, term in enumerate(scene.drive)
+    drive_term_texts = [
+        f" + drive.{term_index}.amplitude cos({drive_term.harmonic} frequency t + drive.{term_index}.phase)"
+        for term_index, drive_term in enumerate(scene.drive)
     ]
     base_equation = (
         f"x'' = {force_name(scene.force.function)}(t, x, v) + {DRIVE_TEXT}" if scene.force is not None else SPRING_TEXT
     )
-    return f"{base_equation}{''.join(terms)}, {REBOUND_TEXT}"
+    return f"{base_equation}{''.join(drive_term_texts)}, {REBOUND_TEXT}"
 
 
-def static_attributes(scene):
+def non_parameter_attributes(scene):
     """Return the attributes of a scene that are not parameters.
 
     Parameters
@@ -323,7 +347,9 @@ def static_attributes(scene):
     dict of str to object
         Names of the walls, and harmonics of the moving walls and of the drive terms.
     """
-    harmonics = {side: wall.motion.harmonic for side, wall in scene.walls.items() if wall.motion is not None}
-    attributes = {f"{side}.motion.harmonic": harmonic for side, harmonic in harmonics.items()}
-    attributes |= {f"drive.{k}.harmonic": term.harmonic for k, term in enumerate(scene.drive)}
+    wall_harmonics = {side: wall.motion.harmonic for side, wall in scene.walls.items() if wall.motion is not None}
+    attributes = {f"{side}.motion.harmonic": wall_harmonic for side, wall_harmonic in wall_harmonics.items()}
+    attributes |= {
+        f"drive.{term_index}.harmonic": drive_term.harmonic for term_index, drive_term in enumerate(scene.drive)
+    }
     return {"walls": " ".join(scene.walls) or "none"} | attributes

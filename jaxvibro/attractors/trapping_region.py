@@ -1,9 +1,11 @@
-"""Construct trapping regions: neighbourhoods of an attractor on the section that no state leaves.
+"""Construct trapping regions: neighbourhoods of an attractor that an iterate of the stroboscopic map takes into itself.
 
-Near a point of a periodic attractor of n periods the map F^n contracts. With P from Lyapunov's equation for its
-derivative M, it contracts in the norm of ``z' P z`` at every return: an ellipse ``abs(L (z - point)) <= r``, with
-``L' L = P``, is mapped into itself. The admissible r is tested on a fan of states. A chaotic attractor has no such
-ellipse; a sample of its points is used instead.
+Near a point of a periodic attractor of n periods, the n-th iterate F^n of the stroboscopic map contracts. Let M be the
+derivative of F^n at the point, and P the solution of Lyapunov's equation for M. Then F^n contracts distances from the
+point in the norm ``(w' P w)^(1/2)`` of a vector w with transpose w'. F^n therefore maps the ellipse ``abs(L (z -
+point)) <= r``, with ``L' L = P``, into itself if r is small. The
+largest r is determined with test states in many directions. For a chaotic attractor, a sample of its points is used in
+place of ellipses.
 """
 
 from typing import NamedTuple
@@ -24,25 +26,26 @@ SAMPLE_ROUNDS = 8  # times `MAX_RECORDED_PERIODS` from each state of a chaotic a
 DISTANCE_FACTOR = 3.0  # times the distance within which 99 % of one half of a sample have a neighbour in the other
 
 
-class TrappingRegion(NamedTuple):
-    """Trapping ellipses of a periodic attractor.
+class TrappingEllipses(NamedTuple):
+    """Trapping ellipses about the points of a periodic attractor; motions from inside approach the attractor.
 
     Parameters
     ----------
     points : ndarray
         Points of the attractor. Array of shape (n, 2).
     ellipse_matrices : ndarray
-        Matrices L. Array of shape (n, 2, 2). A state is inside if ``abs(L (z - point)) <= 1``.
+        Matrices L of the ellipses. Array of shape (n, 2, 2). A state z is inside an ellipse if
+        ``abs(L (z - point)) <= 1``.
     """
 
     points: Float[np.ndarray, "points 2"]
     ellipse_matrices: Float[np.ndarray, "points 2 2"]
 
-    def contains(self, z: Float[np.ndarray, "lanes 2"]) -> Bool[np.ndarray, " lanes"]:
-        """Return True for states (lanes, 2) inside the region."""
-        is_inside = np.zeros(len(z), bool)
+    def contains(self, states: Float[np.ndarray, "lanes 2"]) -> Bool[np.ndarray, " lanes"]:
+        """Return True for states (lanes, 2) inside one of the ellipses."""
+        is_inside = np.zeros(len(states), bool)
         for point, ellipse_matrix in zip(self.points, self.ellipse_matrices, strict=True):
-            is_inside |= np.square((z - point) @ ellipse_matrix.T).sum(axis=1) <= 1.0
+            is_inside |= np.square((states - point) @ ellipse_matrix.T).sum(axis=1) <= 1.0
         return is_inside
 
 
@@ -60,68 +63,84 @@ class PointCloud(NamedTuple):
     tree: "scipy.spatial.cKDTree"
     max_distance: float
 
-    def contains(self, z: Float[np.ndarray, "lanes 2"]) -> Bool[np.ndarray, " lanes"]:
+    def contains(self, states: Float[np.ndarray, "lanes 2"]) -> Bool[np.ndarray, " lanes"]:
         """Return True for states (lanes, 2) near a sampled point."""
-        return np.isfinite(self.tree.query(z, distance_upper_bound=self.max_distance)[0])
+        return np.isfinite(self.tree.query(states, distance_upper_bound=self.max_distance)[0])
 
 
-def find_trapping_region(scene, points, phase, scale):
-    """Return the `TrappingRegion` of a periodic attractor with these points (n, 2), in order; None if there is none.
+def find_trapping_ellipses(scene, attractor_points, phase, max_state_magnitude):
+    """Return the `TrappingEllipses` of a periodic attractor, or None if no trapping ellipse is found.
 
-    There is none if the derivative does not exist or does not contract, or if an impact falls on the phase of the
-    section, since neighbouring states are then discontinuous. phase: of the section, in rad; scale: largest magnitude
-    of x and v.
-    """
-    jacobians = np.asarray(monodromy(scene, free_states(scene, points, phase), len(points)), float)
+    No ellipse is found if the derivative of the map does not exist or does not contract, or if an impact falls on the
+    phase of the section, where the map is discontinuous. attractor_points: points of the orbit in order, (n, 2); phase:
+    phase of the section, in rad; max_state_magnitude: largest magnitude of x and v."""
+    return_jacobians = np.asarray(
+        monodromy(scene, make_free_states(scene, attractor_points, phase), len(attractor_points)), float
+    )
     ellipse_matrices = []
-    for index, jacobian in enumerate(jacobians):
-        if not np.isfinite(jacobian).all() or (spectral_radius := max(abs(np.linalg.eigvals(jacobian)))) >= 1.0:
+    for point_index, return_jacobian in enumerate(return_jacobians):
+        if (
+            not np.isfinite(return_jacobian).all()
+            or (spectral_radius := max(abs(np.linalg.eigvals(return_jacobian)))) >= 1.0
+        ):
             return None
-        contraction = 0.5 * (1.0 + spectral_radius)
+        contraction_factor = 0.5 * (1.0 + spectral_radius)
         ellipse_matrix = scipy.linalg.cholesky(
-            scipy.linalg.solve_discrete_lyapunov(jacobian.T / contraction, np.eye(2))
+            scipy.linalg.solve_discrete_lyapunov(return_jacobian.T / contraction_factor, np.eye(2))
         )
         radius = _trapping_radius(
-            scene, np.roll(points, -index, axis=0), phase, ellipse_matrix, 0.5 * (1.0 + contraction), scale
+            scene,
+            np.roll(attractor_points, -point_index, axis=0),
+            phase,
+            ellipse_matrix,
+            0.5 * (1.0 + contraction_factor),
+            max_state_magnitude,
         )
         if not radius:
             return None
         ellipse_matrices.append(ellipse_matrix / radius)
-    return TrappingRegion(points, np.array(ellipse_matrices))
+    return TrappingEllipses(attractor_points, np.array(ellipse_matrices))
 
 
-def _trapping_radius(scene, points, phase, ellipse_matrix, contraction, scale):
-    """Return a radius below which all states of a fan approach the first point at this rate at least; 0 for none."""
+def _trapping_radius(scene, attractor_points, phase, ellipse_matrix, contraction_factor, max_state_magnitude):
+    """Return a radius at which the return map contracts an ellipse by `contraction_factor`; 0 if there is none."""
     angles = 2.0 * np.pi * np.arange(N_DIRECTIONS) / N_DIRECTIONS
-    directions = np.linalg.solve(ellipse_matrix, np.stack([np.cos(angles), np.sin(angles)])).T
+    fan_directions = np.linalg.solve(ellipse_matrix, np.stack([np.cos(angles), np.sin(angles)])).T
     n_halvings = int(-0.5 * np.log2(np.finfo(scene.dtype).eps))  # down to radii at which rounding is still negligible
-    radii = scale * 2.0 ** (-np.arange(n_halvings * RADII_PER_OCTAVE) / RADII_PER_OCTAVE)
-    fan_points = points[0] + radii[:, None, None] * directions
-    end_state, status = final_states(scene, free_states(scene, fan_points.reshape(-1, 2), phase), len(points))
-    offsets = np.stack([end_state.x, end_state.v], -1) - points[0]
-    distances = np.sqrt(np.square(offsets @ ellipse_matrix.T).sum(axis=1)).reshape(fan_points.shape[:2])
-    invalid = (status >= Status.CAP).reshape(fan_points.shape[:2])  # states beyond a wall are invalid
-    bad_radii = np.flatnonzero(((distances > contraction * radii[:, None]) & ~invalid).any(axis=1))
-    first_good = bad_radii[-1] + 1 if bad_radii.size else 0
-    return SAFETY_FACTOR * radii[first_good] if first_good < len(radii) else 0.0
+    radii = max_state_magnitude * 2.0 ** (-np.arange(n_halvings * RADII_PER_OCTAVE) / RADII_PER_OCTAVE)
+    fan_points = attractor_points[0] + radii[:, None, None] * fan_directions
+    end_state, status = final_states(
+        scene, make_free_states(scene, fan_points.reshape(-1, 2), phase), len(attractor_points)
+    )
+    end_offsets = np.stack([end_state.x, end_state.v], -1) - attractor_points[0]
+    end_radii = np.sqrt(np.square(end_offsets @ ellipse_matrix.T).sum(axis=1)).reshape(fan_points.shape[:2])
+    has_bad_status = (status >= Status.CAP).reshape(fan_points.shape[:2])  # states beyond a wall are invalid
+    failing_radius_indices = np.flatnonzero(
+        ((end_radii > contraction_factor * radii[:, None]) & ~has_bad_status).any(axis=1)
+    )
+    first_valid_index = failing_radius_indices[-1] + 1 if failing_radius_indices.size else 0
+    return SAFETY_FACTOR * radii[first_valid_index] if first_valid_index < len(radii) else 0.0
 
 
-def sample_attractor(scene, points, phase):
-    """Return the `PointCloud` of a chaotic attractor with these points (lanes, 2) on the section at phase 0."""
-    state, _ = shift_phase(scene, free_states(scene, points, 0.0), phase)
-    samples = []
+def sample_chaotic_attractor(scene, attractor_points, phase):
+    """Return the `PointCloud` of a chaotic attractor at a phase; attractor_points: its points (lanes, 2) at phase 0."""
+    state, _ = shift_phase(scene, make_free_states(scene, attractor_points, 0.0), phase)
+    section_points = []
     for _ in range(1 + SAMPLE_ROUNDS):
         iterates = iterate(scene, state, MAX_RECORDED_PERIODS)
         state = iterates.state
-        samples.append(iterates.points)
-    samples = np.concatenate(samples[1:])  # in the first round the lanes separate
-    n_half = samples.shape[1] // 2
-    first_half, second_half = (half_sample.reshape(-1, 2) for half_sample in (samples[:, :n_half], samples[:, n_half:]))
+        section_points.append(iterates.points)
+    section_points = np.concatenate(section_points[1:])  # in the first round the lanes separate
+    n_half_lanes = section_points.shape[1] // 2
+    first_half, second_half = (
+        half_sample.reshape(-1, 2)
+        for half_sample in (section_points[:, :n_half_lanes], section_points[:, n_half_lanes:])
+    )
     max_distance = np.quantile(scipy.spatial.cKDTree(first_half).query(second_half)[0], 0.99)
-    return PointCloud(scipy.spatial.cKDTree(samples.reshape(-1, 2)), DISTANCE_FACTOR * max_distance)
+    return PointCloud(scipy.spatial.cKDTree(section_points.reshape(-1, 2)), DISTANCE_FACTOR * max_distance)
 
 
-def free_states(scene, points, phase):
-    """Return free states at these points (lanes, 2) and a phase."""
+def make_free_states(scene, points, phase):
+    """Return the states without contact at points (lanes, 2) and a phase."""
     x, v = np.asarray(points, scene.dtype).T
     return State(x, v, np.full(len(x), phase, scene.dtype), np.zeros(len(x), scene.dtype))

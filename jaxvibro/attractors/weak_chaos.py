@@ -5,7 +5,7 @@ import numpy as np
 from ..scene.check import MAX_ORBIT_PERIODS
 from ..scene.codes import Status
 from .chaotic_exponents import estimate_exponents, run_until_recurrence
-from .tangent import start_tangents
+from .tangent_growth import start_tangents
 
 MAX_ROUNDS = 8  # rounds of the test for recurrence
 TARGET_ERROR, MAX_PERIODS = 2e-3, 2**20  # standard error at which the average ends, and its largest number of periods
@@ -15,25 +15,26 @@ SHEAR_RATE = 2e-3  # growth per period of a mere shear in `chaotic_exponents.est
 
 
 def assess_weak_chaos(scene, state):
-    """Return (largest exponent per drive period, note) of one lane's motion if it is chaotic beyond doubt.
+    """Return (largest exponent per drive period, note on the evidence) of one lane's motion.
 
-    The exponent is -inf if the motion is not known to be chaotic, and nan if the estimator cannot decide. The motion
-    after sticking depends only on the time of release, so it recurs, possibly after a long time. scene: a single one;
-    state: leaves (1,), after the transient.
+    The exponent is finite if the motion is chaotic beyond doubt, -inf if it is not certainly chaotic, and nan if the
+    estimator cannot decide. After sticking, a motion depends only on the phase of the release, and releases occur at
+    few phases. A motion that sticks repeatedly therefore recurs, possibly after a long time. scene: single; state:
+    leaves (1,), after the transient.
     """
     settled_lanes = run_until_recurrence(scene, start_tangents(state), 0, MAX_ROUNDS)
-    if not settled_lanes.is_valid:
+    if not settled_lanes.has_finite_state:
         return np.nan, f"status {Status(settled_lanes.status[0]).word}"
     if settled_lanes.periods[0]:
         return -np.inf, RECURRENCE_NOTE
-    estimate, new_settled = estimate_exponents(scene, settled_lanes, TARGET_ERROR, MAX_PERIODS)
-    exponent, error = float(estimate.exponent[0]), float(estimate.error[0])
-    if new_settled is not None:
+    exponent_estimate, recurrent_lanes = estimate_exponents(scene, settled_lanes, TARGET_ERROR, MAX_PERIODS)
+    exponent, error = float(exponent_estimate.exponent[0]), float(exponent_estimate.error[0])
+    if recurrent_lanes is not None:
         return -np.inf, RECURRENCE_NOTE
     if np.isneginf(exponent):
         return -np.inf, f"sticks to a wall, so it recurs, but after more than {MAX_ORBIT_PERIODS} periods"
-    if estimate.status >= Status.CAP or not np.isfinite(exponent):
-        return np.nan, f"does not recur, and has no exponent (status {Status(estimate.status).word})"
+    if exponent_estimate.status >= Status.CAP or not np.isfinite(exponent):
+        return np.nan, f"does not recur, and has no exponent (status {Status(exponent_estimate.status).word})"
     if exponent > max(CERTAIN_ERRORS * error, SHEAR_RATE):
         return exponent, f"does not recur, standard error of its exponent {error:.1g}"
     return -np.inf, f"does not recur, and its exponent {exponent:.1g} +- {error:.1g} is not positive beyond doubt"

@@ -10,12 +10,12 @@ from continuation.branch_segment import join_segments, reverse_segment
 from ..orbits.orbit import STABILITY_MARGIN, eigenvalue_pairs
 from ..output.units import LENGTH, SPEED, TIME, scales_attributes, unit_of
 from ..problem.end import End
-from ..problem.equations import are_impacts, side_codes
-from ..problem.orbit_point import OrbitPoint, is_own_mirror_image, itinerary, label_of
-from ..problem.orbit_rows import parse_orbit_row
+from ..problem.orbit_curve import parse_orbit_point
+from ..problem.orbit_equations import mark_impact_rows, sides_with_release_codes
+from ..problem.orbit_point import OrbitPoint, is_own_mirror_image, itinerary_of_point, label_of_point
 from ..scene.symmetry import is_symmetric
 from .branch import Branch, Segment, frequency_at, make_special, scene_at_value
-from .impossible_points import require_damped, require_possible
+from .impossible_points import require_no_area_growth, require_possible_points
 
 START_REASON = End.START.reason()
 
@@ -23,7 +23,8 @@ START_REASON = End.START.reason()
 def assemble_branch(scene, name, bounds, settings, backward, forward, start_reason=START_REASON):
     """Assemble the `Branch` of the segments that were followed backward and forward from a start.
 
-    Either direction may be None; `start_reason` is then the `Reason` of that end.
+    `backward` and `forward` are the `DirectedBranch` records of the two directions, None for a direction that was not
+    followed. `start_reason` is the `EndReason` of the end in a direction that was not followed.
     """
     branch_segments = [reverse_segment(segment) for segment in reversed(backward.segments)] if backward else []
     if backward and forward:
@@ -31,12 +32,12 @@ def assemble_branch(scene, name, bounds, settings, backward, forward, start_reas
         branch_segments += forward.segments[1:]
     elif forward:
         branch_segments = forward.segments
-    ends, reasons = zip(
+    end_kinds, reasons = zip(
         backward.reason if backward else start_reason, forward.reason if forward else start_reason, strict=True
     )
-    data, segments, special_points = _build_data(scene, name, bounds, branch_segments)
+    data, segments, special_points = _build_branch_parts(scene, name, bounds, branch_segments)
     settings = {key: setting for key, setting in settings.items() if key != "limits"}
-    return Branch(name, bounds, scene, data, segments, special_points, reasons, settings, ends)
+    return Branch(name, bounds, scene, data, segments, special_points, reasons, settings, end_kinds)
 
 
 def merge_branches(first_branch, second_branch):
@@ -74,76 +75,85 @@ def _pad_impacts(data, max_impacts):
     return data.drop_vars("side").pad(padding).assign(side=sides)
 
 
-def _build_data(scene, name, bounds, branch_segments):
-    """Return data, segments and special points of continued segments. Raises ImpossibleError."""
+def _build_branch_parts(scene, name, bounds, branch_segments):
+    """Return the dataset, `Segment` and `Special` records of continued segments. Raises ImpossiblePointError."""
     max_impacts = max(int(np.sum(entry.args.sequence.sides != 0)) for entry in branch_segments)
     segment_columns = [
         dataset_columns(entry, name, max_impacts, segment_index) for segment_index, entry in enumerate(branch_segments)
     ]
     columns = {
-        key: np.concatenate([segment_data[key] for segment_data in segment_columns]) for key in segment_columns[0]
+        key: np.concatenate([columns_of_segment[key] for columns_of_segment in segment_columns])
+        for key in segment_columns[0]
     }
     descriptions = column_descriptions(name)
     data = {key: xr.Variable(descriptions[key][0], column, descriptions[key][1]) for key, column in columns.items()}
 
-    def row_at(row_index):
-        return {key: column[row_index] for key, column in columns.items()}
+    def column_values_at(branch_row_index):
+        return {key: column[branch_row_index] for key, column in columns.items()}
 
     segments, special_points, first_row = [], [], 0
     grazing_rows = set()
     for entry in branch_segments:
-        row, n_points = row_at(first_row), len(entry.points.z)
-        itinerary_words = itinerary(parse_orbit_row(row, name), frequency_at(scene, name, float(row[name])))
+        row, n_points = column_values_at(first_row), len(entry.points.z)
+        segment_itinerary = itinerary_of_point(
+            parse_orbit_point(row, name), frequency_at(scene, name, float(row[name]))
+        )
         segments.append(
             Segment(
                 first_row,
                 first_row + n_points - 1,
-                label_of(scene, parse_orbit_row(row, name), itinerary_words),
-                itinerary_words,
+                label_of_point(scene, parse_orbit_point(row, name), segment_itinerary),
+                segment_itinerary,
             )
         )
-        for special_index in entry.specials:
-            row_index = first_row + special_index.row
+        for special_record in entry.specials:
+            branch_row_index = first_row + special_record.row
             is_duplicate = (
-                special_index.kind == "GR" and row_index - 1 in grazing_rows
+                special_record.kind == "GR" and branch_row_index - 1 in grazing_rows
             )  # the same grazing, located from the other segment
             if not is_duplicate:
-                special_points.append(_make_special(scene, name, bounds, special_index, row_index, row_at(row_index)))
-            if special_index.kind == "GR":
-                grazing_rows.add(row_index)
+                special_points.append(
+                    _make_special(
+                        scene, name, bounds, special_record, branch_row_index, column_values_at(branch_row_index)
+                    )
+                )
+            if special_record.kind == "GR":
+                grazing_rows.add(branch_row_index)
         first_row += n_points
-    for row_index in (0, first_row - 1):
-        if not any(entry.place == row_index for entry in special_points):
-            row = row_at(row_index)
-            special_points.append(make_special(scene, name, bounds, row_index, row, "EP", float(row["residual"])))
+    for branch_row_index in (0, first_row - 1):
+        if not any(entry.place == branch_row_index for entry in special_points):
+            row = column_values_at(branch_row_index)
+            special_points.append(
+                make_special(scene, name, bounds, branch_row_index, row, "EP", float(row["residual"]))
+            )
     special_points = tuple(sorted(special_points, key=lambda special: special.place))
     if scene.force is None:
-        require_damped(name, columns[name], columns["multiplier_real"] + 1j * columns["multiplier_imag"])
-    require_possible(special_points)
+        require_no_area_growth(name, columns[name], columns["multiplier_real"] + 1j * columns["multiplier_imag"])
+    require_possible_points(special_points)
     return xr.Dataset(data, attrs={"parameter": name, **scales_attributes(scene)}), tuple(segments), special_points
 
 
 def dataset_columns(segment, name, max_impacts, segment_index):
     """Return the columns of a branch's data for one segment, ``{name: array}`` with one row per point."""
     z, tangent, diagnostics = segment.points.z, segment.points.tangent, segment.diagnostics
-    n_impacts, n_rows, n_points = (
+    n_impacts, n_sequence_rows, n_points = (
         int(np.sum(segment.args.sequence.sides != 0)),
         len(segment.args.sequence.sides),
         len(segment.points.z),
     )
 
-    def pad_impacts(values, fill):
-        padded = np.full((n_points, max_impacts), fill)
-        padded[:, :n_impacts] = values
+    def pad_impacts(impact_values, fill_value):
+        padded = np.full((n_points, max_impacts), fill_value)
+        padded[:, :n_impacts] = impact_values
         return padded
 
-    sides = np.broadcast_to(side_codes(segment.args.sequence)[:n_impacts], (n_points, n_impacts))
-    speeds = z[:, n_rows : n_rows + n_impacts] if n_rows else z[:, :0]
-    speed_slopes = tangent[:, n_rows : n_rows + n_impacts] if n_rows else speeds
+    sides = np.broadcast_to(sides_with_release_codes(segment.args.sequence)[:n_impacts], (n_points, n_impacts))
+    speeds = z[:, n_sequence_rows : n_sequence_rows + n_impacts] if n_sequence_rows else z[:, :0]
+    speed_slopes = tangent[:, n_sequence_rows : n_sequence_rows + n_impacts] if n_sequence_rows else speeds
     floquet_multipliers = eigenvalue_pairs(diagnostics.trace, diagnostics.determinant)
     return {
         name: z[:, -1],
-        "time": pad_impacts(z[:, :n_impacts] if n_rows else speeds, np.nan),
+        "time": pad_impacts(z[:, :n_impacts] if n_sequence_rows else speeds, np.nan),
         "speed": pad_impacts(speeds, np.nan),
         "side": pad_impacts(sides, 0).astype(np.int8),
         "x": diagnostics.x,
@@ -151,10 +161,10 @@ def dataset_columns(segment, name, max_impacts, segment_index):
         "multiplier_real": floquet_multipliers.real,
         "multiplier_imag": floquet_multipliers.imag,
         "stable": (abs(floquet_multipliers) < 1.0 - STABILITY_MARGIN).all(axis=1).astype(np.int8),
-        "least_speed": speeds[:, are_impacts(segment.args.sequence)[:n_impacts]].min(axis=1, initial=np.inf),
+        "least_speed": speeds[:, mark_impact_rows(segment.args.sequence)[:n_impacts]].min(axis=1, initial=np.inf),
         "least_clearance": diagnostics.clearance.min(axis=(1, 2), initial=np.inf),
         "residual": segment.points.residual,
-        "time_slope": pad_impacts(tangent[:, :n_impacts] if n_rows else speeds, np.nan),
+        "time_slope": pad_impacts(tangent[:, :n_impacts] if n_sequence_rows else speeds, np.nan),
         "speed_slope": pad_impacts(speed_slopes, np.nan),
         "value_slope": tangent[:, -1],
         "segment": np.full(n_points, segment_index),
@@ -164,56 +174,60 @@ def dataset_columns(segment, name, max_impacts, segment_index):
 def column_descriptions(name):
     """Return dimensions and attributes of each column. The long names are stored in files."""
 
-    def describe(long_name, units, *dimensions):
+    def describe_column(long_name, units, *dimensions):
         return ("point", *dimensions), {"long_name": long_name, "units": units}
 
     return {
         name: (("point",), {"long_name": "the parameter", "units": unit_of(name)}),
-        "time": describe("since phase 0", TIME, "impact"),
-        "speed": describe("abs(y- - v_b)", SPEED, "impact"),
-        "side": describe("-1 left, 1 right, 0 none; 2 or 3 times that: its wall lets the mass go", "1", "impact"),
-        "x": describe("position at phase 0 of each period", LENGTH, "period"),
-        "v": describe("velocity at phase 0 of each period", SPEED, "period"),
-        "multiplier_real": describe("Floquet's, the larger first", "1", "multiplier"),
-        "multiplier_imag": describe("Floquet's, the larger first", "1", "multiplier"),
-        "stable": describe("1: both are smaller than 1", "1"),
-        "least_speed": describe("of the impacts, inf: none", SPEED),
-        "least_clearance": describe("at turning points, inf: none", LENGTH),
-        "residual": describe("largest error left in the equations", LENGTH),
-        "time_slope": describe("of the unit tangent", "1", "impact"),
-        "speed_slope": describe("of the unit tangent", "1", "impact"),
-        "value_slope": describe("of the unit tangent", "1"),
-        "segment": describe("which stretch of one itinerary", "1"),
+        "time": describe_column("since phase 0", TIME, "impact"),
+        "speed": describe_column("abs(y- - v_b)", SPEED, "impact"),
+        "side": describe_column(
+            "-1 left, 1 right, 0 none; 2 or 3 times that: its wall lets the mass go", "1", "impact"
+        ),
+        "x": describe_column("position at phase 0 of each period", LENGTH, "period"),
+        "v": describe_column("velocity at phase 0 of each period", SPEED, "period"),
+        "multiplier_real": describe_column("Floquet's, the larger first", "1", "multiplier"),
+        "multiplier_imag": describe_column("Floquet's, the larger first", "1", "multiplier"),
+        "stable": describe_column("1: both are smaller than 1", "1"),
+        "least_speed": describe_column("of the impacts, inf: none", SPEED),
+        "least_clearance": describe_column("at turning points, inf: none", LENGTH),
+        "residual": describe_column("largest error left in the equations", LENGTH),
+        "time_slope": describe_column("of the unit tangent", "1", "impact"),
+        "speed_slope": describe_column("of the unit tangent", "1", "impact"),
+        "value_slope": describe_column("of the unit tangent", "1"),
+        "segment": describe_column("which stretch of one itinerary", "1"),
     }
 
 
-def _make_special(scene, name, bounds, special_index, row_index, row):
-    kind = special_index.kind
+def _make_special(scene, name, bounds, special_record, branch_row_index, row):
+    kind = special_record.kind
     if kind == "BP" and is_symmetric(scene):
-        orbit_row = parse_orbit_row(row, name)
+        orbit_row = parse_orbit_point(row, name)
         kind = "SB" if is_own_mirror_image(scene_at_value(scene, name, orbit_row.value), orbit_row) else kind
-    neighbours, not_followed = (
+    neighbour_orbits, is_not_followed = (
         (
-            [_orbit_row_of_exit(grazing_exit) for grazing_exit in special_index.details.exits],
-            special_index.details.not_followed,
+            [_orbit_row_of_exit(grazing_exit) for grazing_exit in special_record.detector_details.exits],
+            special_record.detector_details.not_followed,
         )
-        if special_index.details
+        if special_record.detector_details
         else ((), ())
     )
-    return make_special(scene, name, bounds, row_index, row, kind, special_index.residual, neighbours, not_followed)
+    return make_special(
+        scene, name, bounds, branch_row_index, row, kind, special_record.residual, neighbour_orbits, is_not_followed
+    )
 
 
 def _orbit_row_of_exit(grazing_exit):
-    """Return the `OrbitPoint` close to a grazing on a `GrazingExit`."""
-    problem, z = grazing_exit.problem, grazing_exit.nearby_z
-    n_impacts, n_rows = int(np.sum(problem.sequence.sides != 0)), len(problem.sequence.sides)
+    """Return the `OrbitPoint` close to a grazing on the branch of a `BranchFromGrazing`."""
+    problem, z = grazing_exit.problem, grazing_exit.z_near_grazing
+    n_impacts, n_sequence_rows = int(np.sum(problem.sequence.sides != 0)), len(problem.sequence.sides)
     diagnostics = grazing_exit.diagnostics
-    sides = np.asarray(side_codes(problem.sequence)[:n_impacts])
+    sides = np.asarray(sides_with_release_codes(problem.sequence)[:n_impacts])
     periods, section_state = int(problem.sequence.periods), (float(diagnostics.x[0, 0]), float(diagnostics.v[0, 0]))
     return OrbitPoint(
         float(z[-1]),
-        z[:n_impacts] if n_rows else z[:0],
-        z[n_rows : n_rows + n_impacts] if n_rows else z[:0],
+        z[:n_impacts] if n_sequence_rows else z[:0],
+        z[n_sequence_rows : n_sequence_rows + n_impacts] if n_sequence_rows else z[:0],
         sides,
         periods,
         *section_state,

@@ -16,18 +16,18 @@ from jaxtyping import Bool, Complex, Float
 from .. import __version__
 from ..orbits.orbit import Orbit
 from ..output.checksums import netcdf_bytes
-from ..output.dataframes import make_dataframe, special_kinds
-from ..output.labels import translate_label
+from ..output.dataframes import make_dataframe, special_kind_per_point
+from ..output.label_translation import translate_label
 from ..output.table_text import align_columns, column_header, multipliers_text
 from ..output.units import unit_in_system, unit_of
-from ..problem import stability
-from ..problem.end import End, rescale_reason
-from ..problem.orbit_point import OrbitPoint, itinerary, label_of, orbit_from_row
-from ..problem.orbit_rows import OrbitRows, SpecialOrbit, dataset_row, parse_orbit_row
-from ..scene.scene import Scene, map_numbers, replace_unchecked
+from ..problem import stability_descriptions
+from ..problem.end import End, rescale_reason_text
+from ..problem.orbit_curve import OrbitCurve, SpecialOrbit, dataset_row, parse_orbit_point
+from ..problem.orbit_point import OrbitPoint, itinerary_of_point, label_of_point, orbit_from_point
+from ..scene.scene import Scene, map_scene_numbers, replace_unchecked
 from ..scene.scene_table import make_scene_table
 from . import normal_form as forms
-from .curves import Curves, make_curves
+from .branch_curves import Curves, make_curves
 from .normal_form import NormalForm
 from .orbit_columns import orbit_columns
 
@@ -53,16 +53,17 @@ KIND_NAMES = {
 class Segment:
     """Part of a branch with one itinerary.
 
-    Where an impact crosses phase 0 the words of the itinerary change within a segment. The order of the walls does not.
+    The words of the itinerary change within a segment where an impact crosses phase 0. The order of the walls is
+    constant.
 
     Attributes
     ----------
     first, last : int
-        Indices of its first and last point.
+        Indices of the first and the last point of the segment.
     label : str
-        Label P n p q of its orbits.
+        Label P n p q of the orbits, as in `Orbit.label`.
     itinerary : tuple of str
-        Walls hit at its first point, one word for each drive period.
+        Walls hit by the orbit of the first point, one word for each drive period.
     """
 
     first: int
@@ -99,13 +100,13 @@ class Special(SpecialOrbit):
     place : int
         Index among the points of the branch.
     spot : OrbitPoint
-        The orbit as plain numbers.
+        Orbit at the point as plain numbers.
     slopes : ndarray
         Unit tangent of the branch: times, speeds and parameter, array of shape (2 * impacts + 1,).
     joins : tuple of OrbitPoint
-        At a GR, one orbit close to the point on each branch that emanates from it.
+        At a GR, CH or RL, one orbit close to the point on each branch that emanates from the point; else empty.
     aside : tuple of bool
-        For each entry of `joins`, whether the branch does not continue along it.
+        True for each entry of `joins` along which the branch does not continue.
     saved : NormalForm or None
         Normal form read from a file.
 
@@ -135,22 +136,23 @@ class Special(SpecialOrbit):
     def normal_form(self) -> NormalForm | None:
         """Normal form of an SN, PD, SB or GR.
 
-        It gives the side on which the other orbits exist, and the consequence for a stable motion. It is None for other
-        kinds, for orbits without impacts except at a GR, and where the equations are too singular.
+        The normal form gives the side of the parameter on which the orbits that meet at the point exist, and the
+        consequence for a stable motion. The value is None for other kinds, for orbits without impacts except at a GR,
+        and if the linear equations of the computation are singular.
         """
-        arguments = self.kind, self.name, self.scene, self.spot, self.multipliers, self.joins
-        return self.saved or forms.make_normal_form(*arguments)
+        form_arguments = self.kind, self.name, self.scene, self.spot, self.multipliers, self.joins
+        return self.saved or forms.make_normal_form(*form_arguments)
 
     @cached_property
     def meets(self) -> tuple[Orbit, ...]:
-        """Orbits close to a GR, one `Orbit` for each branch that emanates from it."""
+        """Orbits close to a GR, CH or RL, one `Orbit` for each branch that emanates from the point."""
         return tuple(
-            orbit_from_row(self.scene.replace(**{self.name: neighbour.value}), neighbour) for neighbour in self.joins
+            orbit_from_point(self.scene.replace(**{self.name: neighbour.value}), neighbour) for neighbour in self.joins
         )
 
 
 @dataclass(frozen=True, eq=False)
-class Branch(OrbitRows[Special]):
+class Branch(OrbitCurve[Special]):
     """Branch of periodic orbits.
 
     Attributes
@@ -166,7 +168,7 @@ class Branch(OrbitRows[Special]):
     segments : tuple of Segment
         Parts with one itinerary.
     special : tuple of Special
-        Special points, in order.
+        Special points, in order along the branch.
     reasons : tuple of str
         Reasons for the ends at the first and at the last point.
     settings : dict
@@ -209,7 +211,7 @@ class Branch(OrbitRows[Special]):
 
     @property
     def stable(self) -> Bool[np.ndarray, " points"]:
-        """Stability of each point's orbit, boolean array of shape (points,)."""
+        """True at each point with a stable orbit, boolean array of shape (points,)."""
         return self.data["stable"].values.astype(bool)
 
     def located(self, place: int) -> tuple[Scene, OrbitPoint]:
@@ -227,7 +229,7 @@ class Branch(OrbitRows[Special]):
         orbit_row : OrbitPoint
             Orbit as plain numbers.
         """
-        orbit_row = parse_orbit_row(dataset_row(self.data, place), self.name)
+        orbit_row = parse_orbit_point(dataset_row(self.data, place), self.name)
         return scene_at_value(self.scene, self.name, orbit_row.value), orbit_row
 
     @property
@@ -238,7 +240,7 @@ class Branch(OrbitRows[Special]):
                 entry.kind,
                 entry.place,
                 entry.residual,
-                [_plain_values(neighbour) for neighbour in entry.joins],
+                [_orbit_as_list(neighbour) for neighbour in entry.joins],
                 entry.aside,
             ]
             for entry in self.special
@@ -287,21 +289,31 @@ class Branch(OrbitRows[Special]):
         >>> print(branch.table().splitlines()[0].split()[:3])
         ['kind', 'amplitude', 'orbit']
         """
-        unit, factor = unit_in_system(self.scene, unit_of(self.name), units)
-        header = column_header(self.name, unit, units)
+        parameter_unit, unit_factor = unit_in_system(self.scene, unit_of(self.name), units)
+        parameter_header = column_header(self.name, parameter_unit, units)
         rows = [
-            ("kind", header, "orbit", "stability", "itinerary", "multipliers", "meets", "consequence", "normal form")
+            (
+                "kind",
+                parameter_header,
+                "orbit",
+                "stability",
+                "itinerary",
+                "multipliers",
+                "meets",
+                "consequence",
+                "normal form",
+            )
         ]
         multipliers = self.multipliers
         for special in self.special:
             itinerary_text = " ".join(word or "." for word in special.itinerary)
             kind, value, stability_text = (
                 translate_label(special.kind, labels),
-                special.value * factor,
-                stability.stability_around(multipliers, special.place),
+                special.value * unit_factor,
+                stability_descriptions.stability_around(multipliers, special.place),
             )
             neighbours = " ".join(neighbour_labels(special)) or "-"
-            point_columns = (
+            point_cells = (
                 kind,
                 f"{value:.12g}",
                 special.label,
@@ -310,10 +322,10 @@ class Branch(OrbitRows[Special]):
                 multipliers_text(special.multipliers),
                 neighbours,
             )
-            form = special.normal_form
-            rows.append((*point_columns, *((form.consequence, str(form)) if form else ("-", "-"))))
+            normal_form = special.normal_form
+            rows.append((*point_cells, *((normal_form.consequence, str(normal_form)) if normal_form else ("-", "-"))))
         end_lines = [
-            f"{end_name} point: {reason_text if factor == 1.0 else rescale_reason(reason_text, factor)}"
+            f"{end_name} point: {reason_text if unit_factor == 1.0 else rescale_reason_text(reason_text, unit_factor)}"
             for end_name, reason_text in self.reason.items()
         ]
         return "\n".join([align_columns(rows), *end_lines])
@@ -331,8 +343,8 @@ class Branch(OrbitRows[Special]):
         -------
         pandas.DataFrame
             One row per point: kind of the special point if the point is one, parameter, label of the orbit, stability
-            in words, x and v at phase 0, least and largest speed before an impact, least clearance, rate at which
-            impacts at rigid walls take energy, and multipliers.
+            in words, x and v at phase 0, least and largest speed before an impact, least clearance, mean power that
+            impacts at rigid walls dissipate, and multipliers.
 
         Raises
         ------
@@ -349,13 +361,15 @@ class Branch(OrbitRows[Special]):
             [segment.last - segment.first + 1 for segment in self.segments],
         )
         columns = orbit_columns(self.scene, {self.name: self.values}, self.data, labels, self.multipliers)
-        return make_dataframe(self.scene, {"kind": ("", special_kinds(self.special, len(self))), **columns}, units)
+        return make_dataframe(
+            self.scene, {"kind": ("", special_kind_per_point(self.special, len(self))), **columns}, units
+        )
 
     def curves(self, variable: str = "x") -> Curves:
         """Return one variable along the branch as arrays for plotting.
 
-        A line breaks where an impact crosses phase 0: the velocity at phase 0 jumps there, although the branch
-        continues.
+        Lines of ``"x"`` and ``"v"`` break where an impact crosses phase 0, because the velocity at phase 0 jumps there
+        although the branch continues. Each line also breaks where the itinerary changes and the variable jumps.
 
         Parameters
         ----------
@@ -399,17 +413,18 @@ def end_values(branch):
     return (values.min(), values.max()) if End.CLOSED in branch.ends else (values[0], values[-1])
 
 
-def describe_extent(branch, factor=1.0, digits=12):
+def describe_extent(branch, unit_factor=1.0, digits=12):
     """Describe the parameter values of a branch as a text.
 
-    A closed branch has its range. Others have the first and the last value, and the range if it extends beyond these.
+    The text gives the range of a closed branch. For other branches the text gives the first and the last value, and
+    also the range if the range is wider.
 
     Parameters
     ----------
     branch : Branch
         Branch.
-    factor : float, optional
-        Unit of the scene in the unit of the text.
+    unit_factor : float, optional
+        Factor from the unit of the scene to the unit of the text.
     digits : int, optional
         Number of significant digits.
 
@@ -418,7 +433,7 @@ def describe_extent(branch, factor=1.0, digits=12):
     str
         Description, such as ``"from 2 to 6"``.
     """
-    values = factor * branch.values
+    values = unit_factor * branch.values
     first_value, last_value, lower, upper = (
         f"{value:.{digits}g}" for value in (values[0], values[-1], values.min(), values.max())
     )
@@ -429,7 +444,7 @@ def describe_extent(branch, factor=1.0, digits=12):
     )
 
 
-def _plain_values(orbit_row):
+def _orbit_as_list(orbit_row):
     """Convert an `OrbitPoint` to a list of plain numbers."""
     return [entry.tolist() if isinstance(entry, np.ndarray) else entry for entry in orbit_row]
 
@@ -445,13 +460,13 @@ def neighbour_labels(special):
     Returns
     -------
     list of str
-        Label of each orbit, followed by ``">"`` or ``"<"`` for the side of the parameter on which it lies.
+        Label of each orbit, followed by ``">"`` or ``"<"`` for the side of the parameter on which the orbit lies.
     """
     labels = []
     for neighbour in special.joins:
         frequency = frequency_at(special.scene, special.name, neighbour.value)
-        direction = ">" if neighbour.value > special.value else "<"
-        labels.append(label_of(special.scene, neighbour, itinerary(neighbour, frequency)) + direction)
+        side_symbol = ">" if neighbour.value > special.value else "<"
+        labels.append(label_of_point(special.scene, neighbour, itinerary_of_point(neighbour, frequency)) + side_symbol)
     return labels
 
 
@@ -476,7 +491,7 @@ def frequency_at(scene, name, value):
 
 
 def scene_at_value(scene, name, value):
-    """Return the scene at a parameter value of a branch without checking it again.
+    """Return the scene at a parameter value of a branch without checking the value again.
 
     Parameters
     ----------
@@ -493,30 +508,32 @@ def scene_at_value(scene, name, value):
         Scene with this value.
     """
     changed_scene = replace_unchecked(scene, {name: value})
-    return map_numbers(
+    return map_scene_numbers(
         lambda leaf: leaf if isinstance(leaf, jax.Array) else jnp.asarray(np.asarray(leaf, scene.dtype)), changed_scene
     )
 
 
-def make_special(scene, name, bounds, index, row, kind, residual, neighbours=(), not_followed=(), saved=None):
+def make_special(
+    scene, name, bounds, row_index, row, kind, residual, neighbour_orbits=(), is_not_followed=(), saved_form=None
+):
     """Make the `Special` of one row of a branch's data."""
-    orbit_row = parse_orbit_row(row, name)
+    orbit_row = parse_orbit_point(row, name)
     multipliers = row["multiplier_real"] + 1j * row["multiplier_imag"]
     scene = scene_at_value(scene, name, orbit_row.value)
-    itinerary_words = itinerary(orbit_row, float(scene.frequency))
+    itinerary = itinerary_of_point(orbit_row, float(scene.frequency))
     is_impact = row["side"] != 0
     slopes = np.concatenate([row["time_slope"][is_impact], row["speed_slope"][is_impact], [row["value_slope"]]])
-    optional_fields = tuple(neighbours), tuple(not_followed), saved
+    optional_fields = tuple(neighbour_orbits), tuple(is_not_followed), saved_form
     return Special(
         kind,
         name,
         orbit_row.value,
         bounds,
         scene,
-        itinerary_words,
+        itinerary,
         multipliers,
         residual,
-        index,
+        row_index,
         orbit_row,
         slopes,
         *optional_fields,

@@ -4,20 +4,20 @@ from os import PathLike
 
 import numpy as np
 
-from ..output.checksums import read_checked
-from ..output.saved_fields import (
+from ..output.checksums import parse_checked_file
+from ..output.saved_curve_checks import (
     IMPACT_CODES,
     decode_field,
     decode_scene,
-    read_record,
-    require_bounds,
-    require_columns,
-    require_valid,
+    parse_saved_curve,
+    require_valid_bounds,
+    require_valid_columns,
+    require_valid_field,
 )
 from ..output.units import scales_attributes
 from ..problem.end import End, parse_end
+from ..problem.orbit_curve import dataset_row
 from ..problem.orbit_point import OrbitPoint
-from ..problem.orbit_rows import dataset_row
 from ..scene import check
 from .branch import STEP_SETTINGS, Branch, Segment, make_special
 from .held_branch import HELD_UNITS, HeldBranch
@@ -70,7 +70,7 @@ def load_branch(path: str | PathLike[str]) -> Branch:
     >>> len(jv.load_branch(path)) == len(branch)
     True
     """
-    return read_checked(path, parse_branch)
+    return parse_checked_file(path, parse_branch)
 
 
 @check.host_only("use what was loaded before")
@@ -85,12 +85,12 @@ def load_held_branch(path: str | PathLike[str]) -> HeldBranch:
     Returns
     -------
     HeldBranch
-        The curve.
+        The held branch.
 
     Raises
     ------
     ArgumentError
-        If the file is damaged or does not hold such a curve.
+        If the file is damaged or does not hold a held branch.
     OSError
         If the file cannot be read.
 
@@ -104,51 +104,64 @@ def load_held_branch(path: str | PathLike[str]) -> HeldBranch:
     >>> len(jv.load_held_branch(path)) == len(held)
     True
     """
-    return read_checked(path, lambda content, path: read_record(content, path, "HeldBranch", _build_held_branch))
+    return parse_checked_file(
+        path, lambda content, path: parse_saved_curve(content, path, "HeldBranch", _build_held_branch)
+    )
 
 
-def parse_branch(content, path):
+def parse_branch(file_bytes, path):
     """Parse the bytes of a branch's file. Raises ArgumentError."""
-    return read_record(content, path, "Branch", _build_branch)
+    return parse_saved_curve(file_bytes, path, "Branch", _build_branch)
 
 
 def _build_branch(data):
     """Build the `Branch` of a file's data. Raises various errors if fields are invalid."""
     attrs = data.attrs
     name, bounds = str(attrs["parameter"]), tuple(float(value) for value in attrs["bounds"])
-    require_bounds(bounds)
+    require_valid_bounds(bounds)
     scene = decode_scene(attrs, name)
     _check_columns(data, name)
     last_row = data.sizes["point"] - 1
     segments = tuple(
-        Segment(*entry) for entry in decode_field(attrs, "segments", list[tuple[int, int, str, Itinerary]])
+        Segment(*segment_fields)
+        for segment_fields in decode_field(attrs, "segments", list[tuple[int, int, str, Itinerary]])
     )
-    ends = [-1, *(entry.last for entry in segments)]
-    is_contiguous = all(entry.first == end + 1 for entry, end in zip(segments, ends, strict=False))
-    require_valid("segments", ends[-1] == last_row and is_contiguous)
+    segment_last_rows = [-1, *(segment.last for segment in segments)]
+    is_contiguous = all(
+        segment.first == previous_last + 1 for segment, previous_last in zip(segments, segment_last_rows, strict=False)
+    )
+    require_valid_field("segments", segment_last_rows[-1] == last_row and is_contiguous)
     special_points, special_fields = [], decode_field(attrs, "special", list[SpecialFields])
-    saved_entries = (
+    optional_entries = (
         decode_field(attrs, "normal_forms", list[NormalFormFields | None])
         if "normal_forms" in attrs
         else [None] * len(special_fields)
     )
-    for (kind, index, residual, neighbours, not_followed), form in zip(special_fields, saved_entries, strict=True):
-        require_valid("special", kind and 0 <= index <= last_row)
-        optional_fields = [_parse_neighbour(entry) for entry in neighbours], not_followed, parse_normal_form(form)
+    for (kind, row_index, residual, all_neighbour_fields, is_not_followed), form_fields in zip(
+        special_fields, optional_entries, strict=True
+    ):
+        require_valid_field("special", kind and 0 <= row_index <= last_row)
+        optional_fields = (
+            [_parse_neighbour(neighbour_fields) for neighbour_fields in all_neighbour_fields],
+            is_not_followed,
+            parse_normal_form(form_fields),
+        )
         special_points.append(
-            make_special(scene, name, bounds, index, dataset_row(data, index), kind, residual, *optional_fields)
+            make_special(scene, name, bounds, row_index, dataset_row(data, row_index), kind, residual, *optional_fields)
         )
     reasons, settings = (
         decode_field(attrs, "reasons", tuple[str, str]),
         decode_field(attrs, "settings", dict[str, float]),
     )
-    are_positive = all(0 < value < np.inf for value in settings.values())
-    require_valid("settings", set(settings) == set(STEP_SETTINGS) and are_positive)
+    are_settings_positive = all(0 < value < np.inf for value in settings.values())
+    require_valid_field("settings", set(settings) == set(STEP_SETTINGS) and are_settings_positive)
     settings |= {"monitors": {}, "stop": ()}
-    saved_entries = (
+    optional_entries = (
         decode_field(attrs, "ends", tuple[str, str]) if "ends" in attrs else None
     )  # older files store only the texts
-    ends = tuple(map(parse_end, reasons)) if saved_entries is None else tuple(End[value] for value in saved_entries)
+    ends = (
+        tuple(map(parse_end, reasons)) if optional_entries is None else tuple(End[value] for value in optional_entries)
+    )
     data.attrs = {"parameter": name, **scales_attributes(scene)}
     return Branch(name, bounds, scene, data, segments, tuple(special_points), reasons, settings, ends)
 
@@ -157,26 +170,30 @@ def _build_held_branch(data):
     """Build the `HeldBranch` of a file's data. Raises various errors if fields are invalid."""
     attrs = data.attrs
     bounds = decode_field(attrs, "bounds", dict[str, tuple[float, float]])
-    names, held, value = tuple(bounds), str(attrs["held"]), float(attrs["value"])
-    require_valid("parameters", len(names) == 2)
-    require_valid("held", held in HELD_UNITS and np.isfinite(value))
-    for interval in bounds.values():
-        require_bounds(interval)
-    scene = decode_scene(attrs, *names)
-    _check_columns(data, *names)
+    parameter_names, quantity_name, value = tuple(bounds), str(attrs["held"]), float(attrs["value"])
+    require_valid_field("parameters", len(parameter_names) == 2)
+    require_valid_field("held", quantity_name in HELD_UNITS and np.isfinite(value))
+    for parameter_bounds in bounds.values():
+        require_valid_bounds(parameter_bounds)
+    scene = decode_scene(attrs, *parameter_names)
+    _check_columns(data, *parameter_names)
     reasons = decode_field(attrs, "reasons", tuple[str, str])
     data.attrs = scales_attributes(scene)
-    return HeldBranch(names, held, value, bounds, scene, data, reasons)
+    return HeldBranch(parameter_names, quantity_name, value, bounds, scene, data, reasons)
 
 
-def _check_columns(data, *names):
-    require_columns(data, dict.fromkeys(names, ("point",)) | DIMENSIONS, (*names, *FINITE_COLUMNS))
-    require_valid("sizes", data.sizes["period"] > 0)
-    require_valid("stable", np.isin(data["stable"].values, (0, 1)).all())
+def _check_columns(data, *parameter_names):
+    require_valid_columns(
+        data, dict.fromkeys(parameter_names, ("point",)) | DIMENSIONS, (*parameter_names, *FINITE_COLUMNS)
+    )
+    require_valid_field("sizes", data.sizes["period"] > 0)
+    require_valid_field("stable", np.isin(data["stable"].values, (0, 1)).all())
 
 
-def _parse_neighbour(neighbour):
-    value, times, speeds, sides, periods, *state_fields = neighbour
+def _parse_neighbour(neighbour_fields):
+    value, times, speeds, sides, periods, *state_and_residual = neighbour_fields
     is_valid = len(times) == len(speeds) == len(sides) and set(map(abs, sides)) <= IMPACT_CODES and periods > 0
-    require_valid("joins", is_valid)
-    return OrbitPoint(value, *(np.array(column, float) for column in (times, speeds, sides)), periods, *state_fields)
+    require_valid_field("joins", is_valid)
+    return OrbitPoint(
+        value, *(np.array(column, float) for column in (times, speeds, sides)), periods, *state_and_residual
+    )

@@ -3,12 +3,12 @@
 import numpy as np
 
 from ..orbits.orbit_comparison import is_same_orbit
-from ..problem import same_orbit
-from ..problem.diagnostics import diagnose
-from ..problem.equations import parameter_at
-from ..problem.orbit_conversion import correct_to_value
-from ..problem.orbit_point import impact_points, set_up_problem
-from ..problem.orbit_rows import dataset_row, parse_orbit_row
+from ..problem import orbit_equivalence
+from ..problem.orbit_conversion import correct_to_parameter
+from ..problem.orbit_curve import dataset_row, parse_orbit_point
+from ..problem.orbit_diagnostics import diagnose
+from ..problem.orbit_equations import parameter_value_at
+from ..problem.orbit_point import comparison_points, set_up_equations
 
 PREFILTER_TOLERANCE = 0.15  # relative to the largest x and v of the branch; closer states are tested by Newton's method
 ORBIT_TOLERANCE = 1e-5  # relative to the largest speed; largest difference of impacts of one orbit
@@ -27,22 +27,28 @@ def is_on_branch(seed_orbit, branch):
     for row_before in np.flatnonzero(value_offsets[:-1] * value_offsets[1:] <= 0):
         if _are_states_near(
             seed_orbit, branch_states[row_before : row_before + 2], max_distance
-        ) and _converges_to_orbit(seed_orbit, branch, row_before):
+        ) and _converges_to_seed_orbit(seed_orbit, branch, row_before):
             return True
     return False
 
 
 def _are_states_near(seed_orbit, branch_states, max_distance):
-    """Test whether the states of a seed orbit are near those of some points of a branch, counted from any period."""
-    rotations = [np.roll(states, k, axis=0) for states in branch_states for k in range(len(states))]
-    return any(abs(rotated - seed_orbit.section_states).max() < max_distance for rotated in rotations)
-
-
-def _converges_to_orbit(seed_orbit, branch, row_before):
-    """Test whether Newton's method leads from one of two points of a branch to the seed orbit."""
-    orbit_rows = (parse_orbit_row(dataset_row(branch.data, k), branch.name) for k in (row_before, row_before + 1))
+    """Test whether the states of a seed orbit are near those of a point of a branch, up to a shift of periods."""
+    shifted_branch_states = [
+        np.roll(point_states, period_shift, axis=0)
+        for point_states in branch_states
+        for period_shift in range(len(point_states))
+    ]
     return any(
-        correct_to_seed_orbit(seed_orbit, *set_up_problem(branch.scene, branch.name, orbit_row)) is not None
+        abs(shifted_states - seed_orbit.section_states).max() < max_distance for shifted_states in shifted_branch_states
+    )
+
+
+def _converges_to_seed_orbit(seed_orbit, branch, row_before):
+    """Test whether Newton's method leads from one of two adjacent points of a branch to the seed orbit."""
+    orbit_rows = (parse_orbit_point(dataset_row(branch.data, row), branch.name) for row in (row_before, row_before + 1))
+    return any(
+        correct_to_seed_orbit(seed_orbit, *set_up_equations(branch.scene, branch.name, orbit_row)) is not None
         for orbit_row in orbit_rows
     )
 
@@ -52,15 +58,15 @@ def correct_to_seed_orbit(seed_orbit, problem, z):
 
     Returns the equations and z at this value, or None if the method does not converge to the seed orbit.
     """
-    point = correct_to_value(problem, z, seed_orbit.orbit_row.value)
+    point = correct_to_parameter(problem, z, seed_orbit.orbit_row.value)
     return (problem, point.z) if point.converged and _is_seed_orbit(seed_orbit, problem, point.z) else None
 
 
 def _is_seed_orbit(seed_orbit, problem, z):
     if seed_orbit.has_chatter:
         diagnostics, state_scale = diagnose(problem, z[None]), abs(seed_orbit.section_states).max()
-        rotated = np.roll(seed_orbit.section_states, 1, axis=0)  # the last state is at phase 0
-        return abs(np.stack([diagnostics.x[0], diagnostics.v[0]], 1) - rotated).max() < CHATTER_TOLERANCE * max(
+        seed_states = np.roll(seed_orbit.section_states, 1, axis=0)  # the last state is at phase 0
+        return abs(np.stack([diagnostics.x[0], diagnostics.v[0]], 1) - seed_states).max() < CHATTER_TOLERANCE * max(
             1.0, state_scale
         )
     if not len(problem.sequence.sides):
@@ -68,5 +74,5 @@ def _is_seed_orbit(seed_orbit, problem, z):
             z[:2] - seed_orbit.section_states[0]
         ).max() < ORBIT_TOLERANCE * max(1.0, abs(seed_orbit.section_states).max())
     speed_scale = seed_orbit.orbit_row.speeds.max(initial=0.0)
-    seed_impacts = impact_points(seed_orbit.orbit_row, parameter_at(problem, z, "frequency"), speed_scale)
-    return is_same_orbit(same_orbit.impact_points(problem, z, speed_scale), seed_impacts, ORBIT_TOLERANCE)
+    seed_impacts = comparison_points(seed_orbit.orbit_row, parameter_value_at(problem, z, "frequency"), speed_scale)
+    return is_same_orbit(orbit_equivalence.comparison_points(problem, z, speed_scale), seed_impacts, ORBIT_TOLERANCE)

@@ -4,18 +4,18 @@ from dataclasses import replace
 
 import numpy as np
 
-from continuation.limits import UNLIMITED, limits_of
+from continuation.computation_limits import UNLIMITED, make_limits
 
 from ..orbits.orbit_comparison import is_same_orbit
 from ..problem.end import RESUMABLE_ENDS, End
-from ..problem.orbit_point import impact_points, set_up_problem
-from ..problem.same_orbit import is_repeated
+from ..problem.orbit_equivalence import is_repeated
+from ..problem.orbit_point import comparison_points, set_up_equations
 from ..scene.check import ArgumentError
 from ..scene.symmetry import stays_symmetric
 from .branch import frequency_at
 from .follow import follow
 from .mirror_image import mirror_branch
-from .switch import FIRST_STEP, branch_starts, follow_from_start
+from .switch import FIRST_STEP, branch_starts, follow_away_from_point
 
 MAX_BRANCHES = 64
 VALUE_TOLERANCE, IMPACT_TOLERANCE = (
@@ -39,18 +39,21 @@ def follow_tree(orbit, name, bounds, max_period=1, progress=None, largest_step=0
     bounds : tuple of float
         Lower and upper bound.
     max_period : int, optional
-        Largest number of drive periods of the orbits followed at period doublings. 1 follows none.
+        Largest number of drive periods of the orbits that are followed from period doublings. With 1, no branch is
+        followed from a period doubling.
     progress : callable, optional
         Called with the number of branches.
     largest_step : float, optional
         Largest continuation step.
     max_seconds : float, optional
-        Wall-clock time in s. Then a branch may end early, and later branches are not followed. None is no limit.
+        Largest wall-clock time in s. If the limit is reached while the first branch is followed, this branch ends
+        early. Later the branches of the current special point are omitted. None is no limit.
 
     Returns
     -------
     tuple of Branch
-        At most 64 branches, that of the orbit first.
+        Branches of the tree, which stops growing after the special point at which their number reaches 64. The first
+        branch contains `orbit`.
 
     Raises
     ------
@@ -62,10 +65,10 @@ def follow_tree(orbit, name, bounds, max_period=1, progress=None, largest_step=0
     Notes
     -----
     The branches of each SB, BP and PD are followed once, in the order in which the points are found. A branch that was
-    followed from its other end is omitted. In a symmetric scene each branch is followed by its mirror image, unless it
-    is its own.
+    followed from its other end is omitted. In a symmetric scene each branch precedes its mirror image in the result,
+    unless the branch contains the mirror images of its orbits.
     """
-    limits = limits_of(None, max_seconds, None, ArgumentError)
+    limits = make_limits(None, max_seconds, None, ArgumentError)
     step_settings = {"largest_step": largest_step, "tolerance": 1e-10, "monitors": {}, "stop": (), "limits": limits}
     tree = BranchTree(
         bounds, max_period, MAX_BRANCHES, step_settings, [], [], stays_symmetric(orbit.scene, name), progress
@@ -85,21 +88,21 @@ class BranchTree:
     max_period : int
         Largest number of drive periods at period doublings.
     max_branches : int
-        Largest number of branches.
+        Number of branches at which the tree stops growing, after all branches of a special point.
     step_settings : dict
         Settings of the continuation.
     branches : list of Branch
         Known branches.
-    processed_points : list of tuple of int
+    processed_indices : list of tuple of int
         Indices (branch, special point) of the points whose branches have been followed.
     symmetric : bool
-        Whether the mirror image of an orbit is an orbit.
+        True if the mirror image of each orbit is an orbit of the same scene.
     progress : callable or None
         Called with the number of branches.
     """
 
     def __init__(
-        self, bounds, max_period, max_branches, step_settings, branches, processed_points, symmetric, progress
+        self, bounds, max_period, max_branches, step_settings, branches, processed_indices, symmetric, progress
     ):
         self.bounds, self.max_period, self.max_branches, self.step_settings = (
             bounds,
@@ -107,87 +110,91 @@ class BranchTree:
             max_branches,
             step_settings,
         )
-        self.branches, self.processed_points, self.symmetric, self.progress = (
+        self.branches, self.processed_indices, self.symmetric, self.progress = (
             branches,
-            processed_points,
+            processed_indices,
             symmetric,
             progress,
         )
 
     @property
-    def is_exhausted(self):
+    def has_reached_limit(self):
         """True if the largest number of branches, or the time limit, is reached."""
         return len(self.branches) >= self.max_branches or self.step_settings.get("limits", UNLIMITED).expired
 
     def contains(self, branch):
-        """Test whether a branch is known, by a special point that it shares with a known branch."""
-        known_points = [special for known_branch in self.branches for special in known_branch.special]
+        """Test whether a branch shares a special point of an identifying kind with a known branch."""
+        known_special_points = [special for known_branch in self.branches for special in known_branch.special]
         return any(
             is_same_point(special, known_point)
             for special in branch.special
             if special.kind in IDENTIFYING_KINDS
-            for known_point in known_points
+            for known_point in known_special_points
         )
 
     def follow_special_points(self):
         """Follow the branches of every special point that has not been processed, in turn."""
         followed_points = [
             entry
-            for branch_index, point_index in self.processed_points
+            for branch_index, point_index in self.processed_indices
             for entry in self._with_mirror_image(self.branches[branch_index].special[point_index])
         ]
         branch_index = 0
-        while branch_index < len(self.branches) and not self.is_exhausted:
+        while branch_index < len(self.branches) and not self.has_reached_limit:
             for point_index, special in enumerate(self.branches[branch_index].special):
                 if (
-                    (branch_index, point_index) in self.processed_points
-                    or self.is_exhausted
+                    (branch_index, point_index) in self.processed_indices
+                    or self.has_reached_limit
                     or not _needs_following(special, self.max_period)
                 ):
                     continue
                 if not any(is_same_point(special, followed_point) for followed_point in followed_points):
                     followed_points += self._with_mirror_image(special)
-                    n_before = len(self.branches)
-                    self._follow_from(branch_index, special)
-                    if any(End.MAX_SECONDS in entry.ends for entry in self.branches[n_before:]):
-                        del self.branches[n_before:]  # the next run follows all of them
+                    n_branches_before = len(self.branches)
+                    self._follow_from_point(branch_index, special)
+                    if any(End.MAX_SECONDS in entry.ends for entry in self.branches[n_branches_before:]):
+                        del self.branches[n_branches_before:]  # the next run follows all of them
                         return
-                self.processed_points.append((branch_index, point_index))
+                self.processed_indices.append((branch_index, point_index))
             branch_index += 1
 
     def _with_mirror_image(self, special):
         """Return a special point, and in a symmetric scene its mirror image."""
         return [special, _mirrored_point(special)] if self.symmetric else [special]
 
-    def _follow_from(self, branch_index, special):
+    def _follow_from_point(self, branch_index, special):
         """Follow the branches of one special point."""
         if _is_on_other_branch(special, branch_index, self.branches, self.symmetric):
             return
-        for start in _new_starts(special):
-            branch = follow_from_start(special, start, self.bounds, **{"first_step": FIRST_STEP} | self.step_settings)
-            if len(branch) > 1 and not self._is_known(branch):
+        for start in _prime_period_starts(special):
+            branch = follow_away_from_point(
+                special, start, self.bounds, **{"first_step": FIRST_STEP} | self.step_settings
+            )
+            if len(branch) > 1 and not self._retraces_known_branch(branch):
                 self.add(branch)
-            if self.symmetric and special.kind == "SB" and not _is_own_mirror(branch):
+            if self.symmetric and special.kind == "SB" and not _is_own_mirror_image(branch):
                 break  # the other half is the mirror image; branches of symmetric orbits need both halves
 
-    def _is_known(self, branch):
+    def _retraces_known_branch(self, branch):
         """Test whether a branch, or its mirror image, retraces an earlier branch.
 
         Mirror images count only for earlier branches that contain their own mirror images.
         """
         if any(_is_retraced(branch, known_branch) for known_branch in self.branches):
             return True
-        symmetric_branches = (
-            [known_branch for known_branch in self.branches if _is_own_mirror(known_branch)] if self.symmetric else []
+        self_mirrored_branches = (
+            [known_branch for known_branch in self.branches if _is_own_mirror_image(known_branch)]
+            if self.symmetric
+            else []
         )
-        return bool(symmetric_branches) and any(
-            _is_retraced(mirror_branch(branch), known_branch) for known_branch in symmetric_branches
+        return bool(self_mirrored_branches) and any(
+            _is_retraced(mirror_branch(branch), known_branch) for known_branch in self_mirrored_branches
         )
 
     def add(self, branch):
         """Add a branch, and in a symmetric scene its mirror image."""
         self.branches.append(branch)
-        if self.symmetric and not _is_own_mirror(branch):
+        if self.symmetric and not _is_own_mirror_image(branch):
             self.branches.append(mirror_branch(branch))
         if self.progress is not None:
             self.progress(len(self.branches))
@@ -199,11 +206,11 @@ def _needs_following(special, max_period):
         return False
     if special.kind == "PD":
         return 2 * special.spot.periods <= max_period
-    return not is_repeated(*set_up_problem(special.scene, special.name, special.spot))
+    return not is_repeated(*set_up_equations(special.scene, special.name, special.spot))
 
 
-def _new_starts(special):
-    """Return the starts of a point's branches, except those of shorter orbits that are repeated."""
+def _prime_period_starts(special):
+    """Return the starts of the branches at a special point, except those of repeated shorter orbits."""
     try:
         all_starts = branch_starts(special)
     except ValueError:  # no branches cross there
@@ -211,34 +218,34 @@ def _new_starts(special):
     return [start for start in all_starts if not is_repeated(start[0], start[1].z + OFFSET * start[1].tangent)]
 
 
-def _is_on_other_branch(special, source_index, branches, symmetric):
+def _is_on_other_branch(special, own_branch_index, branches, symmetric):
     """Test whether another branch passes through a point, so that the crossing branch is known.
 
     The mirror image of the point's own branch does not count, because it passes through each SB of that branch.
     """
-    n_times = 2 if special.kind == "PD" else 1
+    n_repetitions = 2 if special.kind == "PD" else 1
     for branch_index, branch in enumerate(branches):
-        crossing_points = (
+        crossing_or_end_points = (
             other_special for other_special in branch.special if other_special.kind in ("SB", "BP", "EP")
         )
-        if branch_index == source_index or not any(
-            has_same_orbit(special, other_special, n_times) for other_special in crossing_points
+        if branch_index == own_branch_index or not any(
+            has_same_orbit(special, other_special, n_repetitions) for other_special in crossing_or_end_points
         ):
             continue
-        if not (symmetric and _is_mirror(branch, branches[source_index])):
+        if not (symmetric and _is_mirror_image(branch, branches[own_branch_index])):
             return True
     return False
 
 
 def _is_retraced(branch, earlier_branch):
-    """Test whether a branch ends in the same orbit as an earlier one, so that it is that branch or its reverse."""
+    """Test whether a branch ends in the same orbit as an earlier branch, and thus retraces the earlier branch."""
     last_point, earlier_last_point = branch.special[-1], earlier_branch.special[-1]
     return branch.segments[-1].label == earlier_branch.segments[-1].label and has_same_orbit(
         last_point, earlier_last_point
     )
 
 
-def mirror_images(branches):
+def originals_of_mirrors(branches):
     """Find the branches that are mirror images of earlier ones.
 
     Parameters
@@ -249,21 +256,21 @@ def mirror_images(branches):
     Returns
     -------
     dict of int to int
-        Index of the earlier branch for the index of each mirror image.
+        Index of the earlier branch, by the index of its mirror image.
     """
     original_of: dict[int, int] = {}
     for branch_index, branch in enumerate(branches):
         if not stays_symmetric(branch.scene, branch.name):
             continue
         for earlier_index in range(branch_index):
-            if earlier_index not in original_of and _is_mirror(branch, branches[earlier_index]):
+            if earlier_index not in original_of and _is_mirror_image(branch, branches[earlier_index]):
                 original_of[branch_index] = earlier_index
                 break
     return original_of
 
 
-def _is_mirror(first_branch, second_branch):
-    """Test whether the mirror images of a branch's special points are those of another branch."""
+def _is_mirror_image(first_branch, second_branch):
+    """Test whether a branch consists of the mirror images of another, by comparing their special points."""
     first_points, second_points = _identifying_points(first_branch), _identifying_points(second_branch)
     if not first_points or len(first_points) != len(second_points):
         return False
@@ -273,19 +280,20 @@ def _is_mirror(first_branch, second_branch):
     )
 
 
-def _is_own_mirror(branch):
+def _is_own_mirror_image(branch):
     """Test whether a branch contains the mirror images of its orbits.
 
-    It does if it passes through an SB, or if the mirror images of all its special points lie on it.
+    The branch contains them if it passes through an SB and its ends are final, or if the mirror images of all its
+    special points lie on the branch.
     """
     has_symmetry_breaking = any(special.kind == "SB" for special in branch.special) and not any(
         end in RESUMABLE_ENDS for end in branch.ends
     )
-    return has_symmetry_breaking or _is_mirror(branch, branch)
+    return has_symmetry_breaking or _is_mirror_image(branch, branch)
 
 
 def _identifying_points(branch):
-    """Return the special points that identify a branch: all except the EPs of a closed one, which lie at its start."""
+    """Return the special points that identify a branch: all of them, except the EPs of a closed branch."""
     if End.CLOSED not in branch.ends:
         return branch.special
     return tuple(special for special in branch.special if special.kind != "EP")
@@ -303,15 +311,15 @@ def is_same_point(first_point, second_point):
     return first_point.kind == second_point.kind and has_same_orbit(first_point, second_point)
 
 
-def has_same_orbit(first_point, second_point, n_times=1):
-    """Test whether the orbit of a special point, traversed `n_times` times, is that of another."""
-    if n_times * first_point.spot.periods != second_point.spot.periods or not np.isclose(
+def has_same_orbit(first_point, second_point, n_repetitions=1):
+    """Test whether the orbit of a special point, traversed `n_repetitions` times, equals the orbit of another point."""
+    if n_repetitions * first_point.spot.periods != second_point.spot.periods or not np.isclose(
         first_point.value, second_point.value, VALUE_TOLERANCE, VALUE_TOLERANCE
     ):
         return False
     speed_scale = max(special.spot.speeds.max(initial=0.0) for special in (first_point, second_point))
     impact_sets = (
-        impact_points(special.spot, frequency_at(special.scene, special.name, special.value), speed_scale)
+        comparison_points(special.spot, frequency_at(special.scene, special.name, special.value), speed_scale)
         for special in (first_point, second_point)
     )
     return is_same_orbit(*impact_sets, IMPACT_TOLERANCE)

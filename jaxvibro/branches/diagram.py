@@ -11,17 +11,17 @@ import msgspec
 import pandas as pd
 
 from ..output.atomic_write import atomic_file
-from ..output.checksums import HEADER_ATTRIBUTES, read_checked, require_format, seal, sha256_hex
-from ..output.labels import translate_label
+from ..output.checksums import HEADER_ATTRIBUTES, fill_in_checksum, parse_checked_file, require_known_format, sha256_hex
+from ..output.label_translation import translate_label
 from ..output.table_text import align_columns, column_header
 from ..output.units import unit_in_system, unit_of
-from ..problem.end import rescale_reason
-from ..scene.check import ArgumentError, host_only, shorten
+from ..problem.end import rescale_reason_text
+from ..scene.check import ArgumentError, host_only, shorten_text
 from ..scene.scene import Scene
 from ..scene.scene_table import SceneTable, make_scene_table
 from .branch import Branch, Special, end_values
 from .branch_file import parse_branch
-from .branch_tree import is_same_point, mirror_images
+from .branch_tree import is_same_point, originals_of_mirrors
 
 INDEX_FILE = "diagram.json"
 BRANCH_FILE_NAME = re.compile(r"branch_\d+(_[0-9a-f]{16})?\.nc")
@@ -44,7 +44,7 @@ class Diagram:
     left : tuple of tuple of int
         Indices (branch, special point) of the points whose emanating branches have been followed.
     complete : bool
-        Whether nothing remains to be followed.
+        True if no limit ended the exploration.
     reason : str
         Reason for stopping.
     settings : dict
@@ -76,7 +76,7 @@ class Diagram:
     @property
     def special(self) -> tuple[Special, ...]:
         """Special points of all branches except ends, without duplicates, sorted by parameter value."""
-        return _distinct_points(self.branches)
+        return _distinct_special_points(self.branches)
 
     def points(self, kind: str) -> tuple[Special, ...]:
         """Return the special points of a kind.
@@ -96,7 +96,8 @@ class Diagram:
     def table(self, units: str = "scene", labels: str = "jaxvibro") -> str:
         """Format the branches and the special points.
 
-        A branch and its mirror image share one line, which names both. The line of a closed branch has its range.
+        A branch and its mirror image share one line, which names both. The line of a closed branch gives the range of
+        the parameter.
 
         Parameters
         ----------
@@ -115,40 +116,48 @@ class Diagram:
         ArgumentError
             If `units` or `labels` is unknown, or the scene has no scales.
         """
-        unit, factor = unit_in_system(self.scene, unit_of(self.name), units)
+        unit, unit_factor = unit_in_system(self.scene, unit_of(self.name), units)
         rows: list[tuple[object, ...]] = [
             ("branch", "orbits", "from", "to", "points", "special", "starts as", "ends as")
         ]
-        original_of = mirror_images(self.branches)
-        shown_branches = [entry for index, entry in enumerate(self.branches) if index not in original_of]
-        number_texts = {
+        original_of = originals_of_mirrors(self.branches)
+        original_branches = [branch for index, branch in enumerate(self.branches) if index not in original_of]
+        numbers_with_mirror = {
             original_index + 1: f"{original_index + 1} (mirror image: {index + 1})"
             for index, original_index in original_of.items()
         }
-        for number, entry in (
-            (index + 1, entry) for index, entry in enumerate(self.branches) if index not in original_of
+        for branch_number, branch in (
+            (index + 1, branch) for index, branch in enumerate(self.branches) if index not in original_of
         ):
-            reason_texts = entry.reasons if factor == 1.0 else [rescale_reason(item, factor) for item in entry.reasons]
-            first_value, last_value = (f"{item * factor:.9g}" for item in end_values(entry))
-            kinds = " ".join(translate_label(item.kind, labels) for item in entry.special if item.kind != "EP")
-            orbit_labels = " ".join(dict.fromkeys(segment.label for segment in entry.segments))
+            reason_texts = (
+                branch.reasons
+                if unit_factor == 1.0
+                else [rescale_reason_text(item, unit_factor) for item in branch.reasons]
+            )
+            first_value, last_value = (f"{item * unit_factor:.9g}" for item in end_values(branch))
+            kinds = " ".join(translate_label(item.kind, labels) for item in branch.special if item.kind != "EP")
+            orbit_labels = " ".join(dict.fromkeys(segment.label for segment in branch.segments))
             rows.append(
                 (
-                    number_texts.get(number, number),
+                    numbers_with_mirror.get(branch_number, branch_number),
                     orbit_labels,
                     first_value,
                     last_value,
-                    len(entry),
+                    len(branch),
                     kinds or "-",
                     *reason_texts,
                 )
             )
-        point_rows = [("kind", column_header(self.name, unit, units), "orbit")]
-        point_rows += [
-            (translate_label(entry.kind, labels), f"{entry.value * factor:.12g}", entry.label)
-            for entry in _distinct_points(shown_branches)
+        special_rows = [("kind", column_header(self.name, unit, units), "orbit")]
+        special_rows += [
+            (
+                translate_label(special_point.kind, labels),
+                f"{special_point.value * unit_factor:.12g}",
+                special_point.label,
+            )
+            for special_point in _distinct_special_points(original_branches)
         ]
-        return f"{align_columns(rows)}\n\n{align_columns(point_rows)}\n\n{self.reason}"
+        return f"{align_columns(rows)}\n\n{align_columns(special_rows)}\n\n{self.reason}"
 
     def to_frame(self, units: str = "scene") -> pd.DataFrame:
         """Convert the points of all branches to a pandas DataFrame.
@@ -173,15 +182,15 @@ class Diagram:
     def save(self, folder: str | PathLike[str], force: bool = False) -> None:
         """Write the diagram to a folder: one NetCDF file per branch, and an index.
 
-        The names of the branch files contain their checksums. So the files of an existing diagram remain valid until
-        the index, written last, names the new ones.
+        The names of the branch files contain their checksums. The files of an existing diagram therefore remain valid
+        until the index, which is written last, names the new files.
 
         Parameters
         ----------
         folder : str or path-like
-            Folder. `load_diagram` reads the same numbers from it.
+            Folder, from which `load_diagram` reads the diagram.
         force : bool, optional
-            Whether to replace an existing diagram.
+            True to replace an existing diagram.
 
         Raises
         ------
@@ -193,23 +202,26 @@ class Diagram:
         if not force and os.path.lexists(index_path):
             raise FileExistsError(f"{index_path} already exists; force overwrites it")
         folder.mkdir(parents=True, exist_ok=True)
-        old_files, files = _listed_files(index_path), {}
-        for number, branch in enumerate(self.branches):
+        old_file_names, checksums_by_name = _listed_file_names(index_path), {}
+        for branch_number, branch in enumerate(self.branches):
             content = branch.content
             checksum = sha256_hex(content)
-            name = f"branch_{number:03d}_{checksum[:16]}.nc"
-            with atomic_file(folder / name, True) as file:
+            file_name = f"branch_{branch_number:03d}_{checksum[:16]}.nc"
+            with atomic_file(folder / file_name, True) as file:
                 file.write(content)
-            files[name] = checksum
+            checksums_by_name[file_name] = checksum
         index_fields = {key: getattr(self, key) for key in ("name", "bounds", "left", "complete", "reason", "settings")}
-        index_fields |= {"scene": msgspec.toml.encode(make_scene_table(self.scene)).decode(), "branches": files}
+        index_fields |= {
+            "scene": msgspec.toml.encode(make_scene_table(self.scene)).decode(),
+            "branches": checksums_by_name,
+        }
         with atomic_file(index_path, force) as file:
-            file.write(seal(json.dumps(HEADER_ATTRIBUTES | index_fields, indent=1).encode()))
-        for name in old_files - set(files):
-            (folder / name).unlink(missing_ok=True)
+            file.write(fill_in_checksum(json.dumps(HEADER_ATTRIBUTES | index_fields, indent=1).encode()))
+        for file_name in old_file_names - set(checksums_by_name):
+            (folder / file_name).unlink(missing_ok=True)
 
 
-def _distinct_points(branches):
+def _distinct_special_points(branches):
     """Return the special points of branches except ends, without duplicates, sorted by value."""
     distinct_points: list[Special] = []
     for special in (special for branch in branches for special in branch.special if special.kind != "EP"):
@@ -221,15 +233,24 @@ def _distinct_points(branches):
 def branches_dataframe(branches, units):
     """Concatenate the points of branches in a pandas DataFrame, with branch numbers from 1."""
     frames = [branch.to_frame(units) for branch in branches]
-    for number, branch_frame in enumerate(frames, 1):
-        branch_frame.insert(0, "branch", number)
+    for branch_number, branch_frame in enumerate(frames, 1):
+        branch_frame.insert(0, "branch", branch_number)
     return pd.concat(frames, ignore_index=True) if frames else pd.DataFrame({"branch": []})
 
 
 class DiagramIndex(msgspec.Struct):
     """Index of a diagram's folder.
 
-    `branches` maps file names to SHA-256 sums; in format 1, which had no scene, it is a list of files.
+    Attributes
+    ----------
+    name, bounds, left, complete, reason, settings
+        As in `Diagram`.
+    branches : dict of str to str, or list of str
+        SHA-256 sum of each branch file, by file name. A list of file names in format 1.
+    scene : str or None
+        Scene as TOML text, None in format 1.
+    format : int
+        Version of the file format.
     """
 
     name: str
@@ -262,7 +283,7 @@ def load_diagram(folder: str | PathLike[str]) -> Diagram:
     Raises
     ------
     ArgumentError
-        If the folder holds no diagram, or a file is damaged.
+        If the folder contains no diagram, or a file is damaged.
     OSError
         If a file cannot be read.
 
@@ -275,46 +296,64 @@ def load_diagram(folder: str | PathLike[str]) -> Diagram:
     >>> len(jv.load_diagram(folder))
     1
     """
-    path = Path(folder) / INDEX_FILE
-    index = read_checked(path, _parse_index)
-    digests = index.branches if isinstance(index.branches, dict) else dict.fromkeys(index.branches)
-    branches = tuple(_load_branch(path.with_name(name), checksum) for name, checksum in digests.items())
+    index_path = Path(folder) / INDEX_FILE
+    diagram_index = parse_checked_file(index_path, _parse_index)
+    checksums_by_name = (
+        diagram_index.branches if isinstance(diagram_index.branches, dict) else dict.fromkeys(diagram_index.branches)
+    )
+    branches = tuple(_load_branch(index_path.with_name(name), checksum) for name, checksum in checksums_by_name.items())
     try:
-        scene = branches[0].scene if index.scene is None else msgspec.toml.decode(index.scene, type=SceneTable).make()
-        finished_points = tuple(
+        scene = (
+            branches[0].scene
+            if diagram_index.scene is None
+            else msgspec.toml.decode(diagram_index.scene, type=SceneTable).make()
+        )
+        processed_indices = tuple(
             (branch_index, point_index)
-            for branch_index, point_index in index.left
+            for branch_index, point_index in diagram_index.left
             if branches[branch_index].special[point_index]
         )
-        has_same_name = all(entry.name == index.name for entry in branches)
+        has_same_parameter = all(branch.name == diagram_index.name for branch in branches)
     except (LookupError, ValueError) as error:
-        raise _folder_error(error, path) from None
-    if not has_same_name or min((entry for pair in finished_points for entry in pair), default=0) < 0:
-        raise _folder_error("its branches have another parameter", path)
+        raise _invalid_folder_error(error, index_path) from None
+    if (
+        not has_same_parameter
+        or min((index for index_pair in processed_indices for index in index_pair), default=0) < 0
+    ):
+        raise _invalid_folder_error("its branches have another parameter", index_path)
     return Diagram(
-        index.name, index.bounds, scene, branches, finished_points, index.complete, index.reason, index.settings
+        diagram_index.name,
+        diagram_index.bounds,
+        scene,
+        branches,
+        processed_indices,
+        diagram_index.complete,
+        diagram_index.reason,
+        diagram_index.settings,
     )
 
 
 def _parse_index(content, path):
     try:
-        index = msgspec.convert(json.loads(content), DiagramIndex)
+        diagram_index = msgspec.convert(json.loads(content), DiagramIndex)
     except (ValueError, RecursionError) as error:
-        raise _folder_error(error, path) from None
-    require_format(index.format, path)
-    if not all(map(BRANCH_FILE_NAME.fullmatch, index.branches)):
-        raise _folder_error("it names files that are not branch files", path)
-    return index
+        raise _invalid_folder_error(error, path) from None
+    require_known_format(diagram_index.format, path)
+    if not all(map(BRANCH_FILE_NAME.fullmatch, diagram_index.branches)):
+        raise _invalid_folder_error("it names files that are not branch files", path)
+    return diagram_index
 
 
-def _folder_error(error, path):
-    return ArgumentError("folder", f"must be a folder that Diagram.save wrote ({shorten(error)})", str(path.parent))
+def _invalid_folder_error(reason, path):
+    return ArgumentError(
+        "folder", f"must be a folder that Diagram.save wrote ({shorten_text(reason)})", str(path.parent)
+    )
 
 
-def _listed_files(index):
+def _listed_file_names(index_path):
     """Return the branch files that an index names, empty if the index cannot be read."""
     try:
-        return set(_parse_index(index.read_bytes(), index).branches)
+        return set(_parse_index(index_path.read_bytes(), index_path).branches)
     except (OSError, ArgumentError):
         return set()
 

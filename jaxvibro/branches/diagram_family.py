@@ -5,15 +5,15 @@ from dataclasses import replace
 
 from jaxtyping import ArrayLike, Real
 
-from continuation.limits import EXPIRED_REASON, UNLIMITED, Results, limits_of, partial_reason
+from continuation.computation_limits import EXPIRED_REASON, UNLIMITED, Results, make_limits, partial_result_reason
 
 from ..scene import check
-from ..scene.parameters import check_values
 from ..scene.scene import Scene
-from ..stores.filling import Store, complete_study
+from ..scene.scene_parameters import check_parameter_values
+from ..stores.study_completion import Store, complete_study
 from .diagram import Diagram
-from .diagram_study import DiagramStudy, unpack_diagram
-from .explore import make_exploration_task, run_exploration, seed_orbits_of_tasks
+from .diagrams_study import DiagramStudy, unpack_diagram
+from .explore import make_exploration_request, run_exploration, seed_orbits_of_requests
 
 
 @check.host_only("use strobe or monodromy")
@@ -44,7 +44,7 @@ def diagrams(
     bounds : tuple of float
         Lower and upper bound of the continuation parameter.
     third : str
-        Another parameter of the scene. Its value in the scene does not matter.
+        Another parameter of the scene. Its value in the scene is ignored.
     values : array_like
         Values of `third`, at least one, in any order.
     max_period : int, optional
@@ -52,26 +52,27 @@ def diagrams(
     seed : int, optional
         Seed of the random starts.
     budget : int, optional
-        Largest number of branches of each diagram.
+        Number of branches at which the exploration of each diagram stops, as in `explore`.
     largest_step : float, optional
         Largest continuation step.
     progress : callable, optional
         Called with the number of branches of the current diagram, or with the number of completed values if `store` is
         given.
     store : Store, optional
-        Store that keeps the diagrams, one value at a time, and resumes them. Its numbers equal those of other runs up
-        to rounding.
+        Store that keeps the diagram of each completed value, so that a later call resumes. Results with and without a
+        store are equal up to rounding.
     max_points : int, optional
         Largest number of points of each branch. None is no limit.
     max_seconds : float, optional
-        Wall-clock time in s for all diagrams. Then the current diagram ends as in `explore`, or is completed if there
-        is a store, and further values have no branches. A later call with the same store resumes. None is no limit.
+        Largest wall-clock time in s for all diagrams. At this time the current diagram ends as in `explore`; with a
+        store it is completed. The diagrams of further values have no branches. A later call with the same store
+        resumes. None is no limit.
 
     Returns
     -------
     tuple of Diagram
-        One diagram for each value. Its attribute ``stopped`` is empty, or states that the time was over, as does
-        ``reason`` of the incomplete diagrams.
+        One diagram for each value. The attribute ``stopped`` of the tuple is empty, or states that the time limit was
+        reached. The ``reason`` of each diagram that this limit ended states the same.
 
     Raises
     ------
@@ -84,7 +85,8 @@ def diagrams(
 
     Notes
     -----
-    The random starts of all values settle together; then the values are explored one after the other.
+    The random starts of all values are simulated together, or one value at a time if `store` is given. The values are
+    explored one after the other.
 
     Examples
     --------
@@ -92,32 +94,40 @@ def diagrams(
     >>> [len(diagram) for diagram in family]
     [1, 1]
     """
-    limits = limits_of(max_points, max_seconds, None, check.ArgumentError)
-    check.require_single(scene)
+    limits = make_limits(max_points, max_seconds, None, check.ArgumentError)
+    check.require_single_scene(scene)
     check.require_parameter(name, scene.names, name)
-    third_values = check_values(scene, third, values)
+    third_values = check_parameter_values(scene, third, values)
     if third == name:
         raise check.ArgumentError("third", "must differ from name", third)
     scenes = [scene.replace(**{third: value}) for value in third_values]
-    tasks = [make_exploration_task(entry, name, bounds, max_period, seed, budget, largest_step) for entry in scenes]
-    task_limits = (
+    requests = [
+        make_exploration_request(entry, name, bounds, max_period, seed, budget, largest_step) for entry in scenes
+    ]
+    request_limits = (
         limits if store is None else replace(UNLIMITED, points=limits.points)
     )  # the bits of a stored diagram do not depend on timing
-    tasks = [entry._replace(step_settings=entry.step_settings | {"limits": task_limits}) for entry in tasks]
+    requests = [entry._replace(step_settings=entry.step_settings | {"limits": request_limits}) for entry in requests]
     if store is None:
-        results = [run_exploration(*entry, progress) for entry in zip(tasks, seed_orbits_of_tasks(tasks), strict=True)]
-    else:
-        study = DiagramStudy(third, third_values, tuple(tasks))
-        data = complete_study(study, store, progress and (lambda store_progress: progress(store_progress.done)), limits)
-        rows = zip(tasks, data["content"].values, data["size"].values, strict=True)
         results = [
-            _empty_diagram(task) if n_bytes < 0 else unpack_diagram(row[:n_bytes].tobytes())
-            for task, row, n_bytes in rows
+            run_exploration(*entry, progress) for entry in zip(requests, seed_orbits_of_requests(requests), strict=True)
+        ]
+    else:
+        study = DiagramStudy(third, third_values, tuple(requests))
+        stored_data = complete_study(
+            study, store, progress and (lambda store_progress: progress(store_progress.done)), limits
+        )
+        rows = zip(requests, stored_data["content"].values, stored_data["size"].values, strict=True)
+        results = [
+            _empty_diagram(request) if n_bytes < 0 else unpack_diagram(row[:n_bytes].tobytes())
+            for request, row, n_bytes in rows
         ]
     n_complete = sum(diagram.reason != EXPIRED_REASON for diagram in results)
-    return Results(results, "" if n_complete == len(results) else partial_reason(n_complete, len(results), "values"))
+    return Results(
+        results, "" if n_complete == len(results) else partial_result_reason(n_complete, len(results), "values")
+    )
 
 
-def _empty_diagram(task):
-    """Make the `Diagram` of a task that has not started."""
-    return Diagram(task.name, task.bounds, task.scene, (), (), False, EXPIRED_REASON, task.settings)
+def _empty_diagram(request):
+    """Make the `Diagram` of a request whose exploration has not started."""
+    return Diagram(request.name, request.bounds, request.scene, (), (), False, EXPIRED_REASON, request.settings)

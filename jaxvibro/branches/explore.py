@@ -11,24 +11,24 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from continuation.limits import EXPIRED_REASON, limits_of
+from continuation.computation_limits import EXPIRED_REASON, make_limits
 
-from ..flight.wall_positions import clamp_to_walls
+from ..flight.wall_positions import adapt_to_moved_walls
 from ..orbits.find import find_orbit
 from ..orbits.orbit import OrbitError
 from ..problem.end import End
-from ..problem.orbit_conversion import orbit_row_of
-from ..problem.orbit_point import set_up_problem
+from ..problem.orbit_conversion import orbit_point_of
+from ..problem.orbit_point import set_up_equations
 from ..scene import check
-from ..scene.parameters import check_bounds, parameter_domain
 from ..scene.scene import Scene
+from ..scene.scene_parameters import check_parameter_bounds, parameter_domain
 from ..scene.state import State
 from ..scene.symmetry import stays_symmetric
 from ..scene.unit_mistakes import require_scene_units
 from .branch_membership import correct_to_seed_orbit, is_on_branch
 from .branch_tree import BranchTree
 from .diagram import Diagram
-from .follow import branch_through, check_settings
+from .follow import branch_through, check_follow_settings
 from .seed_orbits import find_seed_orbits, free_seed_orbits
 from .switch import FIRST_STEP
 
@@ -58,20 +58,20 @@ def explore(
     Parameters
     ----------
     scene : Scene
-        A single scene. Its own value of the parameter does not matter.
+        A single scene. Its own value of the parameter is ignored.
     name : str
         Continuation parameter.
     bounds : tuple of float
         Lower and upper bound of the parameter.
     max_period : int, optional
-        Largest number of drive periods, at most 32, of the orbits that are searched for and followed at period
-        doublings.
+        Largest number of drive periods of an orbit, at most 32. The limit applies to the search for attractors and to
+        the orbits followed from period doublings.
     seed : int, optional
         Seed of the random starts.
     budget : int, optional
-        Number of branches at which the exploration stops. Branches from one point are found together. None is 400.
+        Number of branches at which the exploration stops, after all branches of a special point. None means 400.
     resume : Diagram, optional
-        Diagram that stopped at its budget, of the same scene, parameter and settings, to continue.
+        Incomplete diagram to continue, of the same scene, parameter, bounds and settings.
     largest_step : float, optional
         Largest continuation step, as in `follow`.
     progress : callable, optional
@@ -79,8 +79,9 @@ def explore(
     max_points : int, optional
         Largest number of points of each branch. None is no limit.
     max_seconds : float, optional
-        Wall-clock time in s after which the incomplete diagram is returned; it can be resumed. The last branch may then
-        end early; a resumed run follows it again. None is no limit.
+        Wall-clock time in s after which the incomplete diagram is returned, which can be resumed. If the limit is
+        reached during the continuation of the first branch, this branch ends early. Unfinished later branches are
+        omitted. A resumed run follows unfinished branches again. None is no limit.
 
     Returns
     -------
@@ -99,11 +100,12 @@ def explore(
 
     Notes
     -----
-    The branches contain every attractor on which one of 256 starts settles, and the motion without impacts if it
-    exists. Branches that no branch point or period doubling connects to these are not found: isolated unstable orbits
-    (see `find_isolas`), and branches that meet them only at a grazing, where a branch continues along one other branch.
-    ``Special.meets`` lists all of them and `switch` follows them. In a symmetric scene each branch comes with its
-    mirror image. Equal arguments give equal diagrams.
+    The branches of a complete diagram contain every periodic attractor on which one of 256 starts settles, and the
+    motion without impacts if it exists. Two kinds of branches are missed if no start settles on them: isolated branches
+    (see `find_isolas`), and branches that meet the others only at a grazing. At a grazing a branch continues along one
+    other branch. ``Special.meets`` lists the orbits of all branches at the grazing, and `switch` follows these
+    branches. In a symmetric scene each branch comes with its mirror image. Equal arguments give equal diagrams if no
+    time limit is reached.
 
     Examples
     --------
@@ -111,15 +113,15 @@ def explore(
     >>> len(diagram), diagram.branches[0].segments[0].label
     (1, 'P111')
     """
-    limits = limits_of(max_points, max_seconds, None, check.ArgumentError)
-    task = make_exploration_task(scene, name, bounds, max_period, seed, budget, largest_step)
-    task = task._replace(step_settings=task.step_settings | {"limits": limits})
-    resumed_state = _resumed_state(resume, task)
-    (seed_orbits,) = seed_orbits_of_tasks([task])
-    return run_exploration(task, seed_orbits, progress, *resumed_state)
+    limits = make_limits(max_points, max_seconds, None, check.ArgumentError)
+    request = make_exploration_request(scene, name, bounds, max_period, seed, budget, largest_step)
+    request = request._replace(step_settings=request.step_settings | {"limits": limits})
+    resumed_exploration = _resumed_exploration(resume, request)
+    (seed_orbits,) = seed_orbits_of_requests([request])
+    return run_exploration(request, seed_orbits, progress, *resumed_exploration)
 
 
-class ExplorationTask(NamedTuple):
+class ExplorationRequest(NamedTuple):
     """Request for an exploration.
 
     Attributes
@@ -131,11 +133,11 @@ class ExplorationTask(NamedTuple):
     bounds : tuple of float
         Bounds of the parameter.
     max_branches : int
-        Largest number of branches.
+        Number of branches at which the exploration stops, after all branches of a special point.
     step_settings : dict
         Settings of the continuation.
     settings : dict
-        Settings of the diagram.
+        Settings that the diagram records.
     """
 
     scene: Scene
@@ -146,41 +148,41 @@ class ExplorationTask(NamedTuple):
     settings: dict[str, int | float]
 
 
-def make_exploration_task(scene, name, bounds, max_period, seed, budget, largest_step):
-    """Check the arguments of `explore` and make an `ExplorationTask`. Raises ArgumentError."""
-    check.require_single(scene)
-    max_period, seed = check.whole_number("max_period", max_period, 1), check.whole_number("seed", seed, 0)
+def make_exploration_request(scene, name, bounds, max_period, seed, branch_budget, largest_step):
+    """Check the arguments of `explore` and make an `ExplorationRequest`. Raises ArgumentError."""
+    check.require_single_scene(scene)
+    max_period, seed = check.check_whole_number("max_period", max_period, 1), check.check_whole_number("seed", seed, 0)
     if max_period > check.MAX_ORBIT_PERIODS:
         raise check.ArgumentError("max_period", f"must be at most {check.MAX_ORBIT_PERIODS}", max_period)
-    max_branches = MAX_BRANCHES if budget is None else check.whole_number("budget", budget, 1)
+    max_branches = MAX_BRANCHES if branch_budget is None else check.check_whole_number("budget", branch_budget, 1)
     check.require_parameter(name, scene.names, name)
     if np.shape(bounds) == (2,):
         require_scene_units("bounds", scene, name, bounds)
-    scene = scene.replace(**{name: _value_within(scene, name, bounds)})
-    bounds = check_bounds(scene, name, bounds)
-    step_settings = check_settings(FIRST_STEP, largest_step, 1e-10, (), ())
+    scene = scene.replace(**{name: _value_or_bounds_middle(scene, name, bounds)})
+    bounds = check_parameter_bounds(scene, name, bounds)
+    step_settings = check_follow_settings(FIRST_STEP, largest_step, 1e-10, (), ())
     settings = {"max_period": max_period, "seed": seed, "largest_step": largest_step}
-    return ExplorationTask(scene, name, bounds, max_branches, step_settings, settings)
+    return ExplorationRequest(scene, name, bounds, max_branches, step_settings, settings)
 
 
-def seed_orbits_of_tasks(tasks):
-    """Return the `SeedOrbit` list of each task; the tasks differ only in their scenes."""
-    first_task = tasks[0]
+def seed_orbits_of_requests(requests):
+    """Return the `SeedOrbit` list of each request; the requests differ only in their scenes."""
+    first_request = requests[0]
     return find_seed_orbits(
-        [task.scene for task in tasks],
-        first_task.name,
-        first_task.bounds,
-        first_task.settings["max_period"],
-        first_task.settings["seed"],
+        [request.scene for request in requests],
+        first_request.name,
+        first_request.bounds,
+        first_request.settings["max_period"],
+        first_request.settings["seed"],
     )
 
 
-def run_exploration(task, seed_orbits, progress=None, known_branches=(), processed_points=()):
-    """Run an exploration task and return its `Diagram`.
+def run_exploration(request, seed_orbits, progress=None, known_branches=(), processed_indices=()):
+    """Run the exploration of a request and return its `Diagram`.
 
-    `known_branches` and `processed_points` are those of a diagram to continue.
+    `known_branches` and `processed_indices` are those of a diagram to continue.
     """
-    scene, name, bounds, max_branches, step_settings, settings = task
+    scene, name, bounds, max_branches, step_settings, settings = request
     symmetric = stays_symmetric(scene, name)
     tree = BranchTree(
         bounds,
@@ -188,13 +190,13 @@ def run_exploration(task, seed_orbits, progress=None, known_branches=(), process
         max_branches,
         step_settings,
         list(known_branches),
-        list(processed_points),
+        list(processed_indices),
         symmetric,
         progress,
     )
     tree.follow_special_points()
     for seed_orbit in chain(seed_orbits, free_seed_orbits(scene, name, bounds)):
-        if tree.is_exhausted:
+        if tree.has_reached_limit:
             break
         if not any(is_on_branch(seed_orbit, branch) for branch in tree.branches):
             _follow_seed_orbit(tree, seed_orbit, scene, name, bounds, step_settings)
@@ -202,19 +204,26 @@ def run_exploration(task, seed_orbits, progress=None, known_branches=(), process
         BUDGET_REASON.format(max_branches)
         if len(tree.branches) >= max_branches
         else EXPIRED_REASON
-        if tree.is_exhausted
+        if tree.has_reached_limit
         else COMPLETE_REASON
     )
     return Diagram(
-        name, bounds, scene, tuple(tree.branches), tuple(tree.processed_points), not tree.is_exhausted, reason, settings
+        name,
+        bounds,
+        scene,
+        tuple(tree.branches),
+        tuple(tree.processed_indices),
+        not tree.has_reached_limit,
+        reason,
+        settings,
     )
 
 
 def _follow_seed_orbit(tree, seed_orbit, scene, name, bounds, step_settings):
     """Follow a seed orbit and all branches that emanate from its branch."""
     if seed_orbit.has_chatter:
-        seed_orbit = _with_impacts(seed_orbit, scene, name)
-    start = seed_orbit and correct_to_seed_orbit(seed_orbit, *set_up_problem(scene, name, seed_orbit.orbit_row))
+        seed_orbit = _add_chatter_impacts(seed_orbit, scene, name)
+    start = seed_orbit and correct_to_seed_orbit(seed_orbit, *set_up_equations(scene, name, seed_orbit.orbit_row))
     if start is None:  # the start had not settled
         return
     branch = branch_through(
@@ -227,19 +236,24 @@ def _follow_seed_orbit(tree, seed_orbit, scene, name, bounds, step_settings):
         tree.follow_special_points()
 
 
-def _with_impacts(seed_orbit, scene, name):
-    """Add impacts and releases to a seed orbit with chatter; None if it is no orbit or never leaves its wall."""
+def _add_chatter_impacts(seed_orbit, scene, name):
+    """Add impacts and releases to a seed orbit with chatter.
+
+    Returns None if the simulation finds no periodic orbit with the number of periods of the
+    seed orbit, or if the mass never leaves the
+    wall.
+    """
     orbit_row = seed_orbit.orbit_row
     scene_at_value = scene.replace(**{name: orbit_row.value})
     try:
         orbit = find_orbit(
             scene_at_value,
-            clamp_to_walls(scene_at_value, State(orbit_row.x, orbit_row.v)),
+            adapt_to_moved_walls(scene_at_value, State(orbit_row.x, orbit_row.v)),
             periods=orbit_row.periods,
             settle=0,
         )
         return (
-            seed_orbit._replace(orbit_row=orbit_row_of(orbit, orbit_row.value))
+            seed_orbit._replace(orbit_row=orbit_point_of(orbit, orbit_row.value))
             if orbit.periods == orbit_row.periods
             else None
         )
@@ -247,23 +261,27 @@ def _with_impacts(seed_orbit, scene, name):
         return None
 
 
-def _value_within(scene, name, bounds):
-    """Return a value within the bounds and the domain of the parameter."""
+def _value_or_bounds_middle(scene, name, bounds):
+    """Return the scene's value of the parameter if within bounds and domain, else the middle of their intersection."""
     value = float(scene.parameter(name))
     if np.shape(bounds) != (2,) or not np.isfinite(bounds).all() or not bounds[0] < bounds[1]:
-        return value  # `check_bounds` raises the error
+        return value  # `check_parameter_bounds` raises the error
     lower, upper = np.clip(parameter_domain(scene, name), *bounds)
     return value if lower <= value <= upper else 0.5 * (lower + upper)
 
 
-def _resumed_state(resume, task):
+def _resumed_exploration(resume, request):
     """Return the branches and the processed points of a `Diagram` to continue."""
     if resume is None:
         return (), ()
     if not isinstance(resume, Diagram):
         raise check.ArgumentError("resume", "must be a Diagram", resume)
-    has_same_settings = (resume.name, resume.bounds, resume.settings) == (task.name, task.bounds, task.settings)
-    if not has_same_settings or not _is_same_scene(task.scene, resume.scene, task.name):
+    has_same_settings = (resume.name, resume.bounds, resume.settings) == (
+        request.name,
+        request.bounds,
+        request.settings,
+    )
+    if not has_same_settings or not _is_same_scene(request.scene, resume.scene, request.name):
         raise check.ArgumentError("resume", "must have the same scene, parameter, bounds and settings", resume)
     complete_branches = resume.branches
     while complete_branches and End.MAX_SECONDS in complete_branches[-1].ends:
@@ -275,12 +293,14 @@ def _resumed_state(resume, task):
     )
 
 
-def _is_same_scene(scene, other, name):
-    """Compare two scenes except for one parameter."""
-    if scene.names != other.names:
+def _is_same_scene(scene, other_scene, excluded_name):
+    """Test whether two scenes are equal except for one parameter."""
+    if scene.names != other_scene.names:
         return False
     tolerance = 0.0
-    if name == "hardness":  # it determines the parameters of the walls up to rounding
-        scene, tolerance = scene.replace(hardness=other.parameter(name)), ROUNDING_TOLERANCE
-    value_pairs = [(float(scene.parameter(key)), float(other.parameter(key))) for key in scene.names if key != name]
+    if excluded_name == "hardness":  # it determines the parameters of the walls up to rounding
+        scene, tolerance = scene.replace(hardness=other_scene.parameter(excluded_name)), ROUNDING_TOLERANCE
+    value_pairs = [
+        (float(scene.parameter(key)), float(other_scene.parameter(key))) for key in scene.names if key != excluded_name
+    ]
     return all(abs(value - other_value) <= tolerance * abs(other_value) for value, other_value in value_pairs)

@@ -7,24 +7,24 @@ import numpy as np
 
 from continuation import augmented_systems
 from continuation.arclength import StepControl
+from continuation.computation_limits import UNLIMITED, make_limits
 from continuation.event_search import unit_tangent
-from continuation.intermediate_points import start_point
-from continuation.limits import UNLIMITED, limits_of
+from continuation.intermediate_points import make_start_point
 
 from ..orbits.orbit import Orbit, OrbitError
 from ..problem.end import End
-from ..problem.equations import continuation_problem
 from ..problem.grazing_contact import arclength_weights
-from ..problem.orbit_conversion import correct_to_value, orbit_row_of
-from ..problem.orbit_point import set_up_problem
+from ..problem.orbit_conversion import correct_to_parameter, orbit_point_of
+from ..problem.orbit_equations import continuation_problem
+from ..problem.orbit_point import set_up_equations
 from ..scene import check
-from ..scene.parameters import check_bounds, parameter_domain
-from ..scene.typical_scales import scene_length
+from ..scene.scene_parameters import check_parameter_bounds, parameter_domain
+from ..scene.typical_scales import typical_length
 from . import held_continuation as holding
 from .assemble import START_REASON, assemble_branch
 from .branch import KIND_NAMES, Branch
 from .held_branch import HeldBranch
-from .segment import BranchSettings
+from .itinerary_segment import BranchSettings
 from .through_grazings import continue_through_grazings
 from .user_monitors import MonitoredPoint
 
@@ -84,8 +84,8 @@ def follow(
 ) -> Branch | HeldBranch:
     """Continue a periodic orbit in one parameter.
 
-    The branch of periodic orbits through `orbit` is followed by pseudo-arclength continuation. Its special points are
-    located to rounding, and it is continued through grazings.
+    The branch of periodic orbits through `orbit` is followed by pseudo-arclength continuation, through folds and
+    grazings. Special points are located to rounding.
 
     Parameters
     ----------
@@ -106,20 +106,20 @@ def follow(
     tolerance : float, optional
         Tolerance of Newton's method, in the same units. Special points are always located to rounding.
     monitors : dict of str to callable, optional
-        User-defined test functions. A special point with the label of the function is located where its value
+        User-defined test functions by label. A special point with this label is located where the value of the function
         changes sign. The function takes a record with ``value``, ``times``, ``speeds`` and ``sides`` (one entry per
-        impact, none on P100, sides 2 or -2 for a release), ``x`` and ``v`` (one entry per drive period),
-        ``multipliers`` and ``clearance``.
+        impact, none on P100; the magnitude of the side is 1 for an impact, and 2 or 3 for a release), ``x`` and ``v``
+        (one entry per drive period), ``multipliers`` and ``clearance``.
     stop : str or sequence of str, optional
         Kinds of special point, or labels of monitors, at which the branch ends.
     hold : dict of str to float, optional
         ``{"peak": value}`` (largest ``|x|``) or ``{"least_speed": value}`` (speed of the slowest impact). Follows the
         orbits that share this value along two parameters. The start is the orbit with this value that is nearest to
-        `orbit` along the first parameter, the second parameter being that of the scene.
+        `orbit` along the first parameter, at the scene's value of the second parameter.
     max_points : int, optional
         Largest number of points. The two directions share it: the first takes at most half. None is no limit.
     max_seconds : float, optional
-        Largest wall-clock time in s, checked between chunks of steps; a compilation under way is completed. None is
+        Largest wall-clock time in s, checked between groups of steps. A compilation in progress is completed. None is
         no limit.
     progress : callable, optional
         Called with the number of points computed.
@@ -134,13 +134,13 @@ def follow(
     ArgumentError
         If an argument is invalid.
     OrbitError
-        If the start is not an orbit, never leaves its wall, or is singular.
+        If the start is not an orbit, if its mass never leaves the wall, or if its equations are singular.
     ArithmeticError
         If a special point is found that the scene cannot have.
 
     Warns
     -----
-    SlowProgress
+    SlowProgressWarning
         If many grazings lie at nearly one value of the parameter.
 
     See Also
@@ -155,17 +155,18 @@ def follow(
     saddle-nodes (SN), symmetry breakings and other branch points (SB, BP), and period doublings (PD). At a grazing (GR)
     an impact is added or removed and the branch continues if orbits exist. Under a force that is not proved to be
     dissipative, Neimark-Sacker points (NS) and neutral saddles (NSA) are located too. If areas are preserved, as
-    without damping at R = 1, the resonances 1:3 and 1:4 (R3, R4) are located. Orbits that stick are followed from
-    release to release, past complete chatter (CH) and releases inside a sticking phase (RL). Every point is checked
-    against the walls.
+    without damping at restitution 1, the resonances 1:3 and 1:4 (R3, R4) are located. Orbits that stick are followed
+    from release to release, past complete chatter (CH) and releases inside a sticking phase (RL). Every point is
+    checked against the walls.
 
     The columns of ``Branch.data`` are the parameter; ``time``, ``speed`` and ``side`` of each impact; ``x`` and ``v``
     at phase 0 of each period; ``multiplier_real`` and ``multiplier_imag``; ``stable``; ``least_speed``;
-    ``least_clearance``; ``residual``; ``segment``.
+    ``least_clearance``; ``residual``; ``time_slope``, ``speed_slope`` and ``value_slope``, the entries of the unit
+    tangent; ``segment``.
 
     ``Branch.reason`` gives the reasons for the ends. A limit that is reached ends the branch, and `extend` resumes it.
 
-    A `HeldBranch` has the same columns and no special points. It ends at a grazing, and takes no monitors and stops.
+    A `HeldBranch` has the same columns and no special points. It ends at a grazing, and has no monitors and stops.
 
     Examples
     --------
@@ -180,32 +181,32 @@ def follow(
     ('least_speed', 1.9)
     """
     settings = _check_branch_settings(direction, first_step, largest_step, tolerance, monitors, stop)
-    settings["limits"] = limits_of(max_points, max_seconds, progress, check.ArgumentError)
+    settings["limits"] = make_limits(max_points, max_seconds, progress, check.ArgumentError)
     if hold is not None:
-        return _follow_held(orbit, name, bounds, direction, settings, hold)
-    bounds, start = _check_start("orbit", orbit, name, bounds)
+        return _follow_held_branch(orbit, name, bounds, direction, settings, hold)
+    bounds, start = _check_bounds_and_start("orbit", orbit, name, bounds)
     return branch_through(orbit.scene, name, bounds, start, direction, settings)
 
 
-def _follow_held(orbit, names, bounds, direction, settings, hold):
+def _follow_held_branch(orbit, names, bounds, direction, settings, hold):
     """Follow the `HeldBranch` of an orbit. Raises ArgumentError, OrbitError."""
     if not isinstance(orbit, Orbit):
         raise check.ArgumentError("orbit", "must be an Orbit, as find_orbit returns", orbit)
     if settings["monitors"] or settings["stop"]:
         raise check.ArgumentError("monitors", "must be empty if `hold` is given, and so must `stop`", "both")
-    names, bounds, quantity_name, value = holding.check_hold(orbit.scene, names, bounds, hold)
+    names, bounds, quantity_name, value = holding.check_held_arguments(orbit.scene, names, bounds, hold)
     problem_and_z, scene = polish_orbit(orbit, names[0]), orbit.scene
-    start = holding.locate_start(scene, names, quantity_name, value, *problem_and_z)
-    if start is None:
+    held_start = holding.locate_held_start(scene, names, quantity_name, value, *problem_and_z)
+    if held_start is None:
         branch = branch_through(scene, names[0], bounds[names[0]], problem_and_z, "both", settings)
         candidate_starts = (
-            holding.locate_start(scene, names, quantity_name, value, *candidate)
-            for candidate in holding.nearby_orbits(branch, quantity_name, value)
+            holding.locate_held_start(scene, names, quantity_name, value, *candidate)
+            for candidate in holding.orbits_near_value(branch, quantity_name, value)
         )
-        start = next((candidate for candidate in candidate_starts if candidate is not None), None)
-        if start is None:
+        held_start = next((candidate for candidate in candidate_starts if candidate is not None), None)
+        if held_start is None:
             raise holding.unreachable_value_error(branch, quantity_name, value)
-    return holding.follow_held_branch(scene, names, bounds, quantity_name, value, start, direction, settings)
+    return holding.follow_held_branch(scene, names, bounds, quantity_name, value, held_start, direction, settings)
 
 
 @check.host_only("use strobe or monodromy; located has derivatives of special points")
@@ -229,8 +230,7 @@ def follow_all(
     Parameters
     ----------
     orbits : sequence of Orbit
-        Starting orbits, at least one, of one scene or of several. An orbit on the branch of another gives that branch
-        again.
+        Starting orbits, at least one, of one scene or of several. Two orbits on one branch give this branch twice.
     name : str
         Continuation parameter.
     bounds : tuple of float
@@ -280,17 +280,17 @@ def follow_all(
     (1, 'GR')
     """
     settings = _check_branch_settings(direction, first_step, largest_step, tolerance, monitors, stop)
-    settings["limits"] = limits_of(max_points, max_seconds, progress, check.ArgumentError)
+    settings["limits"] = make_limits(max_points, max_seconds, progress, check.ArgumentError)
     if not isinstance(orbits, Sequence) or not orbits:
         raise check.ArgumentError("orbits", "must be a list or tuple of at least one Orbit", orbits)
-    starts = []
+    bounds_and_starts = []
     for k, orbit in enumerate(orbits):
         try:
-            starts.append(_check_start(f"orbits[{k}]", orbit, name, bounds))
+            bounds_and_starts.append(_check_bounds_and_start(f"orbits[{k}]", orbit, name, bounds))
         except OrbitError as error:
             error.add_note(f"raised for orbits[{k}]")
             raise
-    orbits_and_starts, branches = zip(orbits, starts, strict=True), []
+    orbits_and_starts, branches = zip(orbits, bounds_and_starts, strict=True), []
     for start_orbit, (bounds, start) in orbits_and_starts:
         branches.append(branch_through(start_orbit.scene, name, bounds, start, direction, settings))
         if settings["limits"].expired:
@@ -302,14 +302,14 @@ def _check_branch_settings(direction, *settings):
     """Return the settings of a branch by name, checked together with its direction. Raises ArgumentError."""
     if direction not in DIRECTIONS:
         raise check.ArgumentError("direction", f"must be one of {', '.join(DIRECTIONS)}", direction)
-    return check_settings(*settings)
+    return check_follow_settings(*settings)
 
 
-def _check_start(label, orbit, name, bounds):
+def _check_bounds_and_start(argument_name, orbit, name, bounds):
     """Return the bounds and the start for `branch_through`. Raises ArgumentError, OrbitError."""
     if not isinstance(orbit, Orbit):
-        raise check.ArgumentError(label, "must be an Orbit, as find_orbit returns", orbit)
-    bounds = check_bounds(orbit.scene, name, bounds)
+        raise check.ArgumentError(argument_name, "must be an Orbit, as find_orbit returns", orbit)
+    bounds = check_parameter_bounds(orbit.scene, name, bounds)
     return bounds, polish_orbit(orbit, name)
 
 
@@ -329,68 +329,79 @@ def branch_through(scene, name, bounds, start, direction, settings):
     direction : {"both", "forward", "backward"}
         Direction of the start.
     settings : dict
-        Settings from `check_settings`, optionally with ``limits``.
+        Settings from `check_follow_settings`, optionally with ``limits``.
 
     Returns
     -------
     Branch
         The branch.
     """
-    (problem, z), length_scale = start, scene_length(scene)
+    (problem, z), length_scale = start, typical_length(scene)
     branch_settings = make_branch_settings(scene, name, bounds, length_scale, start, **settings)
-    forward_tangent, start, limits = (
+    forward_tangent, start_reason, limits = (
         unit_tangent(continuation_problem(problem), z, arclength_weights(problem, length_scale), problem),
         START_REASON,
         branch_settings.limits,
     )
-    first_limits = limits.halved() if direction == "both" else limits
+    forward_limits = limits.half_points() if direction == "both" else limits
     forward = (
         continue_through_grazings(
-            problem, start_point(z, forward_tangent), branch_settings._replace(limits=first_limits)
+            problem, make_start_point(z, forward_tangent), branch_settings._replace(limits=forward_limits)
         )
         if direction != "backward"
         else None
     )
     is_closed = forward is not None and forward.reason.end is End.CLOSED
     if forward is not None and direction == "both" and not is_closed:
-        limits = limits.after(sum(len(segment.points.z) for segment in forward.segments) - 1)  # the start counts once
-        if limits.reached(1):
-            is_closed, end = True, End.MAX_SECONDS if limits.expired else End.MAX_POINTS
-            start = end.reason(z[-1])
+        limits = limits.after_points(
+            sum(len(segment.points.z) for segment in forward.segments) - 1
+        )  # the start counts once
+        if limits.is_reached(1):
+            is_closed, end_kind = True, End.MAX_SECONDS if limits.expired else End.MAX_POINTS
+            start_reason = end_kind.reason(z[-1])
     branch_settings = branch_settings._replace(limits=limits)
     backward = (
-        continue_through_grazings(problem, start_point(z, -forward_tangent), branch_settings)
+        continue_through_grazings(problem, make_start_point(z, -forward_tangent), branch_settings)
         if direction != "forward" and not is_closed
         else None
     )
-    return assemble_branch(scene, name, bounds, settings, backward, forward, start)
+    return assemble_branch(scene, name, bounds, settings, backward, forward, start_reason)
 
 
 def make_branch_settings(
-    scene, name, bounds, length_scale, start, first_step, largest_step, tolerance, monitors, stop, limits=UNLIMITED
+    scene,
+    name,
+    bounds,
+    length_scale,
+    closing_orbit,
+    first_step,
+    largest_step,
+    tolerance,
+    monitors,
+    stop,
+    limits=UNLIMITED,
 ):
     """Make the `BranchSettings` of one branch.
 
-    The last argument `start`, a pair of `OrbitEquations` and z, is the orbit that closes the branch if it is reached
-    again.
-    """
+    `closing_orbit` is a pair of `OrbitEquations` and z. The branch is closed if it reaches the orbit of this pair
+    again."""
     domain_bounds = parameter_domain(scene, name)
     lower, upper = max(bounds[0], domain_bounds[0]), min(bounds[1], domain_bounds[1])
     control_values = (
         np.float64(number) for number in (min(MIN_STEP, first_step), largest_step, tolerance, lower, upper)
     )
-    problem, z = start
+    problem, z = closing_orbit
     n_rows = len(problem.sequence.sides)
     closure_targets = (
         ((problem.sequence._replace(times=z[:n_rows], speeds=z[n_rows : 2 * n_rows]), z[-1]),) if n_rows else ()
     )
-    domain_ends = tuple(
+    domain_end_values = tuple(
         number for number in domain_bounds if not bounds[0] <= number <= bounds[1] or number not in bounds
     )
     return BranchSettings(
         StepControl(np.ones(1), *control_values),
         min(first_step, largest_step),
-        domain_ends,
+        domain_end_values,
         monitors,
         stop,
         length_scale,
@@ -422,15 +433,17 @@ def polish_orbit(orbit, name):
         If the residual is too large.
     """
     value = float(orbit.scene.parameter(name))
-    problem, z = set_up_problem(orbit.scene, name, orbit_row_of(orbit, value))
-    residual = float(abs(np.asarray(augmented_systems.evaluate(continuation_problem(problem), z, problem)[0])).max())
-    if not residual < MAX_START_RESIDUAL * scene_length(orbit.scene):
+    problem, z = set_up_equations(orbit.scene, name, orbit_point_of(orbit, value))
+    residual = float(
+        abs(np.asarray(augmented_systems.evaluate_problem(continuation_problem(problem), z, problem)[0])).max()
+    )
+    if not residual < MAX_START_RESIDUAL * typical_length(orbit.scene):
         raise OrbitError("the start is not an orbit", residual, "use an Orbit from find_orbit with its own scene")
-    point = correct_to_value(problem, z, value)
+    point = correct_to_parameter(problem, z, value)
     return problem, point.z if point.converged else z
 
 
-def check_settings(first_step, largest_step, tolerance, monitors, stop):
+def check_follow_settings(first_step, largest_step, tolerance, monitors, stop):
     """Check the settings of a branch.
 
     Parameters
@@ -460,10 +473,10 @@ def check_settings(first_step, largest_step, tolerance, monitors, stop):
         monitors = dict(monitors)
     except (TypeError, ValueError):
         raise check.ArgumentError("monitors", "must map labels to functions, {label: function}", monitors) from None
-    for label, function in monitors.items():
-        if not callable(function):
-            raise check.ArgumentError(f"monitors.{label}", "must be a function of a point", function)
-    stop = check.name_tuple("stop", () if stop is None else stop)
+    for label, monitor in monitors.items():
+        if not callable(monitor):
+            raise check.ArgumentError(f"monitors.{label}", "must be a function of a point", monitor)
+    stop = check.make_name_tuple("stop", () if stop is None else stop)
     for label in stop:
         if label not in (known_kinds := (*KIND_NAMES, *monitors)):
             raise check.ArgumentError(

@@ -16,9 +16,9 @@ from ..output.dataframes import make_dataframe
 from ..output.equal_runs import find_equal_runs
 from ..output.table_text import align_columns, column_header
 from ..output.units import LENGTH, SPEED, unit_in_system, unit_of
-from ..problem import plane_curve_end, stability
-from ..problem.orbit_point import OrbitPoint, itinerary, label_of
-from ..problem.orbit_rows import OrbitRows, dataset_row, parse_orbit_row
+from ..problem import plane_curve_end, stability_descriptions
+from ..problem.orbit_curve import OrbitCurve, dataset_row, parse_orbit_point
+from ..problem.orbit_point import OrbitPoint, itinerary_of_point, label_of_point
 from ..scene.scene import Scene
 from ..scene.scene_table import make_scene_table
 from .branch import Special
@@ -28,7 +28,7 @@ HELD_UNITS = {"peak": LENGTH, "least_speed": SPEED}  # units of the quantities t
 
 
 @dataclass(frozen=True, eq=False)
-class HeldBranch(OrbitRows[Special]):
+class HeldBranch(OrbitCurve[Special]):
     """Orbits along two parameters with one quantity held fixed.
 
     Attributes
@@ -84,14 +84,14 @@ class HeldBranch(OrbitRows[Special]):
 
     @property
     def stable(self) -> Bool[np.ndarray, " points"]:
-        """Stability of each point's orbit, boolean array of shape (points,)."""
+        """True at each point with a stable orbit, boolean array of shape (points,)."""
         return self.data["stable"].values.astype(bool)
 
     @cached_property
     def label(self) -> str:
         """Label P n p q of the orbits."""
         scene, orbit_row = self.located(0)
-        return label_of(scene, orbit_row, itinerary(orbit_row, float(scene.frequency)))
+        return label_of_point(scene, orbit_row, itinerary_of_point(orbit_row, float(scene.frequency)))
 
     def located(self, place: int) -> tuple[Scene, OrbitPoint]:
         """Return the scene and the orbit at a point.
@@ -110,7 +110,7 @@ class HeldBranch(OrbitRows[Special]):
         """
         row = dataset_row(self.data, place)
         values = {name: float(row[name]) for name in self.names}
-        return self.scene.replace(**values), parse_orbit_row(row, self.names[0])
+        return self.scene.replace(**values), parse_orbit_point(row, self.names[0])
 
     @property
     def content(self) -> bytes:
@@ -152,16 +152,16 @@ class HeldBranch(OrbitRows[Special]):
         'least_speed held at 1.9'
         """
         column_units = {name: unit_in_system(self.scene, unit_of(name), units) for name in self.names}
-        unit, factor = unit_in_system(self.scene, HELD_UNITS[self.held], units)
-        headers = [column_header(name, text, units) for name, (text, _) in column_units.items()]
-        rows: list[tuple[str, ...]] = [("points", *headers, "orbit", "stability")]
-        stability_words = stability.stability_words(self.multipliers)
+        held_unit, held_factor = unit_in_system(self.scene, HELD_UNITS[self.held], units)
+        parameter_headers = [column_header(name, text, units) for name, (text, _) in column_units.items()]
+        rows: list[tuple[str, ...]] = [("points", *parameter_headers, "orbit", "stability")]
+        stability_words = stability_descriptions.stability_words(self.multipliers)
         for start_row, stop_row in find_equal_runs(stability_words):
-            end_values = self.values[[start_row, stop_row - 1]] * [
+            run_end_values = self.values[[start_row, stop_row - 1]] * [
                 unit_factor for _, unit_factor in column_units.values()
             ]
-            value_ranges = [f"{start_value:.12g} to {end_value:.12g}" for start_value, end_value in end_values.T]
-            rows.append((f"{start_row} to {stop_row - 1}", *value_ranges, self.label, stability_words[start_row]))
+            range_texts = [f"{start_value:.12g} to {end_value:.12g}" for start_value, end_value in run_end_values.T]
+            rows.append((f"{start_row} to {stop_row - 1}", *range_texts, self.label, stability_words[start_row]))
         unit_factors = {name: unit_factor for name, (_, unit_factor) in column_units.items()}
         end_lines = [
             f"{end_name} point: {plane_curve_end.rescale_end_text(text, unit_factors)}"
@@ -169,7 +169,7 @@ class HeldBranch(OrbitRows[Special]):
         ]
         return "\n".join(
             [
-                f"{column_header(self.held, unit, units)} held at {self.value * factor:.12g}",
+                f"{column_header(self.held, held_unit, units)} held at {self.value * held_factor:.12g}",
                 align_columns(rows),
                 *end_lines,
             ]

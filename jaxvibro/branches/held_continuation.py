@@ -3,24 +3,24 @@
 import numpy as np
 import xarray as xr
 
-from continuation import driver, event_search
+from continuation import continuation_loop, event_search
 from continuation.arclength import StepControl
 from continuation.branch_segment import SpecialIndex, join_segments, reverse_segment
-from continuation.driver import ContinuationTask, Termination
-from continuation.intermediate_points import start_point
+from continuation.continuation_loop import ContinuationTask, Termination
+from continuation.intermediate_points import make_start_point
 
 from ..orbits.orbit import OrbitError
 from ..output.units import scales_attributes
-from ..problem.end import End, convert_end
-from ..problem.equations import continuation_problem
-from ..problem.first_grazing import OrbitEventDetector, truncate_at_grazing
+from ..problem.curve_grazing import OrbitEventDetector, truncate_at_grazing
+from ..problem.end import End, convert_segment_end
 from ..problem.grazing_contact import arclength_weights
-from ..problem.orbit_point import set_up_problem
-from ..problem.orbit_rows import dataset_row, parse_orbit_row
+from ..problem.orbit_curve import dataset_row, parse_orbit_point
+from ..problem.orbit_equations import continuation_problem
+from ..problem.orbit_point import set_up_equations
 from ..problem.plane_curve_end import describe_end
 from ..scene import check
-from ..scene.parameters import check_bounds, mark_parameters, parameter_domain
-from ..scene.typical_scales import scene_length
+from ..scene.scene_parameters import check_parameter_bounds, mark_parameters, parameter_domain
+from ..scene.typical_scales import typical_length
 from .assemble import column_descriptions, dataset_columns
 from .branch import Branch
 from .held_branch import HeldBranch
@@ -30,8 +30,8 @@ from .largest_position import branch_peak_positions
 MIN_STEP = 1e-8  # arclength
 
 
-class HeldEventDetector(OrbitEventDetector):
-    """Event detector for orbits along two parameters, up to a grazing."""
+class HeldGrazingDetector(OrbitEventDetector):
+    """Event detector that ends a held branch at its first grazing."""
 
     def find_boundary_end(self, task, points, diagnostics, first_bad):
         """End the curve at the grazing before the first inadmissible point."""
@@ -39,11 +39,11 @@ class HeldEventDetector(OrbitEventDetector):
         return None if residual is None else Termination(points, SpecialIndex(0, "GR", residual), End.GRAZE)
 
     def find_events(self, task, points, diagnostics, known_branch_points, termination):
-        """Locate no special points."""
+        """Return no special points."""
         return []
 
 
-def check_hold(scene, names, bounds, hold):
+def check_held_arguments(scene, names, bounds, hold):
     """Check the arguments of a held branch. Raises ArgumentError.
 
     Returns the two names, ``{name: (low, high)}``, and the name and value of the held quantity.
@@ -68,13 +68,13 @@ def check_hold(scene, names, bounds, hold):
         )
     return (
         name_pair,
-        {name: check_bounds(scene, name, bounds[name]) for name in name_pair},
+        {name: check_parameter_bounds(scene, name, bounds[name]) for name in name_pair},
         hold_items[0][0],
         float(hold_items[0][1]),
     )
 
 
-def locate_start(scene, names, quantity_name, value, orbit_problem, z):
+def locate_held_start(scene, names, quantity_name, value, orbit_problem, z):
     """Locate an orbit close to z with the held value, the second parameter being fixed.
 
     Returns `HeldOrbitEquations`, z and the tangent towards greater values of the second parameter; None if Newton's
@@ -87,47 +87,47 @@ def locate_start(scene, names, quantity_name, value, orbit_problem, z):
     )
     z = np.append(z, float(scene.parameter(names[1])))
     control_values = (np.float64(number) for number in (0.0, 1.0, 1.0, -np.inf, np.inf))
-    control = StepControl(arclength_weights(problem, scene_length(scene)), *control_values)
+    control = StepControl(arclength_weights(problem, typical_length(scene)), *control_values)
     point = event_search.solve_with_fixed_entry(continuation_problem(problem), z, -1, z[-1], control, problem)
-    detector = HeldEventDetector(problem, scene_length(scene))
+    detector = HeldGrazingDetector(problem, typical_length(scene))
     if not point.converged or not detector.is_admissible(point.z[None], detector.diagnose(point.z[None]))[0]:
         return None
     return problem, point.z, point.tangent
 
 
-def nearby_orbits(branch, quantity_name, value):
-    """Yield the equations and z of points next to which the quantity takes a value, nearest to the start first."""
-    quantities = _held_quantities(branch, quantity_name)
-    start_row = int(np.argmin(abs(branch.values - float(branch.scene.parameter(branch.name)))))
-    crossing_rows = np.flatnonzero((quantities[:-1] - value) * (quantities[1:] - value) <= 0)
-    for k in sorted(crossing_rows.tolist(), key=lambda k: abs(k - start_row)):
-        row = k + int(abs(quantities[k + 1] - value) < abs(quantities[k] - value))
-        yield set_up_problem(branch.scene, branch.name, parse_orbit_row(dataset_row(branch.data, row), branch.name))
+def orbits_near_value(branch, quantity_name, value):
+    """Yield the equations and z of the points next to which the quantity takes a value, nearest to the start first."""
+    quantity_values = _quantity_along_branch(branch, quantity_name)
+    branch_start_row = int(np.argmin(abs(branch.values - float(branch.scene.parameter(branch.name)))))
+    crossing_rows = np.flatnonzero((quantity_values[:-1] - value) * (quantity_values[1:] - value) <= 0)
+    for row_before in sorted(crossing_rows.tolist(), key=lambda k: abs(k - branch_start_row)):
+        row = row_before + int(abs(quantity_values[row_before + 1] - value) < abs(quantity_values[row_before] - value))
+        yield set_up_equations(branch.scene, branch.name, parse_orbit_point(dataset_row(branch.data, row), branch.name))
 
 
-def _held_quantities(branch, quantity_name):
+def _quantity_along_branch(branch, quantity_name):
     return branch_peak_positions(branch) if quantity_name == "peak" else branch.data["least_speed"].values
 
 
 def unreachable_value_error(branch: Branch, quantity_name: str, value: float) -> OrbitError:
     """Make the error for a value that the quantity does not take on a branch."""
-    quantities = _held_quantities(branch, quantity_name)
-    rule = (
+    quantity_values = _quantity_along_branch(branch, quantity_name)
+    message = (
         f"{quantity_name} does not take the value {value:.12g} along {branch.name}; it ranges from"
-        f" {min(quantities):.4g} to {max(quantities):.4g}"
+        f" {min(quantity_values):.4g} to {max(quantity_values):.4g}"
     )
-    return OrbitError(rule, float(np.max(branch.data["residual"].values)), "use another orbit or wider bounds")
+    return OrbitError(message, float(np.max(branch.data["residual"].values)), "use another orbit or wider bounds")
 
 
-def follow_held_branch(scene, names, bounds, quantity_name, value, start, direction, settings):
-    """Follow a held branch from the result of `locate_start`, in one or both directions."""
-    problem, z, start_tangent = start
+def follow_held_branch(scene, names, bounds, quantity_name, value, held_start, direction, settings):
+    """Follow a held branch from the result of `locate_held_start`, in one or both directions."""
+    problem, z, start_tangent = held_start
     domains, bound_intervals = [parameter_domain(scene, name) for name in names], [bounds[name] for name in names]
     parameter_bounds = tuple(
         (max(lower, domain_lower), min(upper, domain_upper))
         for (lower, upper), (domain_lower, domain_upper) in zip(bound_intervals, domains, strict=True)
     )
-    domain_ends = tuple(
+    domain_end_values = tuple(
         tuple(number for number in domain_interval if number not in bound_interval)
         for domain_interval, bound_interval in zip(domains, bound_intervals, strict=True)
     )
@@ -135,9 +135,9 @@ def follow_held_branch(scene, names, bounds, quantity_name, value, start, direct
     control_values = (
         np.float64(number) for number in (min(MIN_STEP, first_step), largest_step, tolerance, *parameter_bounds[1])
     )
-    length_scale = scene_length(scene)
+    length_scale = typical_length(scene)
     control = StepControl(arclength_weights(problem, length_scale), *control_values)
-    detector = HeldEventDetector(problem, length_scale)
+    detector = HeldGrazingDetector(problem, length_scale)
     limits = settings["limits"]
     task = ContinuationTask(
         continuation_problem(problem),
@@ -145,15 +145,21 @@ def follow_held_branch(scene, names, bounds, quantity_name, value, start, direct
         control,
         min(first_step, largest_step),
         parameter_bounds,
-        domain_ends,
+        domain_end_values,
         detector,
         starts=(),
         limits=limits,
     )
-    first_task = task._replace(limits=limits.halved() if direction == "both" else limits)
-    forward = driver.follow_branch(first_task, start_point(z, start_tangent)) if direction != "backward" else None
-    task = task._replace(limits=limits.after(0 if forward is None else len(forward.points.z) - 1))
-    backward = driver.follow_branch(task, start_point(z, -start_tangent)) if direction != "forward" else None
+    forward_task = task._replace(limits=limits.half_points() if direction == "both" else limits)
+    forward = (
+        continuation_loop.follow_branch(forward_task, make_start_point(z, start_tangent))
+        if direction != "backward"
+        else None
+    )
+    task = task._replace(limits=limits.after_points(0 if forward is None else len(forward.points.z) - 1))
+    backward = (
+        continuation_loop.follow_branch(task, make_start_point(z, -start_tangent)) if direction != "forward" else None
+    )
     joined_segment = (
         forward
         if backward is None
@@ -162,14 +168,21 @@ def follow_held_branch(scene, names, bounds, quantity_name, value, start, direct
         else join_segments([reverse_segment(backward), forward])
     )
     reasons = tuple(
-        "the start" if segment is None else _end_text(convert_end(segment), names) for segment in (backward, forward)
+        "the start" if segment is None else _describe_segment_end(convert_segment_end(segment), names)
+        for segment in (backward, forward)
     )
     return HeldBranch(
-        names, quantity_name, value, bounds, scene, _build_dataset(scene, convert_end(joined_segment), names), reasons
+        names,
+        quantity_name,
+        value,
+        bounds,
+        scene,
+        _build_dataset(scene, convert_segment_end(joined_segment), names),
+        reasons,
     )
 
 
-def _end_text(segment, names):
+def _describe_segment_end(segment, names):
     return describe_end(segment.end, names[segment.end_param_index], segment.end_value)
 
 

@@ -1,7 +1,8 @@
-"""Equations of orbits along two parameters with one quantity held fixed, as `continuation` takes them.
+"""Equations, for `continuation`, of orbits along two parameters with one quantity held fixed.
 
-The unknowns are z = (times, speeds or x and v, first parameter, second parameter). The gradient of the quantity is a
-central difference. It only affects the direction of the steps: the quantity itself is exact.
+The unknowns z are the times and speeds of the impacts, or x and v for an orbit without impacts, then the first and the
+second parameter. The gradient of the quantity is a central difference. The gradient only affects the direction of the
+steps; the quantity itself is exact.
 """
 
 from functools import partial
@@ -16,11 +17,11 @@ from continuation.arclength import solve_bordered
 from continuation.array_type import Array
 from continuation.problem import Problem
 
-from ..compiled.kernels import call_as_kernel
-from ..flight.coefficients import flow_coefficients
+from ..compiled.kernel_calls import call_as_kernel
+from ..flight.flight_coefficients import flow_coefficients
 from ..orbits.impact_equations import ImpactSequence
-from ..problem.diagnostics import free_flight
-from ..problem.equations import (
+from ..problem.orbit_diagnostics import flight_without_impacts
+from ..problem.orbit_equations import (
     FREE_PROBLEM,
     IMPACT_PROBLEM,
     STICKING_PROBLEM,
@@ -58,48 +59,58 @@ class HeldOrbitEquations(NamedTuple):
     slack = OrbitEquations.slack  # type: ignore[misc]  # shared property
 
 
-def _peak(z, problem):
+def _largest_position(z, problem):
     if len(problem.sequence.sides):
         return peak_of_sequence(flow_coefficients(scene_at(problem, z)), sequence_at(problem, z))
-    return peak_of_flight(*free_flight(problem, z))
+    return peak_of_flight(*flight_without_impacts(problem, z))
 
 
-def _least_speed(z, problem):
+def _least_impact_speed(z, problem):
     n_rows = len(problem.sequence.sides)
     return jnp.min(jnp.where(problem.sequence.sides != 0, z[n_rows : 2 * n_rows], jnp.inf), initial=jnp.inf)
 
 
-HELD_QUANTITIES = {"peak": _peak, "least_speed": _least_speed}
+HELD_QUANTITIES = {"peak": _largest_position, "least_speed": _least_impact_speed}
 
 
 def held_quantity(z, problem):
     """Return the held quantity at z."""
     return sum(
-        problem.quantity_mask[k] * jnp.where(problem.quantity_mask[k] > 0, quantity(z, problem), 0.0)
-        for k, quantity in enumerate(HELD_QUANTITIES.values())
+        problem.quantity_mask[k] * jnp.where(problem.quantity_mask[k] > 0, quantity_function(z, problem), 0.0)
+        for k, quantity_function in enumerate(HELD_QUANTITIES.values())
     )
 
 
-def _held_system(dense_function, z, problem):
+def _residual_and_jacobian(orbit_residual_function, z, problem):
     """Return F and dF/dz; the last residual is the quantity minus its value."""
-    residual, jacobian = dense_function(z, problem)
-    spacing = DIFFERENCE_STEP * (1.0 + abs(z))
-    directions = np.concatenate([np.zeros((1, len(z))), np.eye(len(z)), -np.eye(len(z))])
-    values = lax.map(
-        lambda direction: held_quantity(z + direction * spacing, problem), jnp.asarray(directions, z.dtype)
+    residual, jacobian = orbit_residual_function(z, problem)
+    step_sizes = DIFFERENCE_STEP * (1.0 + abs(z))
+    z_directions = np.concatenate([np.zeros((1, len(z))), np.eye(len(z)), -np.eye(len(z))])
+    quantity_values = lax.map(
+        lambda direction: held_quantity(z + direction * step_sizes, problem), jnp.asarray(z_directions, z.dtype)
     )
-    gradient = (values[1 : len(z) + 1] - values[len(z) + 1 :]) / (2.0 * spacing)
-    return jnp.append(residual, values[0] - problem.value), jnp.concatenate([jacobian, gradient[None]])
+    quantity_gradient = (quantity_values[1 : len(z) + 1] - quantity_values[len(z) + 1 :]) / (2.0 * step_sizes)
+    return jnp.append(residual, quantity_values[0] - problem.value), jnp.concatenate(
+        [jacobian, quantity_gradient[None]]
+    )
 
 
-def _make_problem(orbit_problem):
-    held_system = partial(_held_system, orbit_problem.dense_function)
+def _make_held_problem(orbit_problem):
+    residual_and_jacobian = partial(_residual_and_jacobian, orbit_problem.dense_function)
     return Problem(
-        held_system, solve_bordered, held_system, (), call_as_kernel, orbit_problem.is_valid, compile_at_once=True
+        residual_and_jacobian,
+        solve_bordered,
+        residual_and_jacobian,
+        (),
+        call_as_kernel,
+        orbit_problem.is_valid,
+        compile_at_once=True,
     )
 
 
-PROBLEMS = tuple(_make_problem(orbit_problem) for orbit_problem in (IMPACT_PROBLEM, STICKING_PROBLEM, FREE_PROBLEM))
+PROBLEMS = tuple(
+    _make_held_problem(orbit_problem) for orbit_problem in (IMPACT_PROBLEM, STICKING_PROBLEM, FREE_PROBLEM)
+)
 
 
 @continuation_problem.register

@@ -1,10 +1,10 @@
 """Reject special points that are impossible.
 
-Under spring and damper, between passive walls, the product of the multipliers is that of e^(-gamma T), of R^2 at each
-impact, and of the factors of soft walls: positive and at most 1. Under any force a product below 1 excludes two
-multipliers of modulus 1. So there is no Neimark-Sacker point, and no two of SN, SB and PD coincide. An orbit that is
-its own mirror image has no PD, because its multipliers are the squares of those of half of it (Swift and Wiesenfeld,
-Phys. Rev. Lett. 52, 1984).
+With a linear spring and damper between passive walls, the product of the multipliers is between 0 and 1. The factors of
+the product are e^(-2 d T) with the damping d and the period T, R^2 with the restitution R for each impact, and the
+factors of soft walls. Under any force a product below 1 excludes two multipliers of modulus 1. Therefore there is no
+Neimark-Sacker point, and no two of SN, SB and PD coincide. An orbit that is its own mirror image has no PD, because its
+multipliers are the squares of those of half the orbit (Swift and Wiesenfeld, Phys. Rev. Lett. 52, 1984).
 """
 
 from itertools import combinations
@@ -20,53 +20,59 @@ MULTIPLIER_TOLERANCE = 1e-2  # largest difference of multipliers of one point, a
 ROUNDING_FACTOR = 1e-9  # rounding of the product, relative to (1 + larger multiplier)^2
 
 
-class ImpossibleError(ArithmeticError):
-    """Error for a special point that the scene cannot have, so that its computation is wrong."""
+class ImpossiblePointError(ArithmeticError):
+    """Error raised if a computed special point cannot exist in the scene."""
 
-    def __init__(self, description, name, value, product):
-        super().__init__(description, name, value, product)
-        self.description, self.name, self.value, self.product = description, name, value, product
+    def __init__(self, description, name, value, multiplier_product):
+        super().__init__(description, name, value, multiplier_product)
+        self.description, self.name, self.value, self.multiplier_product = description, name, value, multiplier_product
 
     def __str__(self):
         return (
             f"{self.description} at {self.name} = {self.value:.12g} is impossible, because the product of the"
-            f" multipliers is {self.product:.6g}; the computation is wrong there; please report the scene"
+            f" multipliers is {self.multiplier_product:.6g}; the computation is wrong there; please report the scene"
         )
 
 
-def require_damped(name, values, multipliers):
-    """Check that the products of multipliers, array of shape (points, 2), are at most 1. Raises ImpossibleError."""
-    products, rounding = _products(multipliers)
-    for index in np.flatnonzero(np.isfinite(products) & (products > 1.0 + rounding)):
-        raise ImpossibleError("a growing area", name, float(values[index]), float(products[index]))
+def require_no_area_growth(name, values, multipliers):
+    """Check that the products of multipliers, array of shape (points, 2), are at most 1. Raises
+    ImpossiblePointError."""
+    multiplier_products, rounding_error = _multiplier_products(multipliers)
+    for index in np.flatnonzero(np.isfinite(multiplier_products) & (multiplier_products > 1.0 + rounding_error)):
+        raise ImpossiblePointError("a growing area", name, float(values[index]), float(multiplier_products[index]))
 
 
-def require_possible(special_points):
-    """Check that the special points of a branch are possible. Raises ImpossibleError."""
-    damped_points = []
+def require_possible_points(special_points):
+    """Check that the special points of a branch are possible. Raises ImpossiblePointError."""
+    contracting_points = []
     for special in special_points:
-        product, rounding = _products(special.multipliers)
-        if product < 1.0 - rounding:
-            damped_points.append((special, product))
-    for special, product in damped_points:
+        multiplier_product, rounding_error = _multiplier_products(special.multipliers)
+        if multiplier_product < 1.0 - rounding_error:
+            contracting_points.append((special, multiplier_product))
+    for special, multiplier_product in contracting_points:
         if special.kind == "PD" and is_symmetric(special.scene) and is_own_mirror_image(special.scene, special.spot):
-            raise ImpossibleError("PD of an orbit that is its own mirror image", special.name, special.value, product)
-    for (special, product), (other_special, _) in combinations(damped_points, 2):
-        if tuple(sorted((special.kind, other_special.kind))) in EXCLUSIVE_PAIRS and _is_same_point(
+            raise ImpossiblePointError(
+                "PD of an orbit that is its own mirror image", special.name, special.value, multiplier_product
+            )
+    for (special, multiplier_product), (other_special, _) in combinations(contracting_points, 2):
+        if tuple(sorted((special.kind, other_special.kind))) in EXCLUSIVE_PAIRS and _are_coincident(
             special, other_special
         ):
-            raise ImpossibleError(
-                f"coincidence of {special.kind} and {other_special.kind}", special.name, special.value, product
+            raise ImpossiblePointError(
+                f"coincidence of {special.kind} and {other_special.kind}",
+                special.name,
+                special.value,
+                multiplier_product,
             )
 
 
-def _products(multipliers):
-    """Return the moduli of the products of multipliers and their rounding, nan at an impact with zero speed."""
+def _multiplier_products(multipliers):
+    """Return the moduli of the products of multipliers and their rounding errors; nan at an impact with zero speed."""
     with np.errstate(invalid="ignore"):
         return abs(multipliers.prod(axis=-1)), ROUNDING_FACTOR * (1.0 + abs(multipliers[..., 0])) ** 2
 
 
-def _is_same_point(first_point, second_point):
+def _are_coincident(first_point, second_point):
     """Test whether two special points have the same value, impacts and multipliers.
 
     At a grazing of a soft wall the multipliers change from -1 to 1 while value and impacts change by rounding.
@@ -78,7 +84,7 @@ def _is_same_point(first_point, second_point):
         return False
     if not abs(first_point.multipliers - second_point.multipliers).max() <= MULTIPLIER_TOLERANCE:
         return False
-    differences = np.concatenate(
+    orbit_differences = np.concatenate(
         [
             first_row.times - second_row.times,
             first_row.speeds - second_row.speeds,
@@ -86,5 +92,5 @@ def _is_same_point(first_point, second_point):
         ]
     )
     return bool(
-        abs(differences).max() <= COINCIDENCE_TOLERANCE * (1.0 + first_row.speeds.max(initial=abs(first_row.v)))
+        abs(orbit_differences).max() <= COINCIDENCE_TOLERANCE * (1.0 + first_row.speeds.max(initial=abs(first_row.v)))
     )

@@ -1,8 +1,8 @@
-"""Find isolas: closed branches that no other branch reaches and no start need settle on.
+"""Find isolas: closed branches that are not connected to other branches.
 
 At values over the whole range of the parameter the equations of the impacts are solved for each order of walls, by
-Newton's method from random guesses, with deflation of known solutions (`orbits/deflation.py`). Each solution on no
-known branch is followed. The branches that return to their start are isolas.
+Newton's method from random guesses, with deflation of known solutions (`orbits/deflation.py`). Each solution that lies
+on no known branch is followed. The branches that return to their start are isolas.
 """
 
 from collections.abc import Callable
@@ -11,23 +11,23 @@ from itertools import product
 import jax
 import numpy as np
 
-from continuation.limits import EXPIRED_REASON, Results, limits_of
+from continuation.computation_limits import EXPIRED_REASON, Results, make_limits
 
 from ..maps.initial_conditions import initial_box
 from ..orbits.deflation import solve_with_deflation
 from ..orbits.impact_equations import ImpactSequence
 from ..orbits.orbit_comparison import repetition_count
-from ..problem.diagnostics import diagnose
 from ..problem.end import End
-from ..problem.orbit_point import OrbitPoint, impact_points, set_up_problem
+from ..problem.orbit_diagnostics import diagnose
+from ..problem.orbit_point import OrbitPoint, comparison_points, set_up_equations
 from ..scene import check
-from ..scene.parameters import parameter_domain
+from ..scene.scene_parameters import parameter_domain
 from ..scene.symmetry import stays_symmetric
 from .branch import Branch
 from .branch_membership import correct_to_seed_orbit, is_on_branch
 from .branch_tree import MAX_BRANCHES, BranchTree
 from .diagram import Diagram
-from .follow import branch_through, check_settings
+from .follow import branch_through, check_follow_settings
 from .seed_orbits import SeedOrbit
 from .switch import FIRST_STEP
 
@@ -59,14 +59,14 @@ def find_isolas(
     seed : int, optional
         Seed of the guesses.
     progress : callable, optional
-        Called with the number of orders of walls that are done.
+        Called with the number of completed orders of walls.
     max_seconds : float, optional
-        Wall-clock time in s after which the isolas found are returned. None is no limit.
+        Wall-clock time in s after which the isolas located by then are returned. None is no limit.
 
     Returns
     -------
     tuple of Branch
-        The isolas. Its attribute ``stopped`` is empty, or states that the time was over.
+        The isolas. The attribute ``stopped`` of the tuple is empty, or states that the time limit was reached.
 
     Raises
     ------
@@ -80,9 +80,11 @@ def find_isolas(
 
     Notes
     -----
-    Each order of walls is solved for at 256 values of the parameter. An isola as wide as a few hundredths of the bounds
-    is found; a narrower one may be missed. A branch is closed if it returns to its first orbit, also through grazings.
-    In a symmetric scene the mirror image is included. `switch` follows the branches that emanate from an isola.
+    The equations of each order of walls are solved at 256 values of the parameter, from two random guesses at each
+    value. An isola is usually found if its width is at least a few hundredths of the distance between the bounds;
+    narrower isolas may be missed. Orbits that stick are not searched for. A branch that returns to its first orbit
+    through grazings is closed as well. In a symmetric scene the mirror image of each isola is included. `switch`
+    follows the branches that emanate from an isola.
 
     Examples
     --------
@@ -91,22 +93,24 @@ def find_isolas(
     >>> isolas, isolas.stopped
     ((), '')
     """
-    limits = limits_of(None, max_seconds, None, check.ArgumentError)
+    limits = make_limits(None, max_seconds, None, check.ArgumentError)
     if not isinstance(diagram, Diagram):
         raise check.ArgumentError("diagram", "must be a Diagram, as explore returns", diagram)
     period_limit, impact_limit = (
-        check.whole_number("max_period", max_period, 1),
-        check.whole_number("max_impacts", max_impacts, 1),
+        check.check_whole_number("max_period", max_period, 1),
+        check.check_whole_number("max_impacts", max_impacts, 1),
     )
-    for key, argument, allowed_max in (
+    for argument_name, argument, allowed_max in (
         ("max_period", period_limit, check.MAX_ORBIT_PERIODS),
         ("max_impacts", impact_limit, MAX_IMPACTS),
     ):
         if argument > allowed_max:
-            raise check.ArgumentError(key, f"must be at most {allowed_max}", argument)
-    rng = np.random.default_rng(check.whole_number("seed", seed, 0))
+            raise check.ArgumentError(argument_name, f"must be at most {allowed_max}", argument)
+    rng = np.random.default_rng(check.check_whole_number("seed", seed, 0))
     scene, name, bounds = diagram.scene, diagram.name, diagram.bounds
-    step_settings = check_settings(FIRST_STEP, diagram.settings["largest_step"], 1e-10, (), ()) | {"limits": limits}
+    step_settings = check_follow_settings(FIRST_STEP, diagram.settings["largest_step"], 1e-10, (), ()) | {
+        "limits": limits
+    }
     known_branches = list(diagram.branches)
     tree = BranchTree(
         bounds,
@@ -122,17 +126,20 @@ def find_isolas(
     for n_orders, (periods, sides) in enumerate(_wall_orders(scene, period_limit, impact_limit), 1):
         if limits.expired:
             return Results(isolas, f"{EXPIRED_REASON}: {n_orders - 1} orders of walls done")
-        for seed_orbit in _solve_for_orbits(scene, name, bounds, periods, sides, rng):
-            if not tree.is_exhausted and not any(is_on_branch(seed_orbit, branch) for branch in tree.branches):
-                isolas += _follow_seed_orbit(tree, seed_orbit, scene, name, bounds, step_settings)
+        for seed_orbit in _solve_wall_order(scene, name, bounds, periods, sides, rng):
+            if not tree.has_reached_limit and not any(is_on_branch(seed_orbit, branch) for branch in tree.branches):
+                isolas += _isolas_of_seed_orbit(tree, seed_orbit, scene, name, bounds, step_settings)
         if progress is not None:
             progress(n_orders)
     return Results(isolas)
 
 
-def _follow_seed_orbit(tree, seed_orbit, scene, name, bounds, step_settings):
-    """Follow a seed orbit; return its branch and the mirror image if they close. They are known from then on."""
-    start = correct_to_seed_orbit(seed_orbit, *set_up_problem(scene, name, seed_orbit.orbit_row))
+def _isolas_of_seed_orbit(tree, seed_orbit, scene, name, bounds, step_settings):
+    """Follow a seed orbit and add its branch to the tree.
+
+    Returns the branch and its mirror image if they are closed, else an empty list.
+    """
+    start = correct_to_seed_orbit(seed_orbit, *set_up_equations(scene, name, seed_orbit.orbit_row))
     if start is None:
         return []
     branch = branch_through(
@@ -140,23 +147,23 @@ def _follow_seed_orbit(tree, seed_orbit, scene, name, bounds, step_settings):
     )
     if tree.contains(branch):
         return []
-    n_before = len(tree.branches)
+    n_branches_before = len(tree.branches)
     tree.add(branch)
-    return tree.branches[n_before:] if branch.ends[1] is End.CLOSED else []
+    return tree.branches[n_branches_before:] if branch.ends[1] is End.CLOSED else []
 
 
 def _wall_orders(scene, period_limit, impact_limit):
-    """Yield periods and sides of each order of walls, up to cyclic shifts, short ones first."""
-    wall_sides = [side for side, wall in ((-1.0, scene.left), (1.0, scene.right)) if wall is not None]
+    """Yield periods and sides of each order of walls, up to cyclic shifts, sorted by periods and number of impacts."""
+    available_sides = [side for side, wall in ((-1.0, scene.left), (1.0, scene.right)) if wall is not None]
     for periods in range(1, period_limit + 1):
         for n_impacts in range(1, impact_limit + 1):
-            for sides in product(wall_sides, repeat=n_impacts):
+            for sides in product(available_sides, repeat=n_impacts):
                 if sides == min(sides[k:] + sides[:k] for k in range(n_impacts)):
                     yield periods, np.array(sides)
 
 
-def _solve_for_orbits(scene, name, bounds, periods, sides, rng):
-    """Yield the `SeedOrbit` of each orbit with an order of walls, over the range of the parameter."""
+def _solve_wall_order(scene, name, bounds, periods, sides, rng):
+    """Yield the `SeedOrbit` of each orbit with a given order of walls, over the range of the parameter."""
     lower, upper = np.clip(parameter_domain(scene, name), *bounds)
     n_lanes, n_impacts, n_rows = N_VALUES * N_GUESSES, len(sides), max(2, 1 << (len(sides) - 1).bit_length())
     values = np.repeat(lower + (upper - lower) * (np.arange(N_VALUES) + rng.random(N_VALUES)) / N_VALUES, N_GUESSES)
@@ -177,13 +184,13 @@ def _solve_for_orbits(scene, name, bounds, periods, sides, rng):
         )
         orbit_row = OrbitPoint(float(values[lane]), *impact_columns, periods, np.nan, np.nan, 0.0)
         if (
-            repetition_count(impact_points(orbit_row, 2.0 * np.pi / drive_periods[lane]), periods, IMPACT_TOLERANCE)
+            repetition_count(comparison_points(orbit_row, 2.0 * np.pi / drive_periods[lane]), periods, IMPACT_TOLERANCE)
             == 1
         ):
             diagnostics = diagnose(
                 *(
                     argument[None] if k else argument
-                    for k, argument in enumerate(set_up_problem(scene, name, orbit_row))
+                    for k, argument in enumerate(set_up_equations(scene, name, orbit_row))
                 )
             )
             x, v = diagnostics.x[0], diagnostics.v[0]

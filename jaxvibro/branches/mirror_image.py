@@ -1,21 +1,24 @@
 """Compute the mirror image of a branch of a symmetric scene.
 
-(x, v, phase) -> (-x, -v, phase + pi): impacts on the other walls half a drive period later, with the same speeds
-(paper, section 1).
+The symmetry maps (x, v, phase) to (-x, -v, phase + pi). The impacts of the mirror image are on the other walls, half a
+drive period later, with the same speeds (paper, section 1).
 """
 
 from dataclasses import replace
 
 import numpy as np
 
-from ..problem.diagnostics import diagnose
-from ..problem.orbit_point import itinerary, label_of, set_up_problem
-from ..problem.orbit_rows import dataset_row, parse_orbit_row
+from ..problem.orbit_curve import dataset_row, parse_orbit_point
+from ..problem.orbit_diagnostics import diagnose
+from ..problem.orbit_point import itinerary_of_point, label_of_point, set_up_equations
 from .branch import frequency_at, make_special
 
 
 def mirror_branch(branch):
-    """Return the branch of the mirror images of a branch's orbits; its scene must satisfy `stays_symmetric`."""
+    """Return the branch of the mirror images of a branch's orbits.
+
+    The scene and the parameter of the branch must satisfy `stays_symmetric`.
+    """
     data = _mirrored_data(branch)
     special_points = (_mirrored_special(branch, data, entry) for entry in branch.special)
     segments = (_mirrored_segment(branch, data, entry) for entry in branch.segments)
@@ -27,27 +30,27 @@ def _mirrored_data(branch):
     data, name = branch.data, branch.name
     half_period = np.broadcast_to(np.pi / frequency_at(branch.scene, name, branch.values), branch.values.shape)
     mirrored_times = half_period[:, None] + data["time"]
-    slopes = data["time_slope"]
+    time_slopes = data["time_slope"]
     if name == "frequency":
-        slopes = slopes - (half_period / branch.values * data["value_slope"].values)[:, None]
-    mirrored = data.assign(time=mirrored_times, side=-data["side"], time_slope=slopes)
+        time_slopes = time_slopes - (half_period / branch.values * data["value_slope"].values)[:, None]
+    mirrored_data = data.assign(time=mirrored_times, side=-data["side"], time_slope=time_slopes)
     x, v = data["x"].values.copy(), data["v"].values.copy()
     for segment in branch.segments:
         rows = slice(segment.first, segment.last + 1)
-        orbit_row = parse_orbit_row(dataset_row(mirrored, segment.first), name)
+        orbit_row = parse_orbit_point(dataset_row(mirrored_data, segment.first), name)
         if len(orbit_row.times):
-            diagnostics = _diagnose_rows(branch, orbit_row, mirrored.isel(point=rows))
+            diagnostics = _diagnose_rows(branch, orbit_row, mirrored_data.isel(point=rows))
             x[rows], v[rows] = diagnostics.x, diagnostics.v
-    return mirrored.assign(x=data["x"].copy(data=x), v=data["v"].copy(data=v))
+    return mirrored_data.assign(x=data["x"].copy(data=x), v=data["v"].copy(data=v))
 
 
 def _diagnose_rows(branch, orbit_row, segment_data):
     """Compute the `Diagnostics` at rows with the itinerary of an `OrbitPoint`."""
-    problem, z = set_up_problem(branch.scene, branch.name, orbit_row)
-    n_impacts, n_rows = len(orbit_row.times), len(problem.sequence.sides)
+    problem, z = set_up_equations(branch.scene, branch.name, orbit_row)
+    n_impacts, n_sequence_rows = len(orbit_row.times), len(problem.sequence.sides)
     is_impact = segment_data["side"].values[0] != 0
     zs = np.zeros((segment_data.sizes["point"], len(z)))
-    zs[:, :n_impacts], zs[:, n_rows : n_rows + n_impacts] = (
+    zs[:, :n_impacts], zs[:, n_sequence_rows : n_sequence_rows + n_impacts] = (
         segment_data["time"].values[:, is_impact],
         segment_data["speed"].values[:, is_impact],
     )
@@ -74,18 +77,18 @@ def _mirrored_special(branch, data, special):
 
 
 def _mirrored_orbit_row(scene, name, orbit_row):
-    """Return the mirror image of an `OrbitPoint`; without impacts it is its own."""
+    """Return the mirror image of an `OrbitPoint`; an orbit without impacts is its own mirror image."""
     if not len(orbit_row.times):
         return orbit_row
     mirrored_times = orbit_row.times + np.pi / frequency_at(scene, name, orbit_row.value)
     mirrored_row = orbit_row._replace(times=mirrored_times, sides=-orbit_row.sides)
-    problem, z = set_up_problem(scene, name, mirrored_row)
+    problem, z = set_up_equations(scene, name, mirrored_row)
     diagnostics = diagnose(problem, z[None])
     return mirrored_row._replace(x=float(diagnostics.x[0, 0]), v=float(diagnostics.v[0, 0]))
 
 
 def _mirrored_segment(branch, data, segment):
     row = dataset_row(data, segment.first)
-    orbit_row = parse_orbit_row(row, branch.name)
-    itinerary_words = itinerary(orbit_row, float(frequency_at(branch.scene, branch.name, row[branch.name])))
-    return replace(segment, label=label_of(branch.scene, orbit_row, itinerary_words), itinerary=itinerary_words)
+    orbit_row = parse_orbit_point(row, branch.name)
+    itinerary = itinerary_of_point(orbit_row, float(frequency_at(branch.scene, branch.name, row[branch.name])))
+    return replace(segment, label=label_of_point(branch.scene, orbit_row, itinerary), itinerary=itinerary)

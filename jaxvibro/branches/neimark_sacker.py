@@ -1,6 +1,6 @@
 """Locate Neimark-Sacker points and neutral saddles, where the product of the multipliers passes 1.
 
-Only scenes whose phase-space areas grow somewhere can have them.
+Such points exist only in scenes in which areas in the phase space grow somewhere.
 """
 
 import jax
@@ -8,22 +8,22 @@ import numpy as np
 
 from continuation.point_rows import row_at
 
-from ..orbits.orbit import is_area_preserving
-from ..problem.diagnostics import diagnose
-from ..scene.dissipation import areas_never_grow
+from ..orbits.orbit import has_unit_determinants
+from ..problem.orbit_diagnostics import diagnose
+from ..scene.area_growth_proof import areas_never_grow
 from .user_monitors import locate_crossings
 
 
 def locate_neimark_sacker(task, points, diagnostics):
     """Locate the `Event` of each point at which the determinant of the monodromy matrix passes 1.
 
-    The kind is NS if the multipliers are complex there, and NSA (neutral saddle) if they are real. There are none if
-    areas are proved never to grow, or if the determinant is 1 everywhere.
+    The kind is NS if the multipliers are complex there, and NSA (neutral saddle) if they are real. There are no events
+    without a user-defined force, if areas are proved never to grow, or if the determinant is 1 everywhere.
     """
-    excess = diagnostics.determinant - 1.0
-    if task.args.scene.force is None or not (np.diff(np.sign(excess)) != 0).any():
+    determinant_excess = diagnostics.determinant - 1.0
+    if task.args.scene.force is None or not (np.diff(np.sign(determinant_excess)) != 0).any():
         return []
-    if is_area_preserving(diagnostics.trace, diagnostics.determinant) or areas_never_grow(
+    if has_unit_determinants(diagnostics.trace, diagnostics.determinant) or areas_never_grow(
         *_scenes_at_extremes(task.args, points)
     ):
         return []

@@ -4,16 +4,16 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from continuation.limits import limits_of, partial_reason
+from continuation.computation_limits import make_limits, partial_result_reason
 
 from ..orbits.orbit import Orbit
 from ..output.table_text import align_columns
-from ..problem.one_impact_orbits import locate_next_grazing, one_impact_orbits
-from ..problem.orbit_point import orbit_from_row
+from ..problem.added_impact_orbits import added_impact_orbits, locate_next_grazing
+from ..problem.orbit_point import orbit_from_point
 from ..problem.square_root_map import SquareRootMap
 from ..scene import check
 from ..scene.scene import SIDES
-from ..scene.typical_scales import scene_length
+from ..scene.typical_scales import typical_length
 from .branch import Special
 from .scenario import (
     DEFAULT_MAX_RETURNS,
@@ -34,17 +34,18 @@ class PeriodicWindow:
     Attributes
     ----------
     returns : int
-        Number n of returns.
+        Number n of returns. A return leads from the grazing contact to the next one, as in `Scenario.matrix`.
     predicted : float
         Parameter value of the next grazing of the orbits, predicted by the square-root map.
     found : float
-        Parameter value of their first grazing, nan if it is not located.
+        Located parameter value of this grazing, nan if the grazing is not located.
     wall : str
-        Wall that is touched, ``"left"`` or ``"right"``; empty if none.
+        Wall that the orbits graze, ``"left"`` or ``"right"``; empty if the grazing is not located.
     ratio : float
-        Distance of `found` for n - 1 from the grazing, divided by that of this window.
+        Distance of `found` for n - 1 from the original grazing, divided by the distance of `found` for n.
     orbit : Orbit or None
-        Orbit halfway between the onset of stability and the grazing; None if none is located.
+        Orbit whose additional impact has the mean of the speeds at the onset of stability and at the grazing `found`;
+        None if no orbit is located.
 
     Examples
     --------
@@ -117,8 +118,8 @@ class PeriodAdding:
                     *(_dash_if_nan(entry) for entry in value_texts),
                 )
             )
-        limit_line = f"the ratio tends to {self.scenario.ratio:.6g}"
-        return "\n".join([align_columns(rows), limit_line, *([self.stopped] if self.stopped else [])])
+        ratio_line = f"the ratio tends to {self.scenario.ratio:.6g}"
+        return "\n".join([align_columns(rows), ratio_line, *([self.stopped] if self.stopped else [])])
 
 
 def _dash_if_nan(text):
@@ -132,8 +133,9 @@ def period_adding(
     """Locate the orbits of period adding beyond a grazing.
 
     For each n the orbits with one additional impact in n returns are followed from the grazing along the speed of that
-    impact, until a flight touches a wall. The parameter value there is located to rounding. From a period doubling to
-    there the orbits are stable, for large n unless CHAOS follows. `follow` continues from the ``orbit`` of each window.
+    impact, until a flight grazes a wall. The parameter value of this next grazing is located to rounding. The orbits
+    are stable between a period doubling and the next grazing, but not for large n if the outcome is CHAOS. `follow` can
+    start from the ``orbit`` of each window.
 
     Parameters
     ----------
@@ -152,7 +154,7 @@ def period_adding(
     Raises
     ------
     ArgumentError
-        If `scenario` does not accept the point, or no period adding follows the grazing.
+        If `scenario` does not accept the point, or neither period adding nor chaos follows the grazing.
 
     See Also
     --------
@@ -167,7 +169,7 @@ def period_adding(
     >>> [window.orbit.label for window in adding.windows]
     ['P201', 'P301']
     """
-    limits = limits_of(None, max_seconds, None, check.ArgumentError)
+    limits = make_limits(None, max_seconds, None, check.ArgumentError)
     longest = check_max_returns(longest)
     grazing_return = grazing_return_of(special)
     scenario = make_scenario(special, grazing_return, longest)
@@ -176,34 +178,37 @@ def period_adding(
             "special", "must be a grazing that period adding or chaos follows", scenario.follows.value
         )
     windows: list[PeriodicWindow] = []
-    length_scale, last_value = scene_length(special.scene), np.nan
-    for n in range(MIN_RETURNS, longest + 1):
+    length_scale, previous_value = typical_length(special.scene), np.nan
+    for n_returns in range(MIN_RETURNS, longest + 1):
         if limits.expired:
-            reason = partial_reason(len(windows), longest + 1 - MIN_RETURNS, "windows")
+            reason = partial_result_reason(len(windows), longest + 1 - MIN_RETURNS, "windows")
             return PeriodAdding(scenario, tuple(windows), reason)
-        windows.append(_make_window(scenario, grazing_return, n, length_scale, last_value))
-        last_value = windows[-1].found
+        windows.append(_make_window(scenario, grazing_return, n_returns, length_scale, previous_value))
+        previous_value = windows[-1].found
     return PeriodAdding(scenario, tuple(windows))
 
 
-def _make_window(scenario, grazing_return, n, length_scale, last_value):
-    """Make the `PeriodicWindow` of n returns; `last_value` is the value located for n - 1."""
+def _make_window(scenario, grazing_return, n_returns, length_scale, previous_value):
+    """Make the `PeriodicWindow` of n returns; `previous_value` is the value located for n - 1."""
     special, doubled_acceleration = scenario.special, 2.0 * scenario.acceleration
-    window, predicted = SquareRootMap(scenario.root, scenario.matrix).window(n), scenario.orbits[n - 1].touch
-    orbits = one_impact_orbits(grazing_return, n, length_scale)
-    grazing_point = locate_next_grazing(orbits, window.grazing_root * np.sqrt(doubled_acceleration))
-    if grazing_point is None:
-        return PeriodicWindow(n, predicted, np.nan, "", np.nan, None)
-    z, side = grazing_point
-    value, speed = float(z[-1]), z[orbits.speed_index]
-    start_speed = window.min_stable_root * np.sqrt(doubled_acceleration)
-    start_speed = start_speed if start_speed < speed else 0.0
-    middle_point = orbits.point_at_speed(z, 0.5 * (start_speed + speed))
-    orbit_row = orbits.orbit_row_at(middle_point.z, middle_point.residual)
+    window, predicted_value = (
+        SquareRootMap(scenario.root, scenario.matrix).added_impact_window(n_returns),
+        scenario.orbits[n_returns - 1].touch,
+    )
+    orbits_near_grazing = added_impact_orbits(grazing_return, n_returns, length_scale)
+    next_grazing = locate_next_grazing(orbits_near_grazing, window.next_grazing_root * np.sqrt(doubled_acceleration))
+    if next_grazing is None:
+        return PeriodicWindow(n_returns, predicted_value, np.nan, "", np.nan, None)
+    z, side = next_grazing
+    value, speed = float(z[-1]), z[orbits_near_grazing.speed_index]
+    onset_speed = window.min_stable_root * np.sqrt(doubled_acceleration)
+    onset_speed = onset_speed if onset_speed < speed else 0.0
+    middle_point = orbits_near_grazing.point_at_speed(z, 0.5 * (onset_speed + speed))
+    orbit_row = orbits_near_grazing.orbit_point_at(middle_point.z, middle_point.residual)
     orbit = (
-        orbit_from_row(special.scene.replace(**{special.name: orbit_row.value}), orbit_row)
+        orbit_from_point(special.scene.replace(**{special.name: orbit_row.value}), orbit_row)
         if middle_point.converged
         else None
     )
-    ratio = (last_value - special.value) / (value - special.value)
-    return PeriodicWindow(n, predicted, value, SIDES[int(side > 0)], ratio, orbit)
+    ratio = (previous_value - special.value) / (value - special.value)
+    return PeriodicWindow(n_returns, predicted_value, value, SIDES[int(side > 0)], ratio, orbit)

@@ -9,15 +9,15 @@ from jaxtyping import Complex, Float
 from ..maps import itinerary as words
 from ..orbits.orbit import STABILITY_MARGIN
 from ..output.table_text import align_columns, multipliers_text
-from ..problem.contact_exponent import contact_exponent
-from ..problem.grazing_return import compute_grazing_return
-from ..problem.one_impact_orbits import impact_indices, traversal_count
-from ..problem.orbit_point import set_up_problem
-from ..problem.soft_grazing import is_smooth_wall
+from ..problem.added_impact_orbits import added_impact_indices, grazing_traversal_count
+from ..problem.contact_effect_exponent import contact_effect_exponent
+from ..problem.grazing_return_map import compute_grazing_return
+from ..problem.orbit_point import set_up_equations
+from ..problem.soft_wall_grazing import is_smooth_soft_wall
 from ..problem.square_root_map import MAX_RETURNS, SquareRootMap
 from ..scene import check
 from ..scene.scene import SIDES
-from ..scene.typical_scales import scene_length
+from ..scene.typical_scales import typical_length
 from .branch import Special
 
 DEFAULT_MAX_RETURNS = 6
@@ -29,24 +29,25 @@ OVERLAP_MULTIPLIER, CHAOS_MULTIPLIER = (
 
 
 class Follows(Enum):
-    """Outcome of a grazing for a stable motion that comes to it.
+    """Outcome of a grazing for a motion that is stable before the grazing.
 
     Attributes
     ----------
     OVERLAPPING
-        Period adding; each window of parameters overlaps the next. Attractors leave the grazing gradually.
+        Period adding; each window of parameters overlaps the next. Attractors depart gradually from the grazing orbit.
     ADDING
-        Period adding with chaos between the windows. Attractors leave the grazing gradually.
+        Period adding with chaos between the windows. Attractors depart gradually from the grazing orbit.
     CHAOS
-        Chaos alone. Attractors leave the grazing gradually.
+        Chaos alone. Attractors depart gradually from the grazing orbit.
     JUMP
-        No motion remains near.
+        No attractor remains near the grazing.
     C1
         The motion continues at a soft wall, with a continuous derivative.
     UNSTABLE
-        No stable motion comes to the grazing.
+        The motion is unstable before the grazing.
     OPEN
-        The signs do not decide.
+        The square-root map does not decide the outcome: there are several grazing contacts, the grazed wall is soft, a
+        multiplier is complex or negative, or the sign of C M^n E (see `OneImpact.response`) is lost in rounding.
 
     Examples
     --------
@@ -73,7 +74,7 @@ class OneImpact:
     Attributes
     ----------
     returns : int
-        Number n of returns.
+        Number n of returns. A return leads from the grazing contact to the next one, as in `Scenario.matrix`.
     label : str
         Label P n p q of the orbits.
     response : float
@@ -113,15 +114,15 @@ class Scenario:
     special : Special
         The grazing.
     follows : Follows
-        Outcome for a stable motion that comes to it.
+        Outcome for a motion that is stable before the grazing.
     wall : str
-        Grazed wall, ``"left"`` or ``"right"``; of two walls the one with the larger root.
+        Grazed wall, ``"left"`` or ``"right"``; of two grazed walls the wall with the larger root.
     root : float
         Jump of the velocity divided by the square root of the depth that a contact would have.
     exponent : float
-        Power of the depth by which a contact changes the motion, 0.5 at a rigid wall.
+        Exponent of the depth in the change of the motion by a contact, 0.5 at a rigid wall.
     acceleration : float
-        Acceleration away from the wall, relative to it.
+        Acceleration at the grazing relative to the wall, away from it.
     rate : float
         Derivative of the depth with respect to the parameter.
     side : int
@@ -134,13 +135,13 @@ class Scenario:
     multipliers : ndarray
         Eigenvalues of `matrix`, complex array of shape (2,), the larger first.
     deeper : int
-        First n with C M^n E > 0, 0 if none.
+        First n with C M^n E > 0 (see `OneImpact.response`), 0 if there is none.
     ratio : float
         Limit of the ratio by which the `touch` values of `orbits` approach the grazing from n to n + 1: the inverse
-        square of the larger multiplier if attractors leave the grazing gradually, else nan.
+        square of the larger multiplier if attractors depart gradually from the grazing orbit, else nan.
     orbits : tuple of OneImpact
-        One entry for each n from 1 on. Empty if the outcome is C1 or UNSTABLE, or if there are several grazing
-        contacts.
+        One entry for each n from 1 on. Empty if the outcome is UNSTABLE, if the wall is soft, or if a return has
+        several grazing contacts.
 
     See Also
     --------
@@ -176,13 +177,13 @@ class Scenario:
         str
             Outcome, then one line for each n.
         """
-        lines = [
+        outcome_lines = [
             f"{self.follows.value}: {self.special.label} touches the {self.wall} wall at {self.special.value:.12g}",
-            f"{self._change_text}, depth {self.rate:+.6g} a unit",
+            f"{self._contact_effect_text}, depth {self.rate:+.6g} a unit",
             f"multipliers of a return{' of half the orbit' * self.half}: {multipliers_text(self.multipliers)}",
         ]
         if np.isfinite(self.ratio):
-            lines.append(f"places come nearer by {self.ratio:.6g} each")
+            outcome_lines.append(f"places come nearer by {self.ratio:.6g} each")
         rows: list[tuple[object, ...]] = [("returns", "orbit", "C M^n E", "fold", "doubling", "touch", "stable")]
         for one_impact in self.orbits:
             value_texts = (
@@ -198,10 +199,10 @@ class Scenario:
                     "yes" if one_impact.stable else "no",
                 )
             )
-        return "\n".join([*lines, *([align_columns(rows)] if self.orbits else [])])
+        return "\n".join([*outcome_lines, *([align_columns(rows)] if self.orbits else [])])
 
     @property
-    def _change_text(self):
+    def _contact_effect_text(self):
         if self.exponent == ROOT_EXPONENT:
             return f"velocity jumps by {self.root:.6g} sqrt(depth)"
         return f"change as depth^{self.exponent:g}"
@@ -211,7 +212,8 @@ class Scenario:
 def scenario(special: Special, longest: int = DEFAULT_MAX_RETURNS) -> Scenario:
     """Classify the dynamics that follow a grazing.
 
-    The signs of the square-root map at the point decide; no orbit is followed.
+    The multipliers of the square-root map at the point and the signs of its C M^n E (see `OneImpact.response`) decide.
+    No orbit is followed.
 
     Parameters
     ----------
@@ -219,7 +221,7 @@ def scenario(special: Special, longest: int = DEFAULT_MAX_RETURNS) -> Scenario:
         GR of a branch, of an orbit that does not stick, with or without impacts, along any parameter. The wall may
         move.
     longest : int, optional
-        Last n whose orbits with one impact in n returns are listed, from 1 to 64.
+        Largest n, from 1 to 64, for which the orbits with one additional impact in n returns are listed.
 
     Returns
     -------
@@ -229,7 +231,8 @@ def scenario(special: Special, longest: int = DEFAULT_MAX_RETURNS) -> Scenario:
     Raises
     ------
     ArgumentError
-        If `special` is not such a point, or `longest` is invalid.
+        If `special` is of another kind, belongs to an orbit that sticks, or is no contact from outside the wall; or if
+        `longest` is invalid.
 
     See Also
     --------
@@ -252,8 +255,11 @@ def scenario(special: Special, longest: int = DEFAULT_MAX_RETURNS) -> Scenario:
 
 
 def check_max_returns(max_returns):
-    """Return the number of returns as an int. Raises ArgumentError."""
-    max_returns = check.whole_number("longest", max_returns, 1)
+    """Check the largest number of returns and return it as an int.
+
+    Raises ArgumentError if the number is not between 1 and `MAX_RETURNS`.
+    """
+    max_returns = check.check_whole_number("longest", max_returns, 1)
     if max_returns > MAX_RETURNS:
         raise check.ArgumentError("longest", f"must be at most {MAX_RETURNS}", max_returns)
     return max_returns
@@ -262,12 +268,12 @@ def check_max_returns(max_returns):
 def grazing_return_of(special):
     """Return the `GrazingReturn` of a grazing. Raises ArgumentError if `scenario` does not accept the point."""
     if not isinstance(special, Special) or special.kind != "GR":
-        actual = special.kind if isinstance(special, Special) else special
-        raise check.ArgumentError("special", "must be a grazing, GR, of a branch", actual)
+        rejected_value = special.kind if isinstance(special, Special) else special
+        raise check.ArgumentError("special", "must be a grazing, GR, of a branch", rejected_value)
     if special.orbit.rests:
         raise check.ArgumentError("special", "must be of an orbit that does not stick", special.label)
-    problem, z = set_up_problem(special.scene, special.name, special.spot)
-    grazing_return = compute_grazing_return(special.scene, special.name, problem, z, scene_length(special.scene))
+    problem, z = set_up_equations(special.scene, special.name, special.spot)
+    grazing_return = compute_grazing_return(special.scene, special.name, problem, z, typical_length(special.scene))
     if grazing_return is None:
         raise check.ArgumentError("special", "must touch a wall from outside", special.label)
     return grazing_return
@@ -275,45 +281,49 @@ def grazing_return_of(special):
 
 def make_scenario(special, grazing_return, max_returns):
     """Make the `Scenario` of a grazing from its `GrazingReturn`."""
-    depth = max(
-        (contact.depth for contact in grazing_return.omitted_grazings), key=lambda contact_depth: contact_depth.root
+    dominant_depth = max(
+        (omitted_grazing.depth for omitted_grazing in grazing_return.omitted_grazings),
+        key=lambda contact_depth: contact_depth.root,
     )
     wall, square_root_map = (
-        special.scene.walls[SIDES[int(depth.side > 0)]],
-        SquareRootMap(depth.root, grazing_return.matrix),
+        special.scene.walls[SIDES[int(dominant_depth.side > 0)]],
+        SquareRootMap(dominant_depth.root, grazing_return.matrix),
     )
-    is_single_contact = not wall.soft and len(grazing_return.omitted_grazings) == 1 + grazing_return.is_half
-    if all(is_smooth_wall(special.scene, contact.depth.side) for contact in grazing_return.omitted_grazings):
-        follows, deeper, exponent = Follows.C1, 0, contact_exponent(wall)
+    is_single_rigid_contact = not wall.soft and len(grazing_return.omitted_grazings) == 1 + grazing_return.is_half_orbit
+    if all(
+        is_smooth_soft_wall(special.scene, omitted_grazing.depth.side)
+        for omitted_grazing in grazing_return.omitted_grazings
+    ):
+        follows, deeper, exponent = Follows.C1, 0, contact_effect_exponent(wall)
     else:
-        (follows, deeper), exponent = _classify(square_root_map, is_single_contact), ROOT_EXPONENT
-    has_map_orbits = is_single_contact and follows is not Follows.UNSTABLE
+        (follows, deeper), exponent = _classify_outcome(square_root_map, is_single_rigid_contact), ROOT_EXPONENT
+    has_map_orbits = is_single_rigid_contact and follows is not Follows.UNSTABLE
     return Scenario(
         special=special,
         follows=follows,
-        wall=SIDES[int(depth.side > 0)],
-        root=depth.root,
+        wall=SIDES[int(dominant_depth.side > 0)],
+        root=dominant_depth.root,
         exponent=exponent,
-        acceleration=depth.acceleration,
-        rate=depth.slope,
-        side=int(np.sign(depth.slope)),
-        half=grazing_return.is_half,
+        acceleration=dominant_depth.acceleration,
+        rate=dominant_depth.slope,
+        side=int(np.sign(dominant_depth.slope)),
+        half=grazing_return.is_half_orbit,
         matrix=grazing_return.matrix,
         multipliers=square_root_map.multipliers,
         deeper=deeper,
         ratio=float(square_root_map.multipliers[0].real ** -2) if follows in GRADUAL_OUTCOMES else np.nan,
-        orbits=_one_impact_orbits(special.value, grazing_return, square_root_map, depth, max(max_returns, deeper))
+        orbits=_predict_orbits(special.value, grazing_return, square_root_map, dominant_depth, max(max_returns, deeper))
         if has_map_orbits
         else (),
     )
 
 
-def _classify(square_root_map, is_single_contact):
-    """Return the outcome of a square-root map, and the first n with C M^n E > 0 or 0."""
+def _classify_outcome(square_root_map, is_single_rigid_contact):
+    """Return the outcome of a square-root map, and the first n with C M^n E > 0, or 0 if there is none."""
     larger_multiplier, smaller_multiplier = square_root_map.multipliers
     if not abs(larger_multiplier) < 1.0 - STABILITY_MARGIN:
         return Follows.UNSTABLE, 0
-    deeper = square_root_map.first_positive_response() if is_single_contact else None
+    deeper = square_root_map.first_positive_response() if is_single_rigid_contact else None
     if deeper:
         return Follows.JUMP, deeper
     if deeper is None or larger_multiplier.imag or smaller_multiplier.real < 0:
@@ -323,35 +333,36 @@ def _classify(square_root_map, is_single_contact):
     return (Follows.ADDING if larger_multiplier.real < CHAOS_MULTIPLIER else Follows.CHAOS), 0
 
 
-def _one_impact_orbits(grazing_value, grazing_return, square_root_map, depth, max_returns):
+def _predict_orbits(grazing_value, grazing_return, square_root_map, dominant_depth, max_returns):
     """Return the `OneImpact` records that the square-root map predicts."""
-    responses, one_impact_orbits = square_root_map.responses(max_returns), []
-    for n in range(1, max_returns + 1):
-        window = square_root_map.window(n)
-        special_roots = window.fold_root, window.doubling_root, window.grazing_root
+    responses, predicted_orbits = square_root_map.impact_responses(max_returns), []
+    for n_returns in range(1, max_returns + 1):
+        window = square_root_map.added_impact_window(n_returns)
+        special_roots = window.fold_root, window.doubling_root, window.next_grazing_root
         parameter_values = (
-            grazing_value + window.depth(root) / depth.slope if np.isfinite(root) and root > 0 else np.nan
+            grazing_value + window.depth(root) / dominant_depth.slope if np.isfinite(root) and root > 0 else np.nan
             for root in special_roots
         )
-        one_impact_orbits.append(
+        predicted_orbits.append(
             OneImpact(
-                n,
-                _label(grazing_return, n),
-                float(responses[n]),
+                n_returns,
+                _added_impact_label(grazing_return, n_returns),
+                float(responses[n_returns]),
                 *map(float, parameter_values),
-                bool(window.min_stable_root < window.grazing_root),
+                bool(window.min_stable_root < window.next_grazing_root),
             )
         )
-    return tuple(one_impact_orbits)
+    return tuple(predicted_orbits)
 
 
-def _label(grazing_return, n):
+def _added_impact_label(grazing_return, n_grazing_returns):
     """Return the label P n p q of the orbits with one additional impact in n returns."""
-    n_traversals = traversal_count(grazing_return, n)
+    n_traversals = grazing_traversal_count(grazing_return, n_grazing_returns)
     sides = [*np.asarray(grazing_return.reduced_problem.sequence.sides)] * n_traversals + [
-        grazing_return.omitted_grazings[k].depth.side for _, k in impact_indices(grazing_return, n)
+        grazing_return.omitted_grazings[k].depth.side
+        for _, k in added_impact_indices(grazing_return, n_grazing_returns)
     ]
-    wall_letters = "L" * sum(side < 0 for side in sides) + "R" * sum(side > 0 for side in sides)
-    return words.label(
-        (wall_letters, *[""] * (n_traversals * int(grazing_return.reduced_problem.sequence.periods) - 1))
+    orbit_wall_letters = "L" * sum(side < 0 for side in sides) + "R" * sum(side > 0 for side in sides)
+    return words.format_label(
+        (orbit_wall_letters, *[""] * (n_traversals * int(grazing_return.reduced_problem.sequence.periods) - 1))
     )

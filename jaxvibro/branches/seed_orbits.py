@@ -6,13 +6,13 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from ..attractors.recurrence import recurrence_distances
+from ..attractors.recurrence import compute_return_distances
 from ..maps.initial_conditions import draw_initial_states
 from ..maps.iterate import iterate
 from ..orbits.free_response import free_orbit
 from ..problem.orbit_point import OrbitPoint
 from ..scene.codes import Contact, Status
-from ..scene.parameters import parameter_domain
+from ..scene.scene_parameters import parameter_domain
 
 N_STARTS = 256  # each at its own value of the parameter
 N_FREE_VALUES = 15  # values at which the motion without impacts is computed
@@ -30,7 +30,7 @@ class SeedOrbit(NamedTuple):
     section_states : ndarray
         x and v at the end of each period, array of shape (periods, 2).
     has_chatter : bool
-        Whether the orbit sticks, or has too many bounces to be recorded.
+        True if the orbit sticks, or has too many bounces to be recorded.
     """
 
     orbit_row: OrbitPoint
@@ -41,22 +41,22 @@ class SeedOrbit(NamedTuple):
 def find_seed_orbits(scenes, name, bounds, max_period, seed):
     """Return the `SeedOrbit` list of each scene, with at most `max_period` periods, sorted by period.
 
-    The scenes differ only in their numbers; the starts of all of them settle together.
+    The scenes differ only in their numbers. The starts of all scenes are simulated together.
     """
-    values_and_states = [_values_and_states(scene, name, bounds, seed) for scene in scenes]
+    values_and_states = [_draw_values_and_states(scene, name, bounds, seed) for scene in scenes]
     values, state = jax.tree.map(lambda *leaves: np.concatenate(leaves), *values_and_states)
-    iterates = iterate(_scenes_by_lane(scenes).replace(**{name: values}), state, SETTLING_PERIODS)
-    scene_slices = [slice(first_lane, first_lane + N_STARTS) for first_lane in range(0, len(values), N_STARTS)]
+    iterates = iterate(_merge_scenes(scenes).replace(**{name: values}), state, SETTLING_PERIODS)
+    lane_slices = [slice(first_lane, first_lane + N_STARTS) for first_lane in range(0, len(values), N_STARTS)]
     return [
         _seed_orbits_of_scene(scene, name, values[lanes], iterates.select_lanes(lanes), max_period)
-        for scene, lanes in zip(scenes, scene_slices, strict=True)
+        for scene, lanes in zip(scenes, lane_slices, strict=True)
     ]
 
 
 def free_seed_orbits(scene, name, bounds):
     """Yield the `SeedOrbit` of the motion without impacts at several values of a parameter, where it exists.
 
-    Around a resonance it exists on both sides.
+    The values cover both sides of a resonance, near which this motion may not exist.
     """
     lower, upper = np.clip(parameter_domain(scene, name), *bounds)
     for value in np.linspace(lower, upper, N_FREE_VALUES + 2)[1:-1].tolist():
@@ -66,7 +66,7 @@ def free_seed_orbits(scene, name, bounds):
             yield SeedOrbit(OrbitPoint(value, *[np.zeros(0)] * 3, 1, *section_states[0].tolist(), 0.0), section_states)
 
 
-def _values_and_states(scene, name, bounds, seed):
+def _draw_values_and_states(scene, name, bounds, seed):
     """Return values of the parameter and the random initial `State` at each."""
     lower, upper = np.clip(parameter_domain(scene, name), *bounds)
     rng = np.random.default_rng(seed)
@@ -74,7 +74,7 @@ def _values_and_states(scene, name, bounds, seed):
     return values, draw_initial_states(scene.replace(**{name: values}), N_STARTS, (seed, 1))
 
 
-def _scenes_by_lane(scenes):
+def _merge_scenes(scenes):
     """Merge scenes into one with one lane per start; parameters that differ become arrays."""
 
     def merge_leaves(*leaves):
@@ -102,14 +102,14 @@ def settled_orbits(iterates, drive_periods, max_period, include_chatter=False):
 
     Parameters
     ----------
-    iterates : Iterates
+    iterates : IteratedStates
         States and impacts of many lanes over many drive periods.
     drive_periods : ndarray
         Duration of a drive period of each lane.
     max_period : int
         Largest number of drive periods of an orbit.
     include_chatter : bool, optional
-        Whether to include lanes that stick, or that have too many bounces to be recorded.
+        True to include lanes that stick, or that have too many bounces to be recorded.
 
     Yields
     ------
@@ -122,7 +122,7 @@ def settled_orbits(iterates, drive_periods, max_period, include_chatter=False):
     """
     section_states = iterates.points
     return_distances, max_distances = (
-        recurrence_distances(section_states)[:max_period],
+        compute_return_distances(section_states)[:max_period],
         RETURN_TOLERANCE * abs(section_states).max(axis=(0, 2)),
     )
     for lane in np.flatnonzero((return_distances < max_distances).any(axis=0) & (iterates.status < Status.CAP)):

@@ -6,24 +6,24 @@ from dataclasses import replace
 import numpy as np
 
 from continuation import augmented_systems
-from continuation import branch_switching as crossing
+from continuation import branch_point_tangents as crossing
+from continuation.computation_limits import UNLIMITED, Limits, make_limits
 from continuation.event_search import unit_tangent
-from continuation.intermediate_points import start_point
-from continuation.limits import UNLIMITED, Limits, limits_of
+from continuation.intermediate_points import make_start_point
 
-from ..problem.end import RESUMABLE_ENDS, End, Reason
-from ..problem.equations import continuation_problem
-from ..problem.grazing import padded_sequence
+from ..problem.branches_from_grazing import make_padded_sequence
+from ..problem.end import RESUMABLE_ENDS, End, EndReason
 from ..problem.grazing_contact import arclength_weights
-from ..problem.orbit_point import set_up_problem
-from ..problem.orbit_rows import dataset_row, parse_orbit_row
-from ..problem.soft_grazing import find_all_exits
+from ..problem.orbit_curve import dataset_row, parse_orbit_point
+from ..problem.orbit_equations import continuation_problem
+from ..problem.orbit_point import set_up_equations
+from ..problem.soft_wall_grazing import find_all_exits
 from ..scene import check
-from ..scene.parameters import check_bounds, parameter_domain
-from ..scene.typical_scales import scene_length
+from ..scene.scene_parameters import check_parameter_bounds, parameter_domain
+from ..scene.typical_scales import typical_length
 from .assemble import START_REASON, assemble_branch, merge_branches
 from .branch import Branch, Special
-from .follow import Monitors, check_settings, make_branch_settings
+from .follow import Monitors, check_follow_settings, make_branch_settings
 from .through_grazings import continue_through_grazings
 
 FIRST_STEP = 0.01  # first step of a branch that leaves a special point
@@ -50,7 +50,7 @@ def switch(
     special : Special
         Special point of kind SB, BP, PD or GR.
     bounds : tuple of float, optional
-        Bounds of the parameter. None takes those of the point.
+        Bounds of the parameter. None means the bounds of the point.
     first_step : float, optional
         First step along each branch.
     largest_step : float, optional
@@ -82,9 +82,9 @@ def switch(
             f"must be of kind {', '.join(SWITCHING_KINDS)}, because no branch emanates from other kinds",
             special.kind,
         )
-    bounds = check_bounds(special.scene, special.name, special.bounds if bounds is None else bounds)
-    settings = check_settings(first_step, largest_step, tolerance, monitors, stop) | {"limits": limits}
-    return tuple(follow_from_start(special, start, bounds, **settings) for start in branch_starts(special))
+    bounds = check_parameter_bounds(special.scene, special.name, special.bounds if bounds is None else bounds)
+    settings = check_follow_settings(first_step, largest_step, tolerance, monitors, stop) | {"limits": limits}
+    return tuple(follow_away_from_point(special, start, bounds, **settings) for start in branch_starts(special))
 
 
 def branch_starts(special):
@@ -94,18 +94,24 @@ def branch_starts(special):
     cross.
     """
     start_function = {"PD": _doubling_starts, "GR": _grazing_starts}.get(special.kind, _crossing_starts)
-    return start_function(special, *set_up_problem(special.scene, special.name, special.spot))
+    return start_function(special, *set_up_equations(special.scene, special.name, special.spot))
 
 
-def follow_from_start(special, start, bounds, **settings):
-    """Follow the branch that leaves a special point from one of its `branch_starts`."""
+def follow_away_from_point(special, start, bounds, **settings):
+    """Follow a branch that emanates from a special point in one direction, from one of its `branch_starts`."""
     (problem, point), scene = start, special.scene
     branch_settings = make_branch_settings(
-        scene, special.name, bounds, scene_length(scene), (problem, point.z), **settings
+        scene, special.name, bounds, typical_length(scene), (problem, point.z), **settings
     )
-    start = End.LEFT.reason(special.value, special.kind)
+    start_reason = End.LEFT.reason(special.value, special.kind)
     return assemble_branch(
-        scene, special.name, bounds, settings, None, continue_through_grazings(problem, point, branch_settings), start
+        scene,
+        special.name,
+        bounds,
+        settings,
+        None,
+        continue_through_grazings(problem, point, branch_settings),
+        start_reason,
     )
 
 
@@ -157,8 +163,8 @@ def extend(
     """
     if not isinstance(branch, Branch):
         raise check.ArgumentError("branch", "must be a Branch", branch)
-    limits = limits_of(max_points, max_seconds, progress, check.ArgumentError)
-    wide_bounds = check_bounds(branch.scene, branch.name, bounds)
+    limits = make_limits(max_points, max_seconds, progress, check.ArgumentError)
+    wide_bounds = check_parameter_bounds(branch.scene, branch.name, bounds)
     if not (wide_bounds[0] <= branch.bounds[0] and branch.bounds[1] <= wide_bounds[1]):
         raise check.ArgumentError("bounds", f"must contain the branch's own, {branch.bounds}", bounds)
     for end_index in (0, -1):
@@ -168,31 +174,31 @@ def extend(
         ):
             continue
         if value in parameter_domain(branch.scene, branch.name):
-            branch = _with_end(branch, end_index, End.DOMAIN.reason(value))
+            branch = _branch_with_end(branch, end_index, End.DOMAIN.reason(value))
             continue
-        if limits.reached(1):
+        if limits.is_reached(1):
             reason = (End.MAX_SECONDS if limits.expired else End.MAX_POINTS).reason(value)
-            branch = _with_end(branch, end_index, reason)
+            branch = _branch_with_end(branch, end_index, reason)
             continue
         extension = _extend_from_end(branch, end_index, wide_bounds, limits)
-        limits = limits.after(len(extension) - 1)
+        limits = limits.after_points(len(extension) - 1)
         is_closed = extension.ends[end_index] is End.CLOSED
         if len(extension) > 1:
             branch = merge_branches(branch, extension) if end_index else merge_branches(extension, branch)
-        branch = _with_end(branch, end_index, Reason(extension.ends[end_index], extension.reasons[end_index]))
+        branch = _branch_with_end(branch, end_index, EndReason(extension.ends[end_index], extension.reasons[end_index]))
         if is_closed:  # it reached the other end
-            return _with_bounds(_with_end(branch, -1 - end_index, START_REASON), wide_bounds)
-    return _with_bounds(branch, wide_bounds)
+            return _branch_with_bounds(_branch_with_end(branch, -1 - end_index, START_REASON), wide_bounds)
+    return _branch_with_bounds(branch, wide_bounds)
 
 
-def _with_end(branch, end_index, reason):
-    """Replace the `Reason` of one end (0 or -1) of a branch."""
+def _branch_with_end(branch, end_index, reason):
+    """Replace the `EndReason` of one end (0 or -1) of a branch."""
     ends, reasons = list(branch.ends), list(branch.reasons)
     ends[end_index], reasons[end_index] = reason
     return replace(branch, ends=tuple(ends), reasons=tuple(reasons))
 
 
-def _with_bounds(branch, bounds):
+def _branch_with_bounds(branch, bounds):
     """Replace the bounds of a branch and of its special points."""
     return replace(branch, bounds=bounds, special=tuple(replace(special, bounds=bounds) for special in branch.special))
 
@@ -200,32 +206,37 @@ def _with_bounds(branch, bounds):
 def _extend_from_end(branch, end_index, bounds, limits):
     """Follow a branch beyond its end 0 or -1.
 
-    The extension starts at the last point, or finishes at the first point. It closes where it reaches the other end.
+    Beyond end -1 the extension starts at the last point; beyond end 0 it finishes at the first point. The extension is
+    closed if it reaches the other end.
     """
     row, sign = dataset_row(branch.data, end_index), 1.0 if end_index else -1.0
-    orbit_row = parse_orbit_row(row, branch.name)
+    orbit_row = parse_orbit_point(row, branch.name)
     scene = branch.scene.replace(**{branch.name: orbit_row.value})
-    problem, z = set_up_problem(scene, branch.name, orbit_row)
-    other_end = set_up_problem(
-        scene, branch.name, parse_orbit_row(dataset_row(branch.data, -1 - end_index), branch.name)
+    problem, z = set_up_equations(scene, branch.name, orbit_row)
+    closing_orbit = set_up_equations(
+        scene, branch.name, parse_orbit_point(dataset_row(branch.data, -1 - end_index), branch.name)
     )
     n_impacts, n_rows = len(orbit_row.times), len(problem.sequence.sides)
-    direction = np.zeros(len(z))
+    stored_tangent = np.zeros(len(z))
     is_impact = row["side"] != 0
     if n_rows:
-        direction[:n_impacts], direction[n_rows : n_rows + n_impacts] = (
+        stored_tangent[:n_impacts], stored_tangent[n_rows : n_rows + n_impacts] = (
             row["time_slope"][is_impact],
             row["speed_slope"][is_impact],
         )
-    direction[-1] = row["value_slope"]
-    start = start_point(
+    stored_tangent[-1] = row["value_slope"]
+    start = make_start_point(
         z,
         unit_tangent(
-            continuation_problem(problem), z, arclength_weights(problem, scene_length(scene)), problem, sign * direction
+            continuation_problem(problem),
+            z,
+            arclength_weights(problem, typical_length(scene)),
+            problem,
+            sign * stored_tangent,
         ),
     )
     branch_settings = make_branch_settings(
-        scene, branch.name, bounds, scene_length(scene), other_end, **branch.settings, limits=limits
+        scene, branch.name, bounds, typical_length(scene), closing_orbit, **branch.settings, limits=limits
     )
     extension = continue_through_grazings(problem, start, branch_settings)
     backward, forward = (extension, None) if sign < 0 else (None, extension)
@@ -233,29 +244,29 @@ def _extend_from_end(branch, end_index, bounds, limits):
 
 
 def _crossing_starts(special, problem, z):
-    """Start both directions of the branch that crosses the branch of the point."""
-    weights, n_rows = arclength_weights(problem, scene_length(special.scene)), len(problem.sequence.sides)
+    """Return the starts of both directions of the branch that crosses the branch of the point."""
+    weights, n_rows = arclength_weights(problem, typical_length(special.scene)), len(problem.sequence.sides)
     n_impacts, branch_tangent = len(special.spot.times), np.zeros(len(z))
     branch_tangent[:n_impacts], branch_tangent[n_rows : n_rows + n_impacts] = (
         special.slopes[:n_impacts],
         special.slopes[n_impacts:-1],
     )
     branch_tangent[-1] = special.slopes[-1]
-    directions = crossing.branch_tangents(continuation_problem(problem), z, weights, problem)
+    tangent_pair = crossing.branch_tangents(continuation_problem(problem), z, weights, problem)
     if special.kind == "SB":  # the halves of one branch are mirror images at equal parameter values
-        directions[np.argmin(abs(directions[:, -1])), -1] = 0.0
-    crossing_tangent = crossing.farther_tangent(directions, branch_tangent, weights)
-    leading_index = np.flatnonzero(abs(crossing_tangent) > 0.5 * abs(crossing_tangent).max())[
+        tangent_pair[np.argmin(abs(tangent_pair[:, -1])), -1] = 0.0
+    crossing_tangent = crossing.less_aligned_tangent(tangent_pair, branch_tangent, weights)
+    sign_entry_index = np.flatnonzero(abs(crossing_tangent) > 0.5 * abs(crossing_tangent).max())[
         0
     ]  # a null vector has no sign of its own
     return [
-        (problem, start_point(z, sign * np.sign(crossing_tangent[leading_index]) * crossing_tangent))
+        (problem, make_start_point(z, sign * np.sign(crossing_tangent[sign_entry_index]) * crossing_tangent))
         for sign in (1.0, -1.0)
     ]
 
 
 def _doubling_starts(special, problem, z):
-    """Start the branch of twice the period, in the direction in which its two halves become different."""
+    """Return the start of the branch of twice the period, in the direction in which its two halves differ."""
     orbit_problem, n_rows, n_impacts = (
         continuation_problem(problem),
         len(problem.sequence.sides),
@@ -272,35 +283,36 @@ def _doubling_starts(special, problem, z):
         return [
             (
                 doubled_problem,
-                start_point(
+                make_start_point(
                     z,
-                    tangent / np.linalg.norm(arclength_weights(doubled_problem, scene_length(special.scene)) * tangent),
+                    tangent
+                    / np.linalg.norm(arclength_weights(doubled_problem, typical_length(special.scene)) * tangent),
                 ),
             )
         ]
     doubled_impacts = zip(doubled_times, np.tile(orbit_row.speeds, 2), np.tile(orbit_row.sides, 2), strict=True)
-    doubled_problem = doubled_problem._replace(sequence=padded_sequence(doubled_problem, list(doubled_impacts)))
+    doubled_problem = doubled_problem._replace(sequence=make_padded_sequence(doubled_problem, list(doubled_impacts)))
     n_doubled_rows = len(doubled_problem.sequence.sides)
     tangent = np.zeros(2 * n_doubled_rows + 1)
-    for half in (0, 1):
-        half_vector = null_vector[half * n_rows : half * n_rows + n_impacts]
-        tangent[half * n_doubled_rows : half * n_doubled_rows + 2 * n_impacts] = np.concatenate(
-            [half_vector, -half_vector]
+    for half_index in (0, 1):
+        half_null_vector = null_vector[half_index * n_rows : half_index * n_rows + n_impacts]
+        tangent[half_index * n_doubled_rows : half_index * n_doubled_rows + 2 * n_impacts] = np.concatenate(
+            [half_null_vector, -half_null_vector]
         )
-    tangent /= np.linalg.norm(arclength_weights(doubled_problem, scene_length(special.scene)) * tangent)
-    start_z = np.concatenate([doubled_problem.sequence.times, doubled_problem.sequence.speeds, z[-1:]])
-    return [(doubled_problem, start_point(start_z, tangent))]
+    tangent /= np.linalg.norm(arclength_weights(doubled_problem, typical_length(special.scene)) * tangent)
+    doubled_z = np.concatenate([doubled_problem.sequence.times, doubled_problem.sequence.speeds, z[-1:]])
+    return [(doubled_problem, make_start_point(doubled_z, tangent))]
 
 
 def _grazing_starts(special, problem, z):
-    """Start each branch that emanates from a grazing, except those on which the point was located."""
-    _, grazing_exits, _ = find_all_exits(problem, z, scene_length(special.scene))
+    """Return the starts of the branches from a grazing, except those along which the branch of the point continues."""
+    _, grazing_exits, _ = find_all_exits(problem, z, typical_length(special.scene))
     if len(grazing_exits) != len(special.aside):
         raise check.ArgumentError(
             "special", "must be a grazing that this version reproduces; follow its branch again", special
         )
     return [
         (grazing_exit.problem, grazing_exit.point)
-        for grazing_exit, is_new in zip(grazing_exits, special.aside, strict=True)
-        if is_new
+        for grazing_exit, is_unfollowed in zip(grazing_exits, special.aside, strict=True)
+        if is_unfollowed
     ]

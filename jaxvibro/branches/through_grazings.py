@@ -6,15 +6,15 @@ from typing import NamedTuple
 import numpy as np
 
 from continuation.branch_segment import BranchSegment, SpecialIndex
-from continuation.slow_progress import SlowProgress
+from continuation.slow_progress import SlowProgressWarning
 
 from ..orbits.orbit_comparison import is_same_orbit
-from ..problem.end import End, Reason
-from ..problem.equations import side_codes
+from ..problem.end import End, EndReason
 from ..problem.grazing_contact import arclength_weights
-from ..problem.same_orbit import impact_points, is_repeated
-from .segment import GrazingPoint, follow_itinerary
-from .through_sticking import SLOW_SPEED, complete_chatter, is_chatter, repartition_impacts
+from ..problem.orbit_equations import sides_with_release_codes
+from ..problem.orbit_equivalence import comparison_points, is_repeated
+from .itinerary_segment import GrazingPoint, follow_itinerary
+from .through_sticking import SLOW_SPEED, has_very_slow_impact, locate_nearby_chatter, reselect_bounce_rows
 
 MAX_SEGMENTS = 200
 CROWD_SIZE, CROWD_WIDTH = (
@@ -26,26 +26,37 @@ VALUE_TOLERANCE, IMPACT_TOLERANCE = 1e-7, 1e-6  # largest differences of identic
 
 
 class DirectedBranch(NamedTuple):
-    """Segments of a branch in one direction, and the reason for its end."""
+    """Segments of a branch in one direction, and the reason for its end.
+
+    Attributes
+    ----------
+    segments : list of BranchSegment
+        Segments in order from the start.
+    reason : EndReason
+        Reason for the end of the last segment.
+    """
 
     segments: list[BranchSegment]
-    reason: Reason
+    reason: EndReason
 
 
 def continue_through_grazings(problem, start, settings):
     """Follow the `DirectedBranch` from a `Point` along its tangent."""
-    segments, known_grazings, sticking_indices = [], [], ()
+    segments, known_grazings, chatter_specials = [], [], ()
     while True:
         weights = arclength_weights(problem, settings.length_scale)
         segment = follow_itinerary(problem, start, settings._replace(control=settings.control._replace(scale=weights)))
-        segment = segment._replace(specials=(*sticking_indices, *segment.specials))
-        grazing_exit, sticking_indices = None, ()
-        settings = settings._replace(limits=settings.limits.after(len(segment.points.z)))
-        if segment.end is End.GRAZE and settings.limits.reached(1):
+        segment = segment._replace(specials=(*chatter_specials, *segment.specials))
+        grazing_exit, chatter_specials = None, ()
+        settings = settings._replace(limits=settings.limits.after_points(len(segment.points.z)))
+        if segment.end is End.GRAZE and settings.limits.is_reached(1):
             segment = segment._replace(end=End.MAX_SECONDS if settings.limits.expired else End.MAX_POINTS)
         if segment.end is End.GRAZE:
             segment, grazing_exit = _choose_exit(problem, segment, weights)
-            grazing_key = segment.points.z[-1, -1], impact_points(problem, segment.points.z[-1], settings.length_scale)
+            grazing_key = (
+                segment.points.z[-1, -1],
+                comparison_points(problem, segment.points.z[-1], settings.length_scale),
+            )
             if any(_is_same_grazing(grazing_key, known_grazing) for known_grazing in known_grazings):
                 segment, grazing_exit = segment._replace(end=End.CLOSED), None
             elif is_repeated(problem, segment.points.z[-1]):
@@ -54,28 +65,28 @@ def continue_through_grazings(problem, start, settings):
                 problem, segment, settings.length_scale, SLOW_SPEED if grazing_exit else CHATTER_SPEED
             ):
                 z, sign = segment.points.z[-1], np.sign(segment.points.tangent[-1, -1])
-                completion = complete_chatter(problem, z, sign, settings.length_scale, settings.limits)
-                if completion is None and settings.limits.expired:
+                chatter_result = locate_nearby_chatter(problem, z, sign, settings.length_scale, settings.limits)
+                if chatter_result is None and settings.limits.expired:
                     segment, grazing_exit = segment._replace(end=End.MAX_SECONDS), None
                 else:
-                    segment, grazing_exit, sticking_indices = _enter_sticking(
-                        segment, completion, grazing_exit is not None
+                    segment, grazing_exit, chatter_specials = _enter_sticking(
+                        segment, chatter_result, grazing_exit is not None
                     )
             known_grazings.append(grazing_key)
         if segment.end is End.STEP:
-            grazing_exit = repartition_impacts(
+            grazing_exit = reselect_bounce_rows(
                 problem, segment.points.z[-1], np.sign(segment.points.tangent[-1, -1]), settings.length_scale
             )
         if len(segments) == MAX_SEGMENTS - 1 and grazing_exit is not None:
             segment, grazing_exit = segment._replace(end=End.POINTS), None
         segments.append(segment)
-        _warn_if_slow(segments)
+        _warn_of_slow_progress(segments)
         if grazing_exit is None:
             return DirectedBranch(segments, _end_reason(segment))
         problem, start = grazing_exit.problem, grazing_exit.point
 
 
-def _warn_if_slow(segments):
+def _warn_of_slow_progress(segments):
     """Warn if many consecutive grazings lie at nearly one value of the parameter."""
     values = np.array([segment.points.z[-1, -1] for segment in segments[-CROWD_SIZE:]])
     if len(segments) % CROWD_SIZE == 0 and np.ptp(values) < CROWD_WIDTH * (1.0 + abs(values[-1])):
@@ -83,66 +94,67 @@ def _warn_if_slow(segments):
             f"slow progress: {CROWD_SIZE} grazings lie within {np.ptp(values):.1e} of the parameter value"
             f" {values[-1]:.12g},"
             " as towards a complete chatter; set max_points or max_seconds, or narrow the bounds",
-            SlowProgress,
+            SlowProgressWarning,
             stacklevel=2,
         )
 
 
 def _choose_exit(problem, segment, weights):
-    """Return the segment and the `GrazingExit` along which the branch continues, None if there is none.
+    """Return the segment and the `BranchFromGrazing` along which the branch continues, None if there is none.
 
     The details of the last special point record which exits are not followed. The branch continues with the grazing
     contacts exchanged as far as possible: impacts become omitted contacts and vice versa.
     """
-    special_index, details = segment.specials[-1], segment.specials[-1].details
-    included_contacts = tuple(contact.is_impact for contact in details.grazing_contacts)
-    arrival_tangent, row_codes = segment.points.tangent[-1], side_codes(problem.sequence)
+    special_record, grazing_point = segment.specials[-1], segment.specials[-1].detector_details
+    is_contact_included = tuple(contact.is_impact for contact in grazing_point.grazing_contacts)
+    arrival_tangent, row_side_codes = segment.points.tangent[-1], sides_with_release_codes(problem.sequence)
 
     def is_backward(grazing_exit):
-        is_same_problem = grazing_exit.included == included_contacts and np.array_equal(
-            side_codes(grazing_exit.problem.sequence), row_codes
+        is_same_problem = grazing_exit.inclusion_mask == is_contact_included and np.array_equal(
+            sides_with_release_codes(grazing_exit.problem.sequence), row_side_codes
         )
         return is_same_problem and np.sum(weights * weights * grazing_exit.point.tangent * arrival_tangent) < 0
 
     def exchange_key(grazing_exit):
-        is_same_choice = grazing_exit.included == included_contacts
-        return is_same_choice, sum(
-            in_exit != in_segment for in_exit, in_segment in zip(grazing_exit.included, included_contacts, strict=True)
+        has_same_contacts = grazing_exit.inclusion_mask == is_contact_included
+        return has_same_contacts, sum(
+            is_in_exit != is_in_segment
+            for is_in_exit, is_in_segment in zip(grazing_exit.inclusion_mask, is_contact_included, strict=True)
         )
 
     chosen_exit = max(
-        (grazing_exit for grazing_exit in details.exits if not is_backward(grazing_exit)),
+        (grazing_exit for grazing_exit in grazing_point.exits if not is_backward(grazing_exit)),
         key=exchange_key,
         default=None,
     )
-    not_followed = tuple(
-        not (grazing_exit is chosen_exit or is_backward(grazing_exit)) for grazing_exit in details.exits
+    is_not_followed = tuple(
+        not (grazing_exit is chosen_exit or is_backward(grazing_exit)) for grazing_exit in grazing_point.exits
     )
-    special_indices = (
+    special_records = (
         *segment.specials[:-1],
-        special_index._replace(details=details._replace(not_followed=not_followed)),
+        special_record._replace(detector_details=grazing_point._replace(not_followed=is_not_followed)),
     )
-    end = segment.end if chosen_exit or details.complete else End.STEP
+    end = segment.end if chosen_exit or grazing_point.complete else End.STEP
     return segment._replace(
-        specials=special_indices, end=End.UNSETTLED if not chosen_exit and special_index.kind != "GR" else end
+        specials=special_records, end=End.UNSETTLED if not chosen_exit and special_record.kind != "GR" else end
     ), chosen_exit
 
 
-def _enter_sticking(segment, completion, has_exit):
-    """Return the segment, the exit and the special points at its start, close to a CH.
+def _enter_sticking(segment, chatter_result, has_exit):
+    """Return the segment, the exit, and the special points at the start of the next segment, close to a CH.
 
-    `completion` is the result of `complete_chatter`.
+    `chatter_result` is the result of `locate_nearby_chatter`.
     """
-    if completion is None:
+    if chatter_result is None:
         return segment._replace(end=End.CHATTER if has_exit else segment.end), None, ()
-    grazing_exit, residual = completion
+    grazing_exit, residual = chatter_result
     return segment, grazing_exit, (SpecialIndex(0, "CH", residual, GrazingPoint((), (grazing_exit,), True, (False,))),)
 
 
 def _has_slow_impact(problem, segment, length_scale, max_speed):
     """Test whether an impact other than the grazing contacts is slower than `max_speed` at the end of a segment."""
-    return is_chatter(
-        problem, segment.points.z[-1], length_scale, segment.specials[-1].details.grazing_contacts, max_speed
+    return has_very_slow_impact(
+        problem, segment.points.z[-1], length_scale, segment.specials[-1].detector_details.grazing_contacts, max_speed
     )
 
 

@@ -8,11 +8,11 @@ from jaxtyping import Complex, Float
 from continuation.event_search import Event
 from continuation.intermediate_points import point_at_length
 from continuation.point_rows import row_at
-from continuation.roots import find_sign_change
+from continuation.roots import find_bracketed_root
 
 from ..orbits.orbit import eigenvalue_pair
-from ..problem.diagnostics import diagnose
-from ..problem.equations import side_codes
+from ..problem.orbit_diagnostics import diagnose
+from ..problem.orbit_equations import sides_with_release_codes
 from ..scene.check import ArgumentError
 
 
@@ -24,7 +24,7 @@ class MonitoredPoint(NamedTuple):
     value : float
         Value of the parameter.
     times, speeds, sides : ndarray
-        Impact times, speeds and sides, arrays of shape (impacts,).
+        Impact times, speeds and sides, arrays of shape (impacts,). The side of a release is multiplied by 2 or 3.
     x, v : ndarray
         State at phase 0 of each period, arrays of shape (periods,).
     multipliers : ndarray
@@ -50,7 +50,7 @@ def make_monitored_point(problem, z, diagnostics):
         float(z[-1]),
         z[:n_impacts],
         z[n_rows : n_rows + n_impacts],
-        np.asarray(side_codes(problem.sequence)[:n_impacts]),
+        np.asarray(sides_with_release_codes(problem.sequence)[:n_impacts]),
         diagnostics.x,
         diagnostics.v,
         eigenvalue_pair(float(diagnostics.trace), float(diagnostics.determinant)),
@@ -58,19 +58,19 @@ def make_monitored_point(problem, z, diagnostics):
     )
 
 
-def locate_crossings(task, points, diagnostics, kind, function):
+def locate_crossings(task, points, diagnostics, kind, monitor):
     """Locate the `Event` of each sign change of a user's monitor; `task` is the `ContinuationTask` of the branch."""
     problem = task.args
     monitor_values = np.array(
         [
-            _monitor_value(kind, function, make_monitored_point(problem, z, row_at(diagnostics, k)))
-            for k, z in enumerate(points.z)
+            _monitor_value(kind, monitor, make_monitored_point(problem, z, row_at(diagnostics, row)))
+            for row, z in enumerate(points.z)
         ]
     )
     for row_before in np.flatnonzero(monitor_values[:-1] * monitor_values[1:] < 0).tolist():
 
-        def monitor_value_at(length, row_before=row_before):
-            point = point_at_length(task, points, row_before, length)
+        def monitor_value_at(arclength, row_before=row_before):
+            point = point_at_length(task, points, row_before, arclength)
             if point is None:
                 raise ArgumentError(
                     f"monitors.{kind}",
@@ -78,18 +78,18 @@ def locate_crossings(task, points, diagnostics, kind, function):
                     float(points.z[row_before, -1]),
                 )
             return _monitor_value(
-                kind, function, make_monitored_point(problem, point.z, row_at(diagnose(problem, point.z[None]), 0))
+                kind, monitor, make_monitored_point(problem, point.z, row_at(diagnose(problem, point.z[None]), 0))
             )
 
-        length = find_sign_change(monitor_value_at, float(points.step[row_before + 1]))
-        point = point_at_length(task, points, row_before, length)
-        yield Event(kind, row_before, length, point.z, float(point.residual))
+        arclength = find_bracketed_root(monitor_value_at, float(points.step[row_before + 1]))
+        point = point_at_length(task, points, row_before, arclength)
+        yield Event(kind, row_before, arclength, point.z, float(point.residual))
 
 
-def _monitor_value(kind, function, point):
-    """Evaluate a monitor at a `MonitoredPoint`. Raises ArgumentError if it fails."""
+def _monitor_value(kind, monitor, point):
+    """Evaluate a monitor at a `MonitoredPoint`. Raises ArgumentError if the monitor fails."""
     try:
-        return float(function(point))
+        return float(monitor(point))
     except (ValueError, TypeError, IndexError, ArithmeticError) as error:
         rule = f"must return a number at every point of the branch ({type(error).__name__}: {error})"
         raise ArgumentError(f"monitors.{kind}", rule, point.value) from None

@@ -5,16 +5,22 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from ..scene import check
-from ..scene.input_warnings import warn_about_record
-from ..scene.parameters import common_value
+from ..scene.input_warnings import warn_if_times_in_seconds
 from ..scene.scene import SIDES, Scene
-from . import chain_fit, fitted, point_fit, sample_fit
-from .chain_search import match_record
-from .fitted import Fit, FitStatus
-from .free_parameters import allowed_changes, check_units
-from .impact_chains import IMPOSSIBLE_COST, Record, is_possible, measurements_of, scene_and_phase
-from .least_squares import FreeParameters
-from .periodic_records import count_impact_values, count_sample_values
+from ..scene.scene_parameters import common_parameter_value
+from . import fit_result, impact_chain_fit, sample_fit, special_point_fit
+from .constrained_least_squares import FreeParameterSpec
+from .fit_result import Fit, FitStatus
+from .free_parameter_checks import bounds_of_changes, check_free_parameters
+from .impact_chain_search import match_impact_record
+from .impact_chains import (
+    IMPOSSIBLE_COST,
+    ImpactFitProblem,
+    chain_measurements,
+    is_possible_motion,
+    scene_and_start_phase,
+)
+from .record_periodicity import count_impact_information, count_sample_information
 from .records import ImpactRecord, PointRecord, SampleRecord
 
 # Unknown phase: number of start phases, impacts that rank them, and chains that are continued.
@@ -34,12 +40,13 @@ def fit(
     Parameters
     ----------
     scene : Scene
-        Initial scene, in double precision. The free parameters may be off by a few times their scale.
+        Initial scene, in double precision. The values of the free parameters may have errors of a few times their
+        scales.
     data : ImpactRecord or SampleRecord or PointRecord
         The record.
     free : dict of str or tuple of str to float
-        Free parameters, each with the scale by which it may be off. For a `PointRecord`, a tuple of names is one
-        parameter of several numbers that share a value.
+        Free parameters, each with its scale, a typical error of its initial value. For a `PointRecord`, a tuple of
+        names is one parameter of several numbers that share a value.
     bounds : dict of str or tuple of str to sequence of float, optional
         Lower and upper bound of free parameters. By default their domains.
 
@@ -51,10 +58,11 @@ def fit(
     Raises
     ------
     ArgumentError
-        If the scene is in single precision, if a name is not a parameter of the scene, if a scale is not a positive
-        number, if `bounds` does not contain the scene, if the record refers to a wall that the scene does not have, or
-        if the record holds fewer values than there are unknowns. A record of a settled motion holds only the phases of
-        its impacts, or the samples of one cycle, and its period if the frequency is free.
+        If the scene is a batch, in single precision or under a user-defined force, if a name is not a parameter of the
+        scene, if a scale is not a positive number, if `bounds` does not contain the values of the scene, if the record
+        refers to a wall that the scene does not have, if the record holds fewer values than there are unknowns, or
+        fewer independent values than there are free parameters. If the motion has settled, only the values of one cycle
+        are independent: the phases of its impacts, or its samples, and the period if the frequency is free.
 
     See Also
     --------
@@ -66,10 +74,10 @@ def fit(
     -----
     The initial state of the motion is always unknown. The time of an impact on a soft wall is the time of entry.
 
-    Special points are functions of the scene (`located`), fitted by the Gauss-Newton method. Impacts are explained by a
-    chain of flights, each as exact as in `strobe`, and samples by short shots as exact as in `sample`. Chaotic motions
-    are fitted as accurately as periodic ones (multiple shooting [1]_). Errors follow from the linear theory of least
-    squares.
+    Special points are functions of the scene (`located`) and are fitted by the Gauss-Newton method. Impacts are fitted
+    by a chain of flights, each as exact as in `strobe`. Samples are fitted by short trajectories, each as exact as in
+    `sample`. This multiple shooting [1]_ fits chaotic motions as accurately as periodic motions. Errors follow from the
+    linear theory of least squares.
 
     References
     ----------
@@ -84,61 +92,71 @@ def fit(
     """
     if not isinstance(scene, Scene):
         raise check.ArgumentError("scene", "must be a Scene", scene)
-    check.require_single(scene)
+    check.require_single_scene(scene)
     check.require_spring(scene, "fit")
     if scene.dtype != np.float64:
         raise check.ArgumentError("scene", "must be in double precision", np.dtype(scene.dtype).name)
     if isinstance(data, PointRecord):
-        return _fit_points(scene, data, free, bounds or {})
+        return _fit_special_points(scene, data, free, bounds or {})
     if not isinstance(data, ImpactRecord | SampleRecord):
         raise check.ArgumentError("data", "must be an ImpactRecord, a SampleRecord or a PointRecord", data)
-    units = check_units(scene, free)
-    change_bounds = allowed_changes(scene, units, bounds or {})
-    warn_about_record(scene, data)
-    return (_fit_impacts if isinstance(data, ImpactRecord) else _fit_samples)(scene, data, units, change_bounds)
+    parameter_units = check_free_parameters(scene, free)
+    change_bounds = bounds_of_changes(scene, parameter_units, bounds or {})
+    warn_if_times_in_seconds(scene, data)
+    return (_fit_impacts if isinstance(data, ImpactRecord) else _fit_samples)(
+        scene, data, parameter_units, change_bounds
+    )
 
 
-def _fit_impacts(scene, data, units, change_bounds):
+def _fit_impacts(scene, data, parameter_units, change_bounds):
     for side in np.unique(data.sides):
         if SIDES[int(side > 0)] not in scene.walls:
             raise check.ArgumentError(
                 "data.sides", f"must be sides of its walls; the scene has no {SIDES[int(side > 0)]} wall", int(side)
             )
-    _require_enough_data(len(data.times), "times", units, data.phase)
-    free_params, sigma = (
-        _make_free_params(scene, data.phase, units, change_bounds),
+    _require_enough_data(len(data.times), "times", parameter_units, data.phase)
+    free_spec, sigma = (
+        _make_free_spec(scene, data.phase, parameter_units, change_bounds),
         np.full(len(data.times), data.sigma),
     )
-    record = Record(scene, data.phase or 0.0, data.times, data.sides.astype(float), sigma, free_params)
+    fit_problem = ImpactFitProblem(scene, data.phase or 0.0, data.times, data.sides.astype(float), sigma, free_spec)
 
-    chain = _match_record(record, data)
-    first_solution = None if chain is None or chain.cost >= IMPOSSIBLE_COST else chain.solution
-    _refuse_undetermined(
-        data, free_params, first_solution, count_impact_values(data, float(scene.frequency), "frequency" in units)
+    chain = _match_impact_record(fit_problem, data)
+    search_solution = None if chain is None or chain.cost >= IMPOSSIBLE_COST else chain.solution
+    _refuse_underdetermined(
+        data,
+        free_spec,
+        search_solution,
+        count_impact_information(data, float(scene.frequency), "frequency" in parameter_units),
     )
-    if first_solution is None:
-        return fitted.build_empty_fit(scene, free_params.names, free_params.start_values)
-    free_params, measurements = free_params.with_start_phase(first_solution.parameters), measurements_of(record, chain)
+    if search_solution is None:
+        return fit_result.build_empty_fit(scene, free_spec.names, free_spec.start_values)
+    free_spec, measurements = (
+        free_spec.with_start_phase(search_solution.parameters),
+        chain_measurements(fit_problem, chain),
+    )
 
-    def solve_with(free_params):
-        return chain_fit.fit_chain_parameters(
-            scene, record.phase, first_solution.nodes, measurements, free_params, first_solution.parameters
+    def solve_with_spec(free_spec):
+        return impact_chain_fit.fit_chain_parameters(
+            scene, fit_problem.phase, search_solution.nodes, measurements, free_spec, search_solution.parameters
         )
 
-    solution, directions = fitted.solve_identifiable(first_solution, free_params, solve_with)
-    dof = len(measurements.node_indices) - 2 - int(np.sum(~directions.is_undetermined))
+    solution, identifiable_directions = fit_result.solve_identifiable(search_solution, free_spec, solve_with_spec)
+    dof = len(measurements.node_indices) - 2 - int(np.sum(~identifiable_directions.is_undetermined))
     status = (
-        fitted.fit_status(free_params, solution, directions, dof) if is_possible(record, solution) else FitStatus.MISFIT
+        fit_result.status_of_solution(free_spec, solution, identifiable_directions, dof)
+        if is_possible_motion(fit_problem, solution)
+        else FitStatus.MISFIT
     )
     missed_impacts = tuple(
-        (float(solution.nodes.first_unknown[k]), int(solution.nodes.sides[k]))
-        for k in np.flatnonzero(chain.record_indices < 0)
+        (float(solution.nodes.time_or_x[node_index]), int(solution.nodes.sides[node_index]))
+        for node_index in np.flatnonzero(chain.record_indices < 0)
     )
     return _build_fit(
-        scene_and_phase(record, solution.parameters)[0],
-        free_params,
+        scene_and_start_phase(fit_problem, solution.parameters)[0],
+        free_spec,
         solution,
-        directions,
+        identifiable_directions,
         dof,
         status,
         missed_impacts,
@@ -146,146 +164,192 @@ def _fit_impacts(scene, data, units, change_bounds):
     )
 
 
-def _fit_samples(scene, data, units, change_bounds):
-    n_values = data.measured[0].size
-    _require_enough_data(n_values, "values", units, data.phase)
-    free_params = _make_free_params(scene, data.phase, units, change_bounds)
-    samples = sample_fit.make_samples(scene, data, free_params)
-    first_solution = sample_fit.follow_record(samples)
-    _refuse_undetermined(
+def _fit_samples(scene, data, parameter_units, change_bounds):
+    n_measured_values = data.measured[0].size
+    _require_enough_data(n_measured_values, "values", parameter_units, data.phase)
+    free_spec = _make_free_spec(scene, data.phase, parameter_units, change_bounds)
+    fit_problem = sample_fit.make_sample_problem(scene, data, free_spec)
+    search_solution = sample_fit.follow_sample_record(fit_problem)
+    _refuse_underdetermined(
         data,
-        free_params,
-        first_solution,
-        None if "frequency" in units else count_sample_values(data, float(scene.frequency)),
+        free_spec,
+        search_solution,
+        None if "frequency" in parameter_units else count_sample_information(data, float(scene.frequency)),
     )
-    if first_solution is None:
-        return fitted.build_empty_fit(scene, free_params.names, free_params.start_values)
-    free_params = free_params.with_start_phase(first_solution.parameters)
+    if search_solution is None:
+        return fit_result.build_empty_fit(scene, free_spec.names, free_spec.start_values)
+    free_spec = free_spec.with_start_phase(search_solution.parameters)
 
-    def solve_with(free_params):
-        return sample_fit.solve_samples(samples, first_solution, free_params)
+    def solve_with_spec(free_spec):
+        return sample_fit.solve_whole_record(fit_problem, search_solution, free_spec)
 
-    solution, directions = fitted.solve_identifiable(first_solution, free_params, solve_with)
-    dof = n_values - 2 - int(np.sum(~directions.is_undetermined))
-    status = fitted.fit_status(free_params, solution, directions, dof) if solution.converged else FitStatus.MISFIT
-    return _build_fit(samples.scene_and_phase(solution.parameters)[0], free_params, solution, directions, dof, status)
+    solution, identifiable_directions = fit_result.solve_identifiable(search_solution, free_spec, solve_with_spec)
+    dof = n_measured_values - 2 - int(np.sum(~identifiable_directions.is_undetermined))
+    status = (
+        fit_result.status_of_solution(free_spec, solution, identifiable_directions, dof)
+        if solution.converged
+        else FitStatus.MISFIT
+    )
+    return _build_fit(
+        fit_problem.scene_and_start_phase(solution.parameters)[0],
+        free_spec,
+        solution,
+        identifiable_directions,
+        dof,
+        status,
+    )
 
 
-def _require_enough_data(n_values, data_name, units, phase):
-    n_unknowns = len(units) + 2 + (phase is None)
-    if n_values < n_unknowns:
+def _require_enough_data(n_measured_values, value_noun, parameter_units, start_phase):
+    n_unknowns = len(parameter_units) + 2 + (start_phase is None)
+    if n_measured_values < n_unknowns:
         rule = f"must hold at least {n_unknowns} values, as many as unknowns including the initial state"
-        raise check.ArgumentError("data", rule, f"{n_values} {data_name}")
+        raise check.ArgumentError("data", rule, f"{n_measured_values} {value_noun}")
 
 
-def _make_free_params(scene, phase, units, change_bounds):
-    """Make the `FreeParameters`, including the phase of the drive at time 0 if it is unknown."""
-    names, scales, (lower, upper) = tuple(units), np.array(list(units.values())), change_bounds
+def _make_free_spec(scene, start_phase, parameter_units, change_bounds):
+    """Make the `FreeParameterSpec`, including the phase of the drive at time 0 if it is unknown."""
+    names, scales, (lower_change, upper_change) = (
+        tuple(parameter_units),
+        np.array(list(parameter_units.values())),
+        change_bounds,
+    )
     start_values = np.array([float(scene.parameter(name)) for name in names])
-    if phase is None:
+    if start_phase is None:
         names, scales, start_values = (*names, "phase"), np.append(scales, PHASE_SCALE), np.append(start_values, 0.0)
-        lower, upper = np.append(lower, -np.inf), np.append(upper, np.inf)
-    return FreeParameters(names, scales, start_values, lower, upper, np.eye(len(names)))
+        lower_change, upper_change = np.append(lower_change, -np.inf), np.append(upper_change, np.inf)
+    return FreeParameterSpec(names, scales, start_values, lower_change, upper_change, np.eye(len(names)))
 
 
-def _match_record(record, data):
-    """Return the `ImpactChain` of a record of impacts, the best of several start phases if the phase is unknown."""
+def _match_impact_record(fit_problem, data):
+    """Return the `ImpactChain` of a record of impacts, or None; if the phase is unknown, try several start phases."""
     if data.phase is not None:
-        return match_record(record, data.flawed)
-    trials = []
-    for angle in 2.0 * np.pi * np.arange(N_PHASES) / N_PHASES:
-        candidate = record._replace(free_params=record.free_params.with_start_phase(np.array([angle])))
-        head_record = candidate._replace(
-            times=candidate.times[:HEAD_IMPACTS],
-            sides=candidate.sides[:HEAD_IMPACTS],
-            sigma=candidate.sigma[:HEAD_IMPACTS],
+        return match_impact_record(fit_problem, data.flawed)
+    head_fit_trials = []
+    for start_phase in 2.0 * np.pi * np.arange(N_PHASES) / N_PHASES:
+        problem_or_chain = fit_problem._replace(
+            free_spec=fit_problem.free_spec.with_start_phase(np.array([start_phase]))
         )
-        chain = match_record(head_record, False)
+        head_problem = problem_or_chain._replace(
+            times=problem_or_chain.times[:HEAD_IMPACTS],
+            sides=problem_or_chain.sides[:HEAD_IMPACTS],
+            sigma=problem_or_chain.sigma[:HEAD_IMPACTS],
+        )
+        chain = match_impact_record(head_problem, False)
         if chain is not None:
-            trials.append((chain.cost, angle, candidate))
-    trials.sort(key=lambda trial: trial[:2])
-    chains = [match_record(candidate, data.flawed) for _, _, candidate in trials[:MAX_CHAINS]]
-    return min((candidate for candidate in chains if candidate is not None), key=lambda chain: chain.cost, default=None)
+            head_fit_trials.append((chain.cost, start_phase, problem_or_chain))
+    head_fit_trials.sort(key=lambda trial: trial[:2])
+    chains = [
+        match_impact_record(problem_or_chain, data.flawed) for _, _, problem_or_chain in head_fit_trials[:MAX_CHAINS]
+    ]
+    return min(
+        (problem_or_chain for problem_or_chain in chains if problem_or_chain is not None),
+        key=lambda chain: chain.cost,
+        default=None,
+    )
 
 
-def _refuse_undetermined(data, free_params, solution, n_independent):
-    """Refuse a settled record that holds fewer values than there are free parameters."""
-    if n_independent is None or n_independent >= len(free_params.names):
+def _refuse_underdetermined(data, free_spec, solution, n_independent_values):
+    """Raise ArgumentError if a settled record holds fewer independent values than there are free parameters."""
+    if n_independent_values is None or n_independent_values >= len(free_spec.names):
         return
-    hint = ""
+    combinations_text = ""
     if solution is not None:
-        directions = fitted.identify_directions(np.linalg.inv(solution.covariance) - free_params.prior_information)
-        hint = ": " + "; ".join(map(str, directions.combinations(free_params.names, slice(n_independent))))
+        identifiable_directions = fit_result.identify_directions(
+            np.linalg.inv(solution.covariance) - free_spec.prior_information
+        )
+        combinations_text = ": " + "; ".join(
+            map(str, identifiable_directions.combinations(free_spec.names, slice(n_independent_values)))
+        )
     rule = (
-        f"must hold at least {len(free_params.names)} independent values, one per free parameter;"
-        f" a settled motion with {n_independent} is recorded{hint}"
+        f"must hold at least {len(free_spec.names)} independent values, one per free parameter;"
+        f" a settled motion with {n_independent_values} is recorded{combinations_text}"
     )
     raise check.ArgumentError("data", rule, f"{len(data.times)} times")
 
 
-def _build_fit(scene, free_params, solution, directions, *details):
-    return fitted.build_fit(
+def _build_fit(scene, free_spec, solution, identifiable_directions, *remaining_fields):
+    return fit_result.build_fit(
         scene,
-        free_params.names,
-        free_params.scales,
+        free_spec.names,
+        free_spec.scales,
         solution.parameters,
-        directions,
+        identifiable_directions,
         solution.covariance,
         solution.residuals,
-        *details,
+        *remaining_fields,
     )
 
 
-def _fit_points(scene, data, free, bounds):
-    name_groups = [(key,) if isinstance(key, str) else tuple(key) for key in free]
+def _fit_special_points(scene, data, unit_by_group, bounds):
+    name_groups = [(key,) if isinstance(key, str) else tuple(key) for key in unit_by_group]
     if len(data.values) < len(name_groups):
         rule = f"must hold at least {len(name_groups)} values, as many as unknowns"
         raise check.ArgumentError("data", rule, f"{len(data.values)} points")
-    scales, lower, upper = _group_bounds(scene, free, name_groups, bounds)
-    labels, start_values = (
+    scales, lower, upper = _group_scales_and_bounds(scene, unit_by_group, name_groups, bounds)
+    parameter_group_labels, start_values = (
         [" = ".join(name_group) for name_group in name_groups],
-        np.array([common_value(scene, name_group) for name_group in name_groups]),
+        np.array([common_parameter_value(scene, name_group) for name_group in name_groups]),
     )
-    solution = point_fit.fit_points(
-        point_fit.make_point_functions(data, tuple(name_groups), scales, lower, upper), start_values
+    solution = special_point_fit.fit_special_points(
+        special_point_fit.make_point_problem(data, tuple(name_groups), scales, lower, upper), start_values
     )
     if solution is None or not solution.converged:
-        return fitted.build_empty_fit(scene, labels, start_values)
-    directions, dof = fitted.identify_directions(solution.jacobian.T @ solution.jacobian), len(solution.residuals)
-    dof -= int(np.sum(~directions.is_undetermined))
+        return fit_result.build_empty_fit(scene, parameter_group_labels, start_values)
+    identifiable_directions, dof = (
+        fit_result.identify_directions(solution.jacobian.T @ solution.jacobian),
+        len(solution.residuals),
+    )
+    dof -= int(np.sum(~identifiable_directions.is_undetermined))
     covariance = (
-        directions.vectors[:, ~directions.is_undetermined] * directions.errors[~directions.is_undetermined] ** 2
-    ) @ directions.vectors[:, ~directions.is_undetermined].T
-    status = fitted.misfit_status(float(solution.residuals @ solution.residuals), dof)
-    status = status or (FitStatus.UNIDENTIFIABLE if directions.is_undetermined.any() else FitStatus.OK)
+        identifiable_directions.combination_vectors[:, ~identifiable_directions.is_undetermined]
+        * identifiable_directions.errors[~identifiable_directions.is_undetermined] ** 2
+    ) @ identifiable_directions.combination_vectors[:, ~identifiable_directions.is_undetermined].T
+    status = fit_result.status_if_misfit(float(solution.residuals @ solution.residuals), dof)
+    status = status or (FitStatus.UNIDENTIFIABLE if identifiable_directions.is_undetermined.any() else FitStatus.OK)
     values = {
-        name: float(parameter)
-        for name_group, parameter in zip(name_groups, solution.parameters, strict=True)
+        name: float(parameter_value)
+        for name_group, parameter_value in zip(name_groups, solution.parameters, strict=True)
         for name in name_group
     }
     changed_scene = scene.replace(**values)
-    return fitted.build_fit(
-        changed_scene, labels, scales, solution.parameters, directions, covariance, solution.residuals, dof, status
+    return fit_result.build_fit(
+        changed_scene,
+        parameter_group_labels,
+        scales,
+        solution.parameters,
+        identifiable_directions,
+        covariance,
+        solution.residuals,
+        dof,
+        status,
     )
 
 
-def _group_bounds(scene, free, name_groups, bounds):
-    """Return (scales, lower, upper) of the free parameters, each of one or several names. Raises ArgumentError."""
-    if not isinstance(free, Mapping) or not free:
-        raise check.ArgumentError("free", "must be {name: unit} with at least one parameter", free)
+def _group_scales_and_bounds(scene, unit_by_group, name_groups, bounds):
+    """Return (scales, lower bounds, upper bounds) of the free parameters, each a group of names.
+
+    Raises ArgumentError if `unit_by_group` or `bounds` is invalid.
+    """
+    if not isinstance(unit_by_group, Mapping) or not unit_by_group:
+        raise check.ArgumentError("free", "must be {name: unit} with at least one parameter", unit_by_group)
     for key in bounds:
-        if key not in free:
+        if key not in unit_by_group:
             raise check.ArgumentError(f"bounds.{key}", "must belong to a free parameter", key)
-    rows = []
-    for key, name_group in zip(free, name_groups, strict=True):
-        value, name_bounds = common_value(scene, name_group), []
+    scales_and_bounds = []
+    for key, name_group in zip(unit_by_group, name_groups, strict=True):
+        value, member_bounds = common_parameter_value(scene, name_group), []
         for name in name_group:
-            unit = check_units(scene, {name: free[key]})
-            name_bounds.append(
+            unit_by_name = check_free_parameters(scene, {name: unit_by_group[key]})
+            member_bounds.append(
                 [
-                    value + unit[name] * change[0]
-                    for change in allowed_changes(scene, unit, {name: bounds[key]} if key in bounds else {})
+                    value + unit_by_name[name] * change_limit[0]
+                    for change_limit in bounds_of_changes(
+                        scene, unit_by_name, {name: bounds[key]} if key in bounds else {}
+                    )
                 ]
             )
-        rows.append((unit[name], max(lower for lower, _ in name_bounds), min(upper for _, upper in name_bounds)))
-    return np.array(rows).T
+        scales_and_bounds.append(
+            (unit_by_name[name], max(lower for lower, _ in member_bounds), min(upper for _, upper in member_bounds))
+        )
+    return np.array(scales_and_bounds).T

@@ -34,11 +34,11 @@ class HysteresisLoop:
     width : jax.Array
         Difference ``last - first``. Array of shape (...).
     area : jax.Array
-        Integral over the parameter of the measure of the upper orbit minus that of the lower; nan if no orbits were
-        given. Array of shape (...).
+        Integral over the parameter of the difference between the measures of the upper and the lower orbit; nan if no
+        orbits were given. Array of shape (...).
     status : jax.Array
-        Worst `SolutionStatus` of the ends and of the orbits between. It is VIRTUAL or NONE where another event ends the
-        hysteresis before. Array of shape (...).
+        Worst `SolutionStatus` of the ends and of the orbits between them. The status is VIRTUAL or NONE where another
+        event ends the hysteresis earlier. Array of shape (...).
 
     Examples
     --------
@@ -58,8 +58,8 @@ class HysteresisLoop:
 class Hysteresis:
     """Hysteresis between two special points as a function of scenes.
 
-    Made by `hysteresis`. Its methods can be transformed by jit, vmap and grad. They are smooth as long as the same
-    special points end the hysteresis.
+    Made by `hysteresis`. The methods can be transformed by jit, vmap and grad. Their results are smooth functions of
+    the scene as long as the same special points end the hysteresis.
 
     Attributes
     ----------
@@ -113,7 +113,7 @@ class Hysteresis:
         Returns
         -------
         jax.Array
-            Area in units of the parameter times those of the measure, of the shape of the scene.
+            Area in units of the parameter times units of the measure, of the shape of the scene.
 
         Raises
         ------
@@ -137,32 +137,42 @@ class Hysteresis:
         HysteresisLoop
             Hysteresis in each scene.
         """
-        first_point, last_point = (item.solve(scene) for item in self.ends)
+        first_point, last_point = (point_or_orbit.solve(scene) for point_or_orbit in self.ends)
         status, width = jnp.maximum(first_point.status, last_point.status), last_point.value - first_point.value
         if self.orbits is None:
             return HysteresisLoop(first_point.value, last_point.value, width, jnp.nan * width, status)
-        nodes, weights = np.polynomial.legendre.leggauss(N_QUADRATURE_NODES)
-        angles = 0.25 * np.pi * (nodes + 1.0)  # square roots at the ends are smooth in these angles
-        fractions, weights = np.sin(angles) ** 2, 0.25 * np.pi * weights * np.sin(2.0 * angles)
-        area, half_count = 0.0 * width, N_QUADRATURE_NODES // 2
-        for half_slice in (slice(half_count - 1, None, -1), slice(half_count, None)):  # from the middle to either end
+        quadrature_nodes, quadrature_weights = np.polynomial.legendre.leggauss(N_QUADRATURE_NODES)
+        quadrature_angles = (
+            0.25 * np.pi * (quadrature_nodes + 1.0)
+        )  # square roots at the ends are smooth in these angles
+        range_fractions, quadrature_weights = (
+            np.sin(quadrature_angles) ** 2,
+            0.25 * np.pi * quadrature_weights * np.sin(2.0 * quadrature_angles),
+        )
+        area, n_half_nodes = 0.0 * width, N_QUADRATURE_NODES // 2
+        for half_node_slice in (
+            slice(n_half_nodes - 1, None, -1),
+            slice(n_half_nodes, None),
+        ):  # from the middle to either end
             parameter_values = (
-                jnp.expand_dims(first_point.value, -1) + jnp.expand_dims(width, -1) * fractions[half_slice]
+                jnp.expand_dims(first_point.value, -1) + jnp.expand_dims(width, -1) * range_fractions[half_node_slice]
             )
             scenes = jax.tree.map(
                 lambda leaf, shape=parameter_values.shape: jnp.broadcast_to(leaf[..., None], shape), scene
             )
             upper_orbits, lower_orbits = (
-                item.along(scenes.replace(**{self.name: parameter_values})) for item in self.orbits
+                point_or_orbit.along(scenes.replace(**{self.name: parameter_values})) for point_or_orbit in self.orbits
             )
-            area += width * jnp.sum(weights[half_slice] * (self.measure(upper_orbits) - self.measure(lower_orbits)), -1)
-            for item in (upper_orbits, lower_orbits):
-                status = jnp.maximum(status, jnp.max(item.status, -1))
+            area += width * jnp.sum(
+                quadrature_weights[half_node_slice] * (self.measure(upper_orbits) - self.measure(lower_orbits)), -1
+            )
+            for point_or_orbit in (upper_orbits, lower_orbits):
+                status = jnp.maximum(status, jnp.max(point_or_orbit.status, -1))
         return HysteresisLoop(first_point.value, last_point.value, width, area, status)
 
 
 def peak_of(orbit: OrbitOfScene) -> Float[Array, "..."]:
-    """Return the largest ``|x|`` of orbits."""
+    """Return the largest ``|x|`` on each orbit."""
     return orbit.peak
 
 
@@ -195,7 +205,7 @@ def hysteresis(
     Raises
     ------
     ArgumentError
-        If the points have different parameters, or if `located` refuses a point or an orbit.
+        If the points have different parameters, or if a point or an orbit is invalid for `located`.
 
     See Also
     --------
@@ -203,8 +213,9 @@ def hysteresis(
 
     Notes
     -----
-    The area is a Gauss-Legendre quadrature with 24 nodes in an angle in which square roots at the ends are smooth. It
-    is piecewise smooth: if another event ends the range before, the status of the `HysteresisLoop` reports it.
+    The area is computed by Gauss-Legendre quadrature with 24 nodes, in an angle in which square roots at the ends are
+    smooth. The area is a piecewise smooth function of the scene. If another event ends the range earlier, the status of
+    the `HysteresisLoop` reports this.
 
     Examples
     --------
@@ -212,14 +223,17 @@ def hysteresis(
     >>> round(float(loop.width(scene)), 6)
     3.035834
     """
-    first_end, last_end = (item if isinstance(item, Located) else make_located_point(item) for item in (first, last))
+    first_end, last_end = (
+        point_or_orbit if isinstance(point_or_orbit, Located) else make_located_point(point_or_orbit)
+        for point_or_orbit in (first, last)
+    )
     if first_end.name != last_end.name:
         raise check.ArgumentError(
             "last", f"must be a point in the same parameter as `first`, {first_end.name}", last_end.name
         )
     if orbits is None:
         return Hysteresis((first_end, last_end), None, measure)
-    if len(orbits) != 2 or not all(isinstance(item, Orbit) for item in orbits):
+    if len(orbits) != 2 or not all(isinstance(point_or_orbit, Orbit) for point_or_orbit in orbits):
         raise check.ArgumentError("orbits", "must be the upper and the lower Orbit", orbits)
-    upper_orbit, lower_orbit = (make_located_orbit(item, "peak") for item in orbits)
-    return Hysteresis((first_end, last_end), (upper_orbit, lower_orbit), measure)
+    upper_located_orbit, lower_located_orbit = (make_located_orbit(point_or_orbit, "peak") for point_or_orbit in orbits)
+    return Hysteresis((first_end, last_end), (upper_located_orbit, lower_located_orbit), measure)

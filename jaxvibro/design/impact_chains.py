@@ -1,7 +1,7 @@
-"""Represent chains of impacts: match impacts of a record with those of the motion, with missing and spurious impacts.
+"""Represent and fit chains of impacts that explain a record with missing and spurious impacts.
 
-The functions fit a chain, extend it, insert an impact that the record lacks, or remove one. `chain_search` decides what
-is tried, and in which order.
+The functions fit a chain, extend it, insert an impact that is missing from the record, or remove an impact.
+`impact_chain_search` decides which changes are tried, and in which order.
 """
 
 from itertools import product
@@ -12,11 +12,11 @@ from jaxtyping import Float, Int
 
 from ..scene.scene import SIDES, Scene
 from ..scene.soft_walls import effective_restitution
-from . import chain_fit
-from .chain_equations import Nodes, connecting_speeds, flight_residuals
-from .chain_fit import Measurements
-from .least_squares import FreeParameters, LeastSquaresSolution, largest_chi2
-from .next_impact import Motion
+from . import impact_chain_fit
+from .constrained_least_squares import FreeParameterSpec, LeastSquaresSolution, max_plausible_chi2
+from .impact_chain_equations import ChainNodes, flight_residuals, speeds_between_impacts
+from .impact_chain_fit import NodeMeasurements
+from .impact_prediction import MotionPredictor
 
 # Penalties added to chi2: for each missing and each spurious impact, and for a chain that is not a motion.
 MISSED_COST, SPURIOUS_COST, IMPOSSIBLE_COST = 6.0, 14.0, 1e6
@@ -31,8 +31,18 @@ MAX_DEPTH_ERRORS = 4.0  # in standard errors of the penetration: a deeper flight
 class ImpactChain(NamedTuple):
     """Fitted chain of impacts.
 
-    `record_indices` holds the index in the record of each node, -1 for a missing impact. `spurious_indices` are impacts
-    of the record without a node. `cost` is chi2 plus the penalties.
+    Attributes
+    ----------
+    record_indices : numpy.ndarray
+        Index in the record of the impact of each node, -1 for an impact that is missing from the record. Array of shape
+        (nodes,).
+    spurious_indices : tuple of int
+        Indices of the impacts of the record that have no node.
+    solution : LeastSquaresSolution
+        Fitted nodes and parameters.
+    cost : float
+        chi2 of the residuals and of the prior, plus penalties for missing and spurious impacts and for a chain that is
+        not a motion.
     """
 
     record_indices: Int[np.ndarray, " nodes"]
@@ -41,19 +51,44 @@ class ImpactChain(NamedTuple):
     cost: float
 
 
-class Record(NamedTuple):
-    """Record to be explained: scene, phase, times, sides, standard errors, free parameters."""
+class ImpactFitProblem(NamedTuple):
+    """Problem of a fit to a record of impacts.
+
+    Attributes
+    ----------
+    scene : Scene
+        Initial scene.
+    phase : float
+        Phase of the drive at time 0; not used if the phase is a free parameter.
+    times, sides, sigma : numpy.ndarray
+        Times, sides and standard errors of the impacts of the record. Arrays of shape (record,).
+    free_spec : FreeParameterSpec
+        Free parameters.
+    """
 
     scene: Scene
     phase: float
     times: Float[np.ndarray, " record"]
     sides: Float[np.ndarray, " record"]
     sigma: Float[np.ndarray, " record"]
-    free_params: FreeParameters
+    free_spec: FreeParameterSpec
 
 
-class ChainGuess(NamedTuple):
-    """Chain that is not fitted; an unknown speed is nan."""
+class ImpactChainGuess(NamedTuple):
+    """Approximate chain that is not yet fitted.
+
+    Attributes
+    ----------
+    record_indices : numpy.ndarray
+        Index in the record of the impact of each node, -1 for an impact that is missing from the record. Array of shape
+        (nodes,).
+    sides, times, speeds : numpy.ndarray
+        Sides, times and speeds of the impacts. An unknown speed is nan. Arrays of shape (nodes,).
+    spurious_indices : tuple of int
+        Indices of the impacts of the record that have no node.
+    parameters : numpy.ndarray
+        Approximate values of the free parameters. Array of shape (free,).
+    """
 
     record_indices: Int[np.ndarray, " nodes"]
     sides: Float[np.ndarray, " nodes"]
@@ -63,99 +98,119 @@ class ChainGuess(NamedTuple):
     parameters: Float[np.ndarray, " free"]
 
 
-def fit_chain(record: Record, guess: ChainGuess) -> ImpactChain:
-    """Fit a `ChainGuess`; unknown speeds start from those of the connecting flights."""
-    scene, phase = scene_and_phase(record, guess.parameters)
-    times, zeros = _separate_times(guess.times, record.sigma[0]), np.zeros(len(guess.record_indices))
-    speeds_after, speeds_before = connecting_speeds(scene, Nodes(guess.sides, zeros, times, zeros), phase)
-    impact_speeds = np.concatenate(
-        [[speeds_after[0] / max(restitutions(scene, guess.sides[:1])[0], MIN_RESTITUTION)], speeds_before]
+def fit_chain(fit_problem: ImpactFitProblem, chain_guess: ImpactChainGuess) -> ImpactChain:
+    """Fit an `ImpactChainGuess`. The flights that connect the impacts give initial values of unknown speeds."""
+    scene, start_phase = scene_and_start_phase(fit_problem, chain_guess.parameters)
+    times, zero_times = (
+        _separate_times(chain_guess.times, fit_problem.sigma[0]),
+        np.zeros(len(chain_guess.record_indices)),
     )
-    nodes = Nodes(guess.sides, zeros, times, np.where(np.isnan(guess.speeds), impact_speeds, guess.speeds))
-    measurements = measurements_of(record, guess)
-    solution = chain_fit.fit_chain_parameters(
-        record.scene,
-        record.phase,
+    speeds_after, speeds_before = speeds_between_impacts(
+        scene, ChainNodes(chain_guess.sides, zero_times, times, zero_times), start_phase
+    )
+    approach_speeds = np.concatenate(
+        [
+            [speeds_after[0] / max(restitutions_on_sides(scene, chain_guess.sides[:1])[0], MIN_RESTITUTION)],
+            speeds_before,
+        ]
+    )
+    nodes = ChainNodes(
+        chain_guess.sides,
+        zero_times,
+        times,
+        np.where(np.isnan(chain_guess.speeds), approach_speeds, chain_guess.speeds),
+    )
+    measurements = chain_measurements(fit_problem, chain_guess)
+    solution = impact_chain_fit.fit_chain_parameters(
+        fit_problem.scene,
+        fit_problem.phase,
         nodes,
         measurements,
-        record.free_params,
-        guess.parameters,
+        fit_problem.free_spec,
+        chain_guess.parameters,
         MAX_ITERATIONS,
         ROUGH_TOLERANCE,
     )
     cost = (
         solution.chi2
         + solution.prior_chi2
-        + MISSED_COST * np.sum(guess.record_indices < 0)
-        + SPURIOUS_COST * len(guess.spurious_indices)
+        + MISSED_COST * np.sum(chain_guess.record_indices < 0)
+        + SPURIOUS_COST * len(chain_guess.spurious_indices)
     )
     return ImpactChain(
-        guess.record_indices,
-        guess.spurious_indices,
+        chain_guess.record_indices,
+        chain_guess.spurious_indices,
         solution,
-        float(cost if is_possible(record, solution) else IMPOSSIBLE_COST + cost),
+        float(cost if is_possible_motion(fit_problem, solution) else IMPOSSIBLE_COST + cost),
     )
 
 
-def measurements_of(record, chain):
-    """Return the `Measurements` of the nodes of a chain."""
+def chain_measurements(fit_problem, chain):
+    """Return the `NodeMeasurements` of the nodes of a chain."""
     node_indices = np.flatnonzero(chain.record_indices >= 0)
-    return Measurements(
+    return NodeMeasurements(
         node_indices,
         np.zeros(len(node_indices), int),
-        record.times[chain.record_indices[node_indices]],
-        record.sigma[chain.record_indices[node_indices]],
+        fit_problem.times[chain.record_indices[node_indices]],
+        fit_problem.sigma[chain.record_indices[node_indices]],
     )
 
 
-def is_possible(record, solution):
-    """Check that a chain is a motion, within errors.
+def is_possible_motion(fit_problem, solution):
+    """Check that a fitted chain is a motion of its scene, within the errors.
 
-    It must be converged, each impact must enter its wall, and no flight may pass through a wall.
+    The fit must have converged, each impact speed must be positive, and no flight may pass through a wall.
     """
-    if not solution.converged or np.any(solution.nodes.second_unknown <= 0):
+    if not solution.converged or np.any(solution.nodes.speed_or_v <= 0):
         return False
-    scene, phase = scene_and_phase(record, solution.parameters)
-    min_clearances, nearest_sides, min_times = Motion(scene, phase).min_clearances(solution.nodes)
+    scene, start_phase = scene_and_start_phase(fit_problem, solution.parameters)
+    min_clearances, nearest_sides, closest_times = MotionPredictor(scene, start_phase).min_clearances(solution.nodes)
     return all(
-        _may_graze(record, solution, k, nearest_sides[k], min_times[k], -min_clearances[k])
-        for k in np.flatnonzero(min_clearances < 0)
+        _is_depth_within_error(
+            fit_problem,
+            solution,
+            flight_index,
+            nearest_sides[flight_index],
+            closest_times[flight_index],
+            -min_clearances[flight_index],
+        )
+        for flight_index in np.flatnonzero(min_clearances < 0)
     )
 
 
-def _may_graze(record, solution, flight, side, contact_time, depth):
-    """Check that the penetration of a flight at a time is within its error."""
+def _is_depth_within_error(fit_problem, solution, flight_index, wall_side, closest_time, depth):
+    """Check that the depth to which a flight penetrates a wall at a time is within the error of this depth."""
     nodes, n_params = solution.nodes, len(solution.parameters)
-    node_pair = Nodes(
-        np.array([nodes.sides[flight], side]),
+    node_pair = ChainNodes(
+        np.array([nodes.sides[flight_index], wall_side]),
         np.zeros(2),
-        np.array([nodes.first_unknown[flight], contact_time]),
-        np.array([nodes.second_unknown[flight], 0.0]),
+        np.array([nodes.time_or_x[flight_index], closest_time]),
+        np.array([nodes.speed_or_v[flight_index], 0.0]),
     )
-    depth_derivatives = residual_derivatives(record, node_pair, solution.parameters)[0, 0]
+    depth_derivatives = flight_derivatives(fit_problem, node_pair, solution.parameters)[0, 0]
     depth_derivatives = depth_derivatives[[0, 1, *range(4, 4 + n_params)]]
-    covariance = solution.covariance_with([2 * flight, 2 * flight + 1])
+    covariance = solution.covariance_with([2 * flight_index, 2 * flight_index + 1])
     return bool(depth <= MAX_DEPTH_ERRORS * np.sqrt(max(depth_derivatives @ covariance @ depth_derivatives, 0.0)))
 
 
-def residual_derivatives(record, nodes, parameters):
-    """Return the derivatives of the residuals of flights in the unknowns of their nodes and the free parameters.
+def flight_derivatives(fit_problem, nodes, parameters):
+    """Return the derivatives of flight residuals with respect to the unknowns of their nodes and the free parameters.
 
     The array has shape (flights, 2, 4 + free). Parameters are in units of their scales.
     """
-    names, phase = record.free_params.split_phase(parameters, record.phase)
-    derivatives = flight_residuals(record.scene, names, nodes, parameters[: len(names)], phase).derivatives[
-        :, :, : 4 + len(parameters)
-    ]
-    return derivatives * np.concatenate([np.ones(4), record.free_params.scales])
+    parameter_names, start_phase = fit_problem.free_spec.separate_start_phase(parameters, fit_problem.phase)
+    derivatives = flight_residuals(
+        fit_problem.scene, parameter_names, nodes, parameters[: len(parameter_names)], start_phase
+    ).derivatives[:, :, : 4 + len(parameters)]
+    return derivatives * np.concatenate([np.ones(4), fit_problem.free_spec.scales])
 
 
-def is_acceptable(record: Record, chain: ImpactChain) -> bool:
-    """Check that a chain is a motion from which noise may have made the record."""
+def is_acceptable_chain(fit_problem: ImpactFitProblem, chain: ImpactChain) -> bool:
+    """Check that a chain is a motion and that noise explains its deviations from the record."""
     solution = chain.solution
     return bool(
         chain.cost < IMPOSSIBLE_COST
-        and solution.chi2 + solution.prior_chi2 <= largest_chi2(len(solution.residuals) - 2)
+        and solution.chi2 + solution.prior_chi2 <= max_plausible_chi2(len(solution.residuals) - 2)
     )
 
 
@@ -167,90 +222,96 @@ def _separate_times(times, sigma):
     return times
 
 
-def scene_and_phase(record, parameters):
-    """Return the scene with the given parameters, and the phase."""
-    return record.free_params.scene_and_phase(record.scene, record.phase, parameters)
+def scene_and_start_phase(fit_problem, parameters):
+    """Return the scene with the given parameters, and the phase of the drive at time 0."""
+    return fit_problem.free_spec.scene_and_start_phase(fit_problem.scene, fit_problem.phase, parameters)
 
 
-def restitutions(scene, sides):
-    """Return the restitution of the walls on given sides, the effective one of soft walls."""
-    restitution_by_side = {side: _restitution_of(scene, SIDES[int(side > 0)]) for side in set(sides)}
+def restitutions_on_sides(scene, sides):
+    """Return the restitutions of the walls on the given sides; soft walls have an effective restitution."""
+    restitution_by_side = {side: _wall_restitution(scene, SIDES[int(side > 0)]) for side in set(sides)}
     return np.array([restitution_by_side[side] for side in sides])
 
 
-def _restitution_of(scene, side):
+def _wall_restitution(scene, side):
     wall = scene.walls[side]
     if not wall.soft:
         return float(scene.bounce(side))
     return float(effective_restitution(wall.stiffness, scene.parameter(f"{side}.damping")))
 
 
-def wall_sides(scene):
+def wall_side_codes(scene):
     """Return the sides, -1 and 1, of the walls of a scene."""
     return tuple(-1.0 if side == "left" else 1.0 for side in scene.walls)
 
 
-def guess_from_record(record: Record, parameters, record_indices) -> ChainGuess:
-    """Return the chain of some impacts of the record."""
+def guess_from_record(fit_problem: ImpactFitProblem, parameters, record_indices) -> ImpactChainGuess:
+    """Return the `ImpactChainGuess` of some impacts of the record, with unknown speeds."""
     record_indices = np.asarray(record_indices, int)
-    return ChainGuess(
+    return ImpactChainGuess(
         record_indices,
-        record.sides[record_indices],
-        record.times[record_indices],
+        fit_problem.sides[record_indices],
+        fit_problem.times[record_indices],
         np.full(len(record_indices), np.nan),
         (),
         parameters,
     )
 
 
-def guess_from_chain(chain: ImpactChain) -> ChainGuess:
-    """Return a fitted chain as a guess."""
+def guess_from_chain(chain: ImpactChain) -> ImpactChainGuess:
+    """Return a fitted chain as an `ImpactChainGuess`."""
     nodes, solution = chain.solution.nodes, chain.solution
-    return ChainGuess(
+    return ImpactChainGuess(
         chain.record_indices,
         nodes.sides,
-        nodes.first_unknown,
-        nodes.second_unknown,
+        nodes.time_or_x,
+        nodes.speed_or_v,
         chain.spurious_indices,
         solution.parameters,
     )
 
 
-def join_guesses(guess: ChainGuess, addition: ChainGuess, direction: int) -> ChainGuess:
-    """Append a chain to another, or prepend it if `direction` is -1.
+def join_guesses(chain_guess: ImpactChainGuess, other_guess: ImpactChainGuess, time_direction: int) -> ImpactChainGuess:
+    """Append `other_guess` to `chain_guess`, or prepend it if `time_direction` is -1.
 
-    Parameters and spurious impacts are those of the first chain.
+    Parameters and spurious impacts are those of `chain_guess`.
     """
-    ordered_guesses = (guess, addition) if direction > 0 else (addition, guess)
-    columns = [np.concatenate(pair) for pair in zip(ordered_guesses[0][:4], ordered_guesses[1][:4], strict=True)]
-    return guess._replace(record_indices=columns[0], sides=columns[1], times=columns[2], speeds=columns[3])
+    ordered_guesses = (chain_guess, other_guess) if time_direction > 0 else (other_guess, chain_guess)
+    columns = [
+        np.concatenate(column_pair) for column_pair in zip(ordered_guesses[0][:4], ordered_guesses[1][:4], strict=True)
+    ]
+    return chain_guess._replace(record_indices=columns[0], sides=columns[1], times=columns[2], speeds=columns[3])
 
 
-def insert_impacts(record: Record, guess: ChainGuess, flight: int, sides) -> list[ChainGuess]:
-    """Return the chains with impacts on given sides inserted after a node, at plausible times, the best first."""
-    position, n_inserted = flight + 1, len(sides)
-    speeds = np.insert(guess.speeds, position, np.full(n_inserted, np.nan))
-    speeds[position + n_inserted] = np.nan
-    longer_guess = guess._replace(
-        record_indices=np.insert(guess.record_indices, position, np.full(n_inserted, -1)),
-        sides=np.insert(guess.sides, position, sides),
+def insert_impacts(
+    fit_problem: ImpactFitProblem, chain_guess: ImpactChainGuess, flight_index: int, sides
+) -> list[ImpactChainGuess]:
+    """Return the guesses with impacts on the given sides inserted in a flight, at plausible times, the best first."""
+    insertion_index, n_insertions = flight_index + 1, len(sides)
+    speeds = np.insert(chain_guess.speeds, insertion_index, np.full(n_insertions, np.nan))
+    speeds[insertion_index + n_insertions] = np.nan
+    longer_guess = chain_guess._replace(
+        record_indices=np.insert(chain_guess.record_indices, insertion_index, np.full(n_insertions, -1)),
+        sides=np.insert(chain_guess.sides, insertion_index, sides),
         speeds=speeds,
     )
-    time_choices = rate_insertions(record, guess, flight, sides)[1]
-    return [longer_guess._replace(times=np.insert(guess.times, position, times)) for times in time_choices]
+    insertion_times = rank_insertion_times(fit_problem, chain_guess, flight_index, sides)[1]
+    return [
+        longer_guess._replace(times=np.insert(chain_guess.times, insertion_index, times)) for times in insertion_times
+    ]
 
 
-def remove_node(guess: ChainGuess, node: int) -> ChainGuess:
-    """Return the chain without a node; its impact of the record, if any, becomes spurious."""
-    columns = [np.delete(column, node) for column in guess[:4]]
-    if node < len(columns[3]):
-        columns[3][node] = np.nan
+def remove_node(chain_guess: ImpactChainGuess, node_index: int) -> ImpactChainGuess:
+    """Return the guess without a node. If the node has an impact of the record, this impact becomes spurious."""
+    columns = [np.delete(column, node_index) for column in chain_guess[:4]]
+    if node_index < len(columns[3]):
+        columns[3][node_index] = np.nan
     spurious_indices = (
-        guess.spurious_indices
-        if guess.record_indices[node] < 0
-        else (*guess.spurious_indices, int(guess.record_indices[node]))
+        chain_guess.spurious_indices
+        if chain_guess.record_indices[node_index] < 0
+        else (*chain_guess.spurious_indices, int(chain_guess.record_indices[node_index]))
     )
-    return guess._replace(
+    return chain_guess._replace(
         record_indices=columns[0],
         sides=columns[1],
         times=columns[2],
@@ -259,56 +320,75 @@ def remove_node(guess: ChainGuess, node: int) -> ChainGuess:
     )
 
 
-def speed_mismatch(record: Record, guess: ChainGuess) -> Float[np.ndarray, " inner"]:
-    """Return the mismatch of the speeds before and after each inner node."""
-    scene, phase = scene_and_phase(record, guess.parameters)
-    zeros = np.zeros(len(guess.record_indices))
-    speeds_after, speeds_before = connecting_speeds(
-        scene, Nodes(guess.sides, zeros, _separate_times(guess.times, record.sigma[0]), zeros), phase
+def squared_speed_mismatches(
+    fit_problem: ImpactFitProblem, chain_guess: ImpactChainGuess
+) -> Float[np.ndarray, " inner"]:
+    """Return the squared violation of the impact law at each inner node, plus a penalty for negative speeds."""
+    scene, start_phase = scene_and_start_phase(fit_problem, chain_guess.parameters)
+    zero_times = np.zeros(len(chain_guess.record_indices))
+    speeds_after, speeds_before = speeds_between_impacts(
+        scene,
+        ChainNodes(chain_guess.sides, zero_times, _separate_times(chain_guess.times, fit_problem.sigma[0]), zero_times),
+        start_phase,
     )
-    speed_defects = speeds_after[1:] - restitutions(scene, guess.sides[1:-1]) * speeds_before[:-1]
-    return speed_defects**2 + 10.0 * (np.minimum(speeds_after[1:], 0.0) ** 2 + np.minimum(speeds_before[:-1], 0.0) ** 2)
+    speed_differences = speeds_after[1:] - restitutions_on_sides(scene, chain_guess.sides[1:-1]) * speeds_before[:-1]
+    return speed_differences**2 + 10.0 * (
+        np.minimum(speeds_after[1:], 0.0) ** 2 + np.minimum(speeds_before[:-1], 0.0) ** 2
+    )
 
 
-def rate_insertions(record, guess, flight, sides):
-    """Return (mismatch, times) of impacts inserted after a node.
+def rank_insertion_times(fit_problem, chain_guess, flight_index, sides):
+    """Return (smallest speed mismatch, times of the inserted impacts) for impacts inserted in a flight.
 
-    Times are the best points of a grid, at which the speeds before and after the impacts match.
+    The times are points of a grid, one row per choice. For one impact the rows are the smallest local minima of the
+    speed mismatch, at most `MAX_GRID_MINIMA`. For several impacts the only row is the global minimum.
     """
-    scene, phase = scene_and_phase(record, guess.parameters)
-    start_time, end_time = guess.times[flight], guess.times[flight + 1]
-    fractions = (np.arange(GRID_SIZE) + 0.5) / GRID_SIZE
-    fractions = np.array(
+    scene, start_phase = scene_and_start_phase(fit_problem, chain_guess.parameters)
+    start_time, end_time = chain_guess.times[flight_index], chain_guess.times[flight_index + 1]
+    time_fractions = (np.arange(GRID_SIZE) + 0.5) / GRID_SIZE
+    time_fractions = np.array(
         [
-            fraction_tuple
-            for fraction_tuple in product(fractions, repeat=len(sides))
-            if list(fraction_tuple) == sorted(set(fraction_tuple))
+            increasing_fractions
+            for increasing_fractions in product(time_fractions, repeat=len(sides))
+            if list(increasing_fractions) == sorted(set(increasing_fractions))
         ]
     )
-    times = start_time + (end_time - start_time) * fractions
-    side_sequence = np.array([guess.sides[flight], *sides, guess.sides[flight + 1]])
-    time_rows = np.column_stack([np.full(len(times), start_time), times, np.full(len(times), end_time)])
-    n_nodes = time_rows.shape[1]
-    zeros = np.zeros(time_rows.size)
-    speeds_after, speeds_before = connecting_speeds(
-        scene, Nodes(np.tile(side_sequence, len(time_rows)), zeros, time_rows.ravel(), zeros), phase
+    trial_times = start_time + (end_time - start_time) * time_fractions
+    trial_node_sides = np.array([chain_guess.sides[flight_index], *sides, chain_guess.sides[flight_index + 1]])
+    trial_node_times = np.column_stack(
+        [np.full(len(trial_times), start_time), trial_times, np.full(len(trial_times), end_time)]
+    )
+    n_nodes = trial_node_times.shape[1]
+    zero_times = np.zeros(trial_node_times.size)
+    speeds_after, speeds_before = speeds_between_impacts(
+        scene,
+        ChainNodes(np.tile(trial_node_sides, len(trial_node_times)), zero_times, trial_node_times.ravel(), zero_times),
+        start_phase,
     )
     speeds_after, speeds_before = (
-        np.append(array, 0.0).reshape(len(time_rows), n_nodes)[:, :-1] for array in (speeds_after, speeds_before)
+        np.append(flight_speeds, 0.0).reshape(len(trial_node_times), n_nodes)[:, :-1]
+        for flight_speeds in (speeds_after, speeds_before)
     )
-    first_speed = guess.speeds[flight]
-    first_speed = (
-        speeds_after[:, 0] / restitutions(scene, side_sequence[:1])[0]
-        if np.isnan(first_speed)
-        else np.full(len(time_rows), first_speed)
+    first_impact_speed = chain_guess.speeds[flight_index]
+    first_impact_speed = (
+        speeds_after[:, 0] / restitutions_on_sides(scene, trial_node_sides[:1])[0]
+        if np.isnan(first_impact_speed)
+        else np.full(len(trial_node_times), first_impact_speed)
     )
-    impact_speeds = np.column_stack([first_speed, speeds_before[:, :-1]])
-    speed_defects = speeds_after - restitutions(scene, side_sequence[:-1]) * impact_speeds
-    negative_penalty = np.sum(np.minimum(speeds_after, 0.0) ** 2, 1) + np.sum(np.minimum(speeds_before, 0.0) ** 2, 1)
-    mismatch = np.sum(speed_defects**2, 1) + 10.0 * negative_penalty
-    mismatch = np.where(np.isfinite(mismatch), mismatch, np.inf)
-    best_rows = [int(np.argmin(mismatch))]
+    impact_speeds = np.column_stack([first_impact_speed, speeds_before[:, :-1]])
+    speed_differences = speeds_after - restitutions_on_sides(scene, trial_node_sides[:-1]) * impact_speeds
+    negative_speed_penalty = np.sum(np.minimum(speeds_after, 0.0) ** 2, 1) + np.sum(
+        np.minimum(speeds_before, 0.0) ** 2, 1
+    )
+    mismatches = np.sum(speed_differences**2, 1) + 10.0 * negative_speed_penalty
+    mismatches = np.where(np.isfinite(mismatches), mismatches, np.inf)
+    best_trial_indices = [int(np.argmin(mismatches))]
     if len(sides) == 1:
-        is_minimum = (mismatch < np.append(np.inf, mismatch[:-1])) & (mismatch < np.append(mismatch[1:], np.inf))
-        best_rows = sorted(np.flatnonzero(is_minimum), key=lambda k: mismatch[k])[:MAX_GRID_MINIMA] or best_rows
-    return float(mismatch[best_rows[0]]), times[best_rows]
+        is_local_minimum = (mismatches < np.append(np.inf, mismatches[:-1])) & (
+            mismatches < np.append(mismatches[1:], np.inf)
+        )
+        best_trial_indices = (
+            sorted(np.flatnonzero(is_local_minimum), key=lambda k: mismatches[k])[:MAX_GRID_MINIMA]
+            or best_trial_indices
+        )
+    return float(mismatches[best_trial_indices[0]]), trial_times[best_trial_indices]

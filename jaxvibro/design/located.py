@@ -16,8 +16,9 @@ def located(point: Special | Orbit, name: str | None = None, wall: str | None = 
     point : Special or Orbit
         Special point of a branch, of kind SN, PD, SB or GR, or an orbit with separate impacts or without impacts.
     name : str, optional
-        For a special point, the parameter whose value is returned. By default the parameter of its branch. For an orbit
-        the quantity: ``"multipliers"``, ``"speeds"`` of its impacts, or ``"peak"``, the largest ``|x|``.
+        For a special point, the parameter whose value is returned. By default the parameter of its branch. For an
+        orbit, the quantity: ``"multipliers"``, ``"speeds"`` of its impacts, or ``"peak"``, the largest ``|x|``. This
+        argument is required for an orbit.
     wall : {"left", "right"}, optional
         Wall of a GR that touches both walls at once. Required for such a point, and not allowed for an orbit.
 
@@ -29,10 +30,10 @@ def located(point: Special | Orbit, name: str | None = None, wall: str | None = 
     Raises
     ------
     ArgumentError
-        If the point is of another kind, if the scene or the orbit has no such name, or if a GR touches several walls,
-        or one wall several times, and no wall is given.
+        If the point is of another kind, if its orbit sticks to a wall, if the scene or the orbit has no such name, if a
+        GR touches both walls and no wall is given, or if a GR touches the same wall several times.
     OrbitError
-        If the orbit sticks to a wall.
+        If `point` is an orbit that sticks to a wall or chatters.
 
     See Also
     --------
@@ -41,10 +42,11 @@ def located(point: Special | Orbit, name: str | None = None, wall: str | None = 
 
     Notes
     -----
-    The point or orbit is continued along the straight path from its own scene to the given one by Newton's method on
-    its defining equations (`point_equations`, `impact_equations`). Derivatives follow from the implicit function
-    theorem. An SB is located in the symmetric part of the scene. If a wall has no restitution (or damping) of its own,
-    the derivative with respect to the restitution of the scene includes that of the wall.
+    Newton's method on the defining equations (`special_point_equations`, `impact_equations`) continues the point or
+    orbit along the straight path from the original scene to the given scene. Derivatives follow from the implicit
+    function theorem. An SB is located in the symmetric part of the scene. If a wall inherits its restitution (or
+    damping) from the scene, the derivative with respect to the restitution (or damping) of the scene includes the
+    effect of this wall.
 
     Examples
     --------

@@ -10,20 +10,20 @@ from jax import lax
 from jaxtyping import Float
 
 from continuation.array_type import Array
-from continuation.implicit_function import FAILED, JUMPED, continue_root, forward_differentiable, loop_over_lanes
+from continuation.implicit_function import FAILED, JUMPED, continue_root, force_forward_mode, make_lane_loop_function
 
 from ..branches.largest_position import peak_of_flight, peak_of_sequence
-from ..compiled.kernels import call_as_kernel
-from ..flight.coefficients import flow_coefficients
+from ..compiled.kernel_calls import call_as_kernel
+from ..flight.flight_coefficients import flow_coefficients
 from ..orbits import solve
 from ..orbits.flight_clearance import impact_free_flight
 from ..orbits.orbit import Orbit, OrbitError
-from ..orbits.solve import OrbitSolutions, OrbitTask
+from ..orbits.solve import OrbitSolutions, OrbitStructure
 from ..scene import check
 from ..scene.codes import SolutionStatus
 from ..scene.scene import Scene
-from .located_point import require_same_walls
-from .point_equations import complete_scene
+from .located_point import require_same_wall_kinds
+from .special_point_equations import complete_scene
 
 QUANTITIES = ("multipliers", "speeds", "peak")
 
@@ -33,8 +33,8 @@ QUANTITIES = ("multipliers", "speeds", "peak")
 class OrbitOfScene(OrbitSolutions):
     """Orbit in each scene of a batch.
 
-    Extends `OrbitSolutions`. Times count from the phase of the orbit. A status is ``SolutionStatus.JUMPED`` if the
-    continuation from the scene of the orbit failed.
+    Extends `OrbitSolutions`. Times are measured from the phase of the orbit. The status is ``SolutionStatus.JUMPED`` if
+    the continuation from the scene of the orbit failed and Newton's method may have converged to another orbit.
 
     Attributes
     ----------
@@ -69,8 +69,8 @@ class OrbitOfScene(OrbitSolutions):
 class LocatedOrbit:
     """Quantity of an orbit as a function of scenes.
 
-    Made by `located`. Calling it with a scene returns the quantity, of which the shape of the batch comes first. It can
-    be transformed by jit, vmap and grad, in forward and reverse mode.
+    Made by `located`. A call with a scene returns the quantity. A batch of scenes adds its shape as leading dimensions.
+    The function can be transformed by jit, vmap and grad, in forward and reverse mode.
 
     Attributes
     ----------
@@ -89,7 +89,7 @@ class LocatedOrbit:
 
     orbit: Orbit
     quantity: str
-    _asked: OrbitTask = field(repr=False)
+    _asked: OrbitStructure = field(repr=False)
     _start: Float[np.ndarray, " unknowns"] = field(repr=False)
 
     def __call__(self, scene: Scene) -> Array:
@@ -152,72 +152,96 @@ class LocatedOrbit:
         ArgumentError
             If the scenes have other walls.
         """
-        require_same_walls(scenes, self.orbit.scene)
-        start_scene, end_scenes, shape = complete_scene(self.orbit.scene), complete_scene(scenes), scenes.shape
-        leaves = [jnp.broadcast_to(leaf, shape).reshape(-1, shape[-1]) for leaf in jax.tree.leaves(end_scenes)]
+        require_same_wall_kinds(scenes, self.orbit.scene)
+        start_scene, path_scenes, scenes_shape = complete_scene(self.orbit.scene), complete_scene(scenes), scenes.shape
+        scene_numbers = [
+            jnp.broadcast_to(leaf, scenes_shape).reshape(-1, scenes_shape[-1]) for leaf in jax.tree.leaves(path_scenes)
+        ]
         phase = jnp.asarray(self.orbit.state.phase, scenes.dtype)
-        start_unknowns, start_vector = jnp.asarray(self._start), jnp.stack(jax.tree.leaves(start_scene))
-        orbits = _solve_orbits(self._asked, start_unknowns, start_vector, jnp.stack(leaves, -1), phase)
-        return jax.tree.map(lambda leaf: leaf.reshape(*shape, *leaf.shape[1:]), orbits)
+        start_unknowns, start_scene_vector = jnp.asarray(self._start), jnp.stack(jax.tree.leaves(start_scene))
+        orbits = _solve_orbits_on_paths(
+            self._asked, start_unknowns, start_scene_vector, jnp.stack(scene_numbers, -1), phase
+        )
+        return jax.tree.map(lambda leaf: leaf.reshape(*scenes_shape, *leaf.shape[1:]), orbits)
 
 
 @partial(jax.jit, static_argnums=0)
-def _solve_orbits(itinerary, start_unknowns, start_vector, scene_vectors, phase):
-    """Solve for orbits along paths of scene vectors of shape (paths, points, numbers); return an `OrbitOfScene`."""
-    fixed_arguments = phase, start_unknowns
-    follow = jax.vmap(loop_over_lanes(partial(_follow_orbits, itinerary), call_as_kernel), (None, None, 0, None))
-    unknowns, outcomes = follow(start_unknowns, start_vector, lax.stop_gradient(scene_vectors), phase)
-    unknowns, outcomes, scene_vectors = (
+def _solve_orbits_on_paths(orbit_task, start_unknowns, start_scene_vector, scene_vectors, phase):
+    """Solve for an orbit along paths of scenes; return an `OrbitOfScene`.
+
+    `scene_vectors` holds the numbers of the scenes. Array of shape (paths, points, numbers).
+    """
+    phase_and_start = phase, start_unknowns
+    follow_paths = jax.vmap(
+        make_lane_loop_function(partial(_follow_orbit_along_path, orbit_task), call_as_kernel), (None, None, 0, None)
+    )
+    unknowns, continuation_outcomes = follow_paths(
+        start_unknowns, start_scene_vector, lax.stop_gradient(scene_vectors), phase
+    )
+    unknowns, continuation_outcomes, scene_vectors = (
         unknowns.reshape(-1, len(start_unknowns)),
-        outcomes.reshape(-1),
+        continuation_outcomes.reshape(-1),
         scene_vectors.reshape(-1, scene_vectors.shape[-1]),
     )
-    unknowns = jnp.where((outcomes == FAILED)[:, None], jnp.nan, unknowns)
-    solutions = solve.solve_lanes(itinerary, scene_vectors, jnp.broadcast_to(phase, outcomes.shape), unknowns)
+    unknowns = jnp.where((continuation_outcomes == FAILED)[:, None], jnp.nan, unknowns)
+    orbit_solutions = solve.solve_lanes(
+        orbit_task, scene_vectors, jnp.broadcast_to(phase, continuation_outcomes.shape), unknowns
+    )
     status = jnp.where(
-        (outcomes == JUMPED) & (solutions.status == SolutionStatus.OK), SolutionStatus.JUMPED, solutions.status
+        (continuation_outcomes == JUMPED) & (orbit_solutions.status == SolutionStatus.OK),
+        SolutionStatus.JUMPED,
+        orbit_solutions.status,
     )
     orbit_columns = (
-        (solutions.times, solutions.speeds)
-        if len(itinerary.sides)
-        else (solutions.state.x[:, None], solutions.state.v[:, None])
+        (orbit_solutions.times, orbit_solutions.speeds)
+        if len(orbit_task.sides)
+        else (orbit_solutions.state.x[:, None], orbit_solutions.state.v[:, None])
     )
-    peak_function = forward_differentiable(partial(_largest_position, itinerary), call_as_kernel)
-    peak = jax.vmap(peak_function, (0, None))(jnp.concatenate([*orbit_columns, scene_vectors], 1), fixed_arguments)
-    peak = peak * jnp.where(solutions.status == SolutionStatus.NONE, jnp.nan, 1.0)
-    result_fields = {definition.name: getattr(solutions, definition.name) for definition in fields(solutions)} | {
+    differentiable_peak = force_forward_mode(partial(_largest_position, orbit_task), call_as_kernel)
+    peaks = jax.vmap(differentiable_peak, (0, None))(
+        jnp.concatenate([*orbit_columns, scene_vectors], 1), phase_and_start
+    )
+    peaks = peaks * jnp.where(orbit_solutions.status == SolutionStatus.NONE, jnp.nan, 1.0)
+    result_fields = {
+        field_definition.name: getattr(orbit_solutions, field_definition.name)
+        for field_definition in fields(orbit_solutions)
+    } | {
         "status": status,
-        "peak": peak,
+        "peak": peaks,
     }
     return OrbitOfScene(**result_fields)
 
 
-def _follow_orbits(itinerary, start_unknowns, start_vector, scene_vectors, phase):
-    """Continue unknowns along straight paths from row to row; return them with the worst outcome up to each row."""
+def _follow_orbit_along_path(orbit_task, start_unknowns, start_scene_vector, scene_vectors, phase):
+    """Continue an orbit from scene to scene; return its unknowns and the worst outcome up to each scene."""
 
-    def advance(carry, scene_vector):
-        unknowns, previous_vector, worst_outcome = carry
+    def continue_to_scene(carry, scene_vector):
+        unknowns, previous_scene_vector, worst_outcome = carry
         solution = continue_root(
-            partial(solve.orbit_residual, itinerary), unknowns, previous_vector, scene_vector, (phase, start_unknowns)
+            partial(solve.orbit_residual, orbit_task),
+            unknowns,
+            previous_scene_vector,
+            scene_vector,
+            (phase, start_unknowns),
         )
         worst_outcome = jnp.maximum(worst_outcome, solution.kind)
         return (solution.u, scene_vector, worst_outcome), (solution.u, worst_outcome)
 
-    initial_carry = start_unknowns, start_vector, jnp.zeros((), start_unknowns.dtype)
-    return lax.scan(advance, initial_carry, scene_vectors)[1]
+    initial_carry = start_unknowns, start_scene_vector, jnp.zeros((), start_unknowns.dtype)
+    return lax.scan(continue_to_scene, initial_carry, scene_vectors)[1]
 
 
-def _largest_position(itinerary, unknowns_and_scene, fixed_arguments):
-    """Return the largest ``|x|`` for unknowns and numbers of the scene in one row."""
-    phase, start_unknowns = fixed_arguments
+def _largest_position(orbit_task, unknowns_and_vector, phase_and_start):
+    """Return the largest ``|x|`` on an orbit, from one vector of its unknowns and the numbers of its scene."""
+    phase, start_unknowns = phase_and_start
     unknowns, scene = (
-        unknowns_and_scene[: len(start_unknowns)],
-        itinerary.tree.unflatten(list(unknowns_and_scene[len(start_unknowns) :])),
+        unknowns_and_vector[: len(start_unknowns)],
+        orbit_task.tree.unflatten(list(unknowns_and_vector[len(start_unknowns) :])),
     )
     coeffs = flow_coefficients(scene)
-    if len(itinerary.sides):
-        return peak_of_sequence(coeffs, solve.sequence_of(itinerary, unknowns, phase))
-    return peak_of_flight(coeffs, impact_free_flight(coeffs, phase, itinerary.periods, *unknowns))
+    if len(orbit_task.sides):
+        return peak_of_sequence(coeffs, solve.sequence_of(orbit_task, unknowns, phase))
+    return peak_of_flight(coeffs, impact_free_flight(coeffs, phase, orbit_task.periods, *unknowns))
 
 
 def make_located_orbit(orbit: Orbit, quantity: str | None) -> LocatedOrbit:
@@ -231,7 +255,7 @@ def make_located_orbit(orbit: Orbit, quantity: str | None) -> LocatedOrbit:
     if orbit.unknowns == "state" and n_impacts:
         raise OrbitError("the orbit sticks to a wall or chatters", orbit.residual, "separate impacts are required")
     orbit_columns = (impacts.time[:n_impacts], impacts.speed[:n_impacts]) if n_impacts else ([state.x], [state.v])
-    itinerary = OrbitTask(jax.tree.structure(complete_scene(orbit.scene)), tuple(orbit.itinerary))
+    orbit_task = OrbitStructure(jax.tree.structure(complete_scene(orbit.scene)), tuple(orbit.itinerary))
     return LocatedOrbit(
-        orbit, quantity, itinerary, np.concatenate([np.asarray(column, float) for column in orbit_columns])
+        orbit, quantity, orbit_task, np.concatenate([np.asarray(column, float) for column in orbit_columns])
     )

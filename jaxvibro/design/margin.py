@@ -10,25 +10,24 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from continuation.limits import EXPIRED_REASON, limits_of
+from continuation.computation_limits import EXPIRED_REASON, make_limits
 
-from ..orbits.impact_equations import ImpactSequence
 from ..orbits.orbit import Orbit, OrbitError
 from ..output.table_text import align_columns, column_header
 from ..output.units import unit_in_system, unit_of
 from ..scene import check
 from ..scene.codes import SolutionStatus
-from ..scene.parameters import parameter_domain
 from ..scene.scene import Scene
+from ..scene.scene_parameters import parameter_domain
 from ..scene.symmetry import stays_symmetric
-from .edge import CUSP, BoundaryEdge, find_edges, make_cusp
-from .free_parameters import allowed_changes, check_units
+from .boundary_edge import CUSP, BoundaryEdge, find_crossed_edges, make_cusp_edge
+from .free_parameter_checks import bounds_of_changes, check_free_parameters
 from .located_point import solve_points
-from .nearest_edge import find_nearest_edge_point
-from .nearest_point import find_nearest_point
-from .point_equations import complete_scene, parameter_mask
+from .nearest_boundary_edge import find_nearest_edge_point
+from .nearest_boundary_point import find_nearest_point
+from .parameter_rays import RayEnd, follow_rays, impact_sequence_of, sample_unit_directions
 from .ray_end_equations import equations_at_ray_end
-from .rays import RayEnd, follow_rays
+from .special_point_equations import complete_scene, parameter_mask
 
 KINDS = ("SN", "PD", "SB", "GR")
 SEARCH_RADII = 1.0, 4.0, 16.0, 64.0, 256.0  # in units, tried in turn until a boundary is found
@@ -60,7 +59,7 @@ class NearPoint:
     scene : Scene
         Scene at the bifurcation.
     times : numpy.ndarray
-        Times of the impacts of the orbit; at an SB of one half of the orbit. Array of shape (impacts,).
+        Times of the impacts of the orbit; at an SB, of the impacts of one half of the orbit. Array of shape (impacts,).
     speeds : numpy.ndarray
         Speeds before these impacts. Array of shape (impacts,).
     sides : tuple of int
@@ -68,14 +67,15 @@ class NearPoint:
     residual : float
         Largest residual of the equations.
     slope : float
-        Slope of the distance perpendicular to the direction, 0 at a minimum.
+        Largest derivative of the distance perpendicular to the direction, or at an edge the residual of the optimality
+        condition; 0 at a minimum.
     status : {"reached", "behind another"}
-        ``"reached"`` if the orbit was continued along the straight path to the point and meets no other bifurcation
-        before. ``"behind another"`` if another bifurcation comes before.
+        ``"reached"`` if the orbit was continued along the straight path to the point without another bifurcation.
+        ``"behind another"`` if another bifurcation lies on this path.
     at_bound : tuple of str
         Names of the free parameters that are at a bound.
     edge : {"", "a touch", "an impact without speed", "a cusp"}
-        Condition that ends the sheet of bifurcations at the point, or an empty string.
+        Condition that ends the boundary at the point, or an empty string if the boundary does not end there.
 
     Examples
     --------
@@ -112,7 +112,8 @@ class Margin:
     free : dict of str to float
         Unit of each free parameter.
     points : tuple of NearPoint
-        Nearest bifurcation of each kind, sorted by distance.
+        Nearest bifurcation of each kind with the status ``"reached"``, sorted by distance. If a kind has no such
+        bifurcation, the nearest one behind another.
     others : tuple of NearPoint
         Further bifurcations, including those behind another.
     searched : tuple
@@ -159,7 +160,7 @@ class Margin:
         """
         column_units = {name: unit_in_system(self.orbit.scene, unit_of(name), units) for name in self.free}
 
-        def format_values(scene):
+        def format_parameters(scene):
             return (f"{unit_size * float(scene.parameter(name)):.9g}" for name, (_, unit_size) in column_units.items())
 
         rows = [
@@ -175,24 +176,24 @@ class Margin:
                 f", at a bound of {', '.join(near_point.at_bound)}" if near_point.at_bound else ""
             )
             status += f", ends there in {near_point.edge}" if near_point.edge else ""
-            rows.append((near_point.kind, f"{near_point.distance:.9g}", *format_values(near_point.scene), status))
-        rows.append((self.orbit.label, "0", *format_values(self.orbit.scene), "the orbit itself"))
-        unit_text = ", ".join(f"{name} {column_units[name][1] * unit_step:g}" for name, unit_step in self.free.items())
+            rows.append((near_point.kind, f"{near_point.distance:.9g}", *format_parameters(near_point.scene), status))
+        rows.append((self.orbit.label, "0", *format_parameters(self.orbit.scene), "the orbit itself"))
+        units_text = ", ".join(f"{name} {column_units[name][1] * unit_step:g}" for name, unit_step in self.free.items())
         radius, n_directions = self.searched
         search_text = f"followed to a distance of {radius:g} in {n_directions} directions"
         return "\n".join(
-            [align_columns(rows), f"units: {unit_text}", search_text, *([self.stopped] if self.stopped else [])]
+            [align_columns(rows), f"units: {units_text}", search_text, *([self.stopped] if self.stopped else [])]
         )
 
 
-class _ParameterSpace(NamedTuple):
+class _FreeParameterSpace(NamedTuple):
     """Space of the free parameters.
 
     Attributes
     ----------
     names : tuple of str
         Names of the free parameters.
-    unit_vectors : numpy.ndarray
+    unit_changes : numpy.ndarray
         Change of the numbers of the scene for one unit of each free parameter. Array of shape (free, numbers).
     lower, upper : numpy.ndarray
         Bounds of the change in units. Arrays of shape (free,).
@@ -201,7 +202,7 @@ class _ParameterSpace(NamedTuple):
     """
 
     names: tuple[str, ...]
-    unit_vectors: Float[np.ndarray, "free numbers"]
+    unit_changes: Float[np.ndarray, "free numbers"]
     lower: Float[np.ndarray, " free"]
     upper: Float[np.ndarray, " free"]
     keeps_symmetry: Float[np.ndarray, " free"]
@@ -236,8 +237,8 @@ def margin(
     seed : int, optional
         Seed of the random directions.
     max_seconds : float, optional
-        Wall-clock time in s after which the search stops. By default the time is unlimited. The attribute ``stopped``
-        then states that the search is incomplete.
+        Wall-clock time in s after which the search stops. The attribute ``stopped`` then states that the search is
+        incomplete. By default the time is unlimited.
 
     Returns
     -------
@@ -248,7 +249,7 @@ def margin(
     ------
     ArgumentError
         If a free parameter is not a parameter of the scene, if a unit is not a positive number, if `bounds` does not
-        contain the scene, or if another argument is invalid.
+        contain the values of the scene, or if another argument is invalid.
     OrbitError
         If the orbit sticks to a wall or chatters.
 
@@ -259,12 +260,12 @@ def margin(
 
     Notes
     -----
-    The orbit is continued in each direction until a bifurcation ends it. From these ends, Newton's method solves the
-    Karush-Kuhn-Tucker conditions of the nearest point, with multipliers for the bounds. An SB is located among the free
-    parameters that keep the scene symmetric.
+    The orbit is continued in each direction up to a bifurcation. From these bifurcations, Newton's method solves the
+    Karush-Kuhn-Tucker conditions of the nearest point, with multipliers for the bounds. An SB is located in the
+    subspace of the free parameters that keep the scene symmetric.
 
-    The margin is that of the given orbit. Another motion may attract most initial states before (`find_attractors`).
-    The search proves nothing about directions in which the orbit was not continued (``searched``).
+    The margin refers to the given orbit. Within the margin, another attractor may still attract most initial states
+    (`find_attractors`). The search may miss bifurcations between the directions of continuation (``searched``).
 
     Examples
     --------
@@ -272,42 +273,55 @@ def margin(
     >>> [point.kind for point in near.points]
     ['SB', 'SN']
     """
-    limits = limits_of(None, max_seconds, None, check.ArgumentError)
+    limits = make_limits(None, max_seconds, None, check.ArgumentError)
     if not isinstance(orbit, Orbit):
         raise check.ArgumentError("orbit", "must be an Orbit, as find_orbit gives it", orbit)
     if not orbit.impacts.count:
         check.require_spring(orbit.scene, "margin of an orbit without impacts")
     if orbit.unknowns == "state" and orbit.impacts.count:
         raise OrbitError("the orbit sticks to a wall or chatters", orbit.residual, "separate impacts are required")
-    units, kinds = check_units(orbit.scene, free), check.name_tuple("kinds", kinds)
+    parameter_units, kinds = check_free_parameters(orbit.scene, free), check.make_name_tuple("kinds", kinds)
     if not set(kinds) <= set(KINDS) or not kinds:
         raise check.ArgumentError("kinds", f"must be one or more of {', '.join(KINDS)}", kinds)
-    n_directions = check.whole_number("directions", directions, 2 * len(units))
-    space, sequence = _make_space(orbit.scene, units, bounds or {}), impact_sequence_of(orbit)
-    scene = complete_scene(orbit.scene)
-    scene_vector, treedef = np.stack([np.asarray(leaf) for leaf in jax.tree.leaves(scene)]), jax.tree.structure(scene)
-    unit_directions = sample_directions(len(units), n_directions, seed)
-    for radius in SEARCH_RADII:
-        ray_results, ray_lengths = _follow_directions(treedef, sequence, scene_vector, space, unit_directions, radius)
-        starts = _select_starts(
-            treedef, sequence, scene_vector, space, unit_directions, ray_lengths, ray_results, kinds
-        )
-        if starts or limits.expired:
-            break
-    nearest_points = [
-        _find_nearest(scene_vector, space, *start) for start in takewhile(lambda start: not limits.expired, starts)
-    ]
-    is_incomplete = len(nearest_points) < len(starts) or limits.expired
-    stop_reason = (
-        f"{EXPIRED_REASON}: {len(nearest_points)} of {len(starts)} nearest points computed" if is_incomplete else ""
+    n_directions = check.check_whole_number("directions", directions, 2 * len(parameter_units))
+    parameter_space, sequence = (
+        _make_parameter_space(orbit.scene, parameter_units, bounds or {}),
+        impact_sequence_of(orbit),
     )
-    nearest_points += [] if is_incomplete else _find_on_edges(scene_vector, space, starts, nearest_points)
-    near_points = [
-        _make_near_point(orbit, treedef, sequence, scene_vector, space, *nearest_point)
-        for nearest_point in nearest_points
-        if nearest_point is not None
+    scene = complete_scene(orbit.scene)
+    scene_vector, scene_treedef = (
+        np.stack([np.asarray(leaf) for leaf in jax.tree.leaves(scene)]),
+        jax.tree.structure(scene),
+    )
+    unit_directions = sample_unit_directions(len(parameter_units), n_directions, seed)
+    for radius in SEARCH_RADII:
+        rays, ray_limits = _follow_rays_to_limit(
+            scene_treedef, sequence, scene_vector, parameter_space, unit_directions, radius
+        )
+        search_starts = _select_search_starts(
+            scene_treedef, sequence, scene_vector, parameter_space, unit_directions, ray_limits, rays, kinds
+        )
+        if search_starts or limits.expired:
+            break
+    nearest_results = [
+        _find_nearest_in_bounds(scene_vector, parameter_space, *search_start)
+        for search_start in takewhile(lambda start: not limits.expired, search_starts)
     ]
-    near_points = _drop_duplicates(
+    is_incomplete = len(nearest_results) < len(search_starts) or limits.expired
+    stop_reason = (
+        f"{EXPIRED_REASON}: {len(nearest_results)} of {len(search_starts)} nearest points computed"
+        if is_incomplete
+        else ""
+    )
+    nearest_results += (
+        [] if is_incomplete else _find_nearest_on_edges(scene_vector, parameter_space, search_starts, nearest_results)
+    )
+    near_points = [
+        _make_near_point(orbit, scene_treedef, sequence, scene_vector, parameter_space, *nearest_result)
+        for nearest_result in nearest_results
+        if nearest_result is not None
+    ]
+    near_points = _drop_duplicate_points(
         sorted(
             (near_point for near_point in near_points if near_point),
             key=lambda near_point: (near_point.status == BEHIND, near_point.distance),
@@ -319,167 +333,187 @@ def margin(
     points = sorted(
         (near_point for near_point in nearest_by_kind if near_point), key=lambda near_point: near_point.distance
     )
-    other_points = tuple(near_point for near_point in near_points if near_point not in points)
-    return Margin(orbit, units, tuple(points), other_points, (radius, n_directions), stop_reason)
+    further_points = tuple(near_point for near_point in near_points if near_point not in points)
+    return Margin(orbit, parameter_units, tuple(points), further_points, (radius, n_directions), stop_reason)
 
 
-def _make_space(scene, free, bounds):
-    unit_vectors = np.stack([parameter_mask(scene, name) * unit for name, unit in free.items()])
-    keeps_symmetry = np.array([float(stays_symmetric(scene, name)) for name in free])
-    return _ParameterSpace(tuple(free), unit_vectors, *allowed_changes(scene, free, bounds), keeps_symmetry)
+def _make_parameter_space(scene, parameter_units, bounds):
+    unit_changes = np.stack([parameter_mask(scene, name) * unit for name, unit in parameter_units.items()])
+    keeps_symmetry = np.array([float(stays_symmetric(scene, name)) for name in parameter_units])
+    return _FreeParameterSpace(
+        tuple(parameter_units), unit_changes, *bounds_of_changes(scene, parameter_units, bounds), keeps_symmetry
+    )
 
 
-def impact_sequence_of(orbit):
-    """Return the `ImpactSequence` of an orbit without empty rows, with times since phase 0."""
-    impacts, scene = orbit.impacts, orbit.scene
-    duration = orbit.periods * 2.0 * np.pi / float(scene.frequency)
-    times = np.mod(np.asarray(impacts.time) + float(orbit.state.phase) / float(scene.frequency), duration)
-    order = np.argsort(times)
-    columns = (jnp.asarray(np.asarray(column, float)[order]) for column in (times, impacts.speed, impacts.side))
-    return ImpactSequence(*columns, jnp.zeros(()), jnp.asarray(float(orbit.periods)))
-
-
-def sample_directions(n_params, n_directions, seed):
-    """Return unit vectors of shape (directions, parameters): the axes in both senses, then random ones."""
-    axes = np.concatenate([np.eye(n_params), -np.eye(n_params)])
-    random_vectors = np.random.default_rng(seed).normal(size=(n_directions - len(axes), n_params))
-    return np.concatenate([axes, random_vectors / np.linalg.norm(random_vectors, axis=1, keepdims=True)])
-
-
-def _follow_directions(treedef, sequence, scene_vector, space, directions, radius):
-    """Continue the orbit along rays up to the radius or a bound; return the `Ray` records and the ray lengths."""
+def _follow_rays_to_limit(scene_treedef, sequence, scene_vector, parameter_space, unit_directions, radius):
+    """Continue the orbit along rays up to the radius or a bound; return the `RayResult` records and the ray lengths."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        bound_distances = np.where(
-            directions > 0, space.upper / directions, np.where(directions < 0, space.lower / directions, np.inf)
+        distances_to_bounds = np.where(
+            unit_directions > 0,
+            parameter_space.upper / unit_directions,
+            np.where(unit_directions < 0, parameter_space.lower / unit_directions, np.inf),
         )
-    ray_lengths = np.minimum(radius, np.nan_to_num(bound_distances, nan=0.0, posinf=np.inf).min(axis=1))
-    ray_results = follow_rays(treedef, sequence, scene_vector, (ray_lengths[:, None] * directions) @ space.unit_vectors)
-    return jax.device_get(ray_results), ray_lengths
+    ray_limits = np.minimum(radius, np.nan_to_num(distances_to_bounds, nan=0.0, posinf=np.inf).min(axis=1))
+    rays = follow_rays(
+        scene_treedef, sequence, scene_vector, (ray_limits[:, None] * unit_directions) @ parameter_space.unit_changes
+    )
+    return jax.device_get(rays), ray_limits
 
 
-def _select_starts(treedef, sequence, scene_vector, space, directions, ray_lengths, ray_results, kinds):
-    """Select the nearest ray ends of each kind and touched wall as (`PointEquations`, unknowns, offset)."""
-    starts, n_taken = [], {}
-    for k in np.argsort(ray_results.fraction * ray_lengths):
-        if ray_results.end[k] == RayEnd.NONE or ray_lengths[k] == 0:
+def _select_search_starts(
+    scene_treedef, sequence, scene_vector, parameter_space, unit_directions, ray_limits, rays, kinds
+):
+    """Return (`SpecialPointEquations`, unknowns, offset) of the nearest ray ends of each kind and grazed wall."""
+    search_starts, n_starts_by_key = [], {}
+    for ray_index in np.argsort(rays.fraction * ray_limits):
+        if rays.end[ray_index] == RayEnd.NONE or ray_limits[ray_index] == 0:
             continue
-        offset = ray_results.fraction[k] * ray_lengths[k] * directions[k]
-        ray_result = type(ray_results)(*(component[k] for component in ray_results))
+        offset = rays.fraction[ray_index] * ray_limits[ray_index] * unit_directions[ray_index]
+        ray = type(rays)(*(field_values[ray_index] for field_values in rays))
         kind, equations, unknowns = equations_at_ray_end(
-            treedef, sequence, scene_vector + offset @ space.unit_vectors, ray_result
+            scene_treedef, sequence, scene_vector + offset @ parameter_space.unit_changes, ray
         )
-        key = kind, equations.is_grazing and int(equations.sequence.sides[0])
-        if kind not in kinds or n_taken.get(key, 0) == MAX_STARTS or not offset.any():
+        start_key = kind, equations.is_grazing and int(equations.sequence.sides[0])
+        if kind not in kinds or n_starts_by_key.get(start_key, 0) == MAX_STARTS or not offset.any():
             continue
-        n_taken[key] = n_taken.get(key, 0) + 1
+        n_starts_by_key[start_key] = n_starts_by_key.get(start_key, 0) + 1
         unknowns[equations.n_orbit_unknowns] = np.linalg.norm(offset)
-        starts.append((equations, unknowns, offset))
-    return starts
+        search_starts.append((equations, unknowns, offset))
+    return search_starts
 
 
-def _find_nearest(scene_vector, space, equations, unknowns, offset):
-    """Find the nearest point of a boundary or edge within the bounds.
+def _find_nearest_in_bounds(scene_vector, parameter_space, equations, unknowns, offset):
+    """Find the nearest point of a boundary or edge within the bounds of the free parameters.
 
-    Returns the `NearestBoundaryPoint` and a mask of the parameters at a bound, or None if Newton's method fails.
+    Returns (`NearestBoundaryPoint`, mask of the parameters at a bound), or None if Newton's method fails.
     """
     is_fixed = np.zeros(len(offset), bool)
     if equations.kind == "SB":
-        is_fixed = space.keeps_symmetry == 0
-    find_nearest = find_nearest_edge_point if isinstance(equations, BoundaryEdge) else find_nearest_point
-    fixed_offset, is_bounded = np.where(is_fixed, 0.0, np.nan), np.zeros(len(offset), bool)
+        is_fixed = parameter_space.keeps_symmetry == 0
+    find_unbounded_nearest = find_nearest_edge_point if isinstance(equations, BoundaryEdge) else find_nearest_point
+    fixed_offset, is_at_bound = np.where(is_fixed, 0.0, np.nan), np.zeros(len(offset), bool)
     while not is_fixed.all():
-        base_vector = scene_vector + np.where(is_fixed, fixed_offset, 0.0) @ space.unit_vectors
-        nearest_point = find_nearest(equations, unknowns, base_vector, space.unit_vectors[~is_fixed], offset[~is_fixed])
+        fixed_scene_vector = scene_vector + np.where(is_fixed, fixed_offset, 0.0) @ parameter_space.unit_changes
+        nearest_point = find_unbounded_nearest(
+            equations, unknowns, fixed_scene_vector, parameter_space.unit_changes[~is_fixed], offset[~is_fixed]
+        )
         if nearest_point is None or nearest_point.status == SolutionStatus.NONE:
             return None
         offset = np.where(is_fixed, fixed_offset, 0.0)
         offset[~is_fixed] = nearest_point.offset
-        excess = np.where(is_fixed, 0.0, np.maximum(offset - space.upper, space.lower - offset))
-        worst_index = int(np.argmax(excess))
-        if excess[worst_index] <= BOUND_TOLERANCE * (1.0 + abs(offset[worst_index])):
-            return nearest_point._replace(offset=np.clip(offset, space.lower, space.upper)), is_bounded
-        bound_value = (
-            space.upper[worst_index] if offset[worst_index] > space.upper[worst_index] else space.lower[worst_index]
+        bound_excess = np.where(
+            is_fixed, 0.0, np.maximum(offset - parameter_space.upper, parameter_space.lower - offset)
         )
-        is_fixed[worst_index], fixed_offset[worst_index], is_bounded[worst_index] = True, bound_value, True
+        most_exceeded_index = int(np.argmax(bound_excess))
+        if bound_excess[most_exceeded_index] <= BOUND_TOLERANCE * (1.0 + abs(offset[most_exceeded_index])):
+            return nearest_point._replace(
+                offset=np.clip(offset, parameter_space.lower, parameter_space.upper)
+            ), is_at_bound
+        bound_value = (
+            parameter_space.upper[most_exceeded_index]
+            if offset[most_exceeded_index] > parameter_space.upper[most_exceeded_index]
+            else parameter_space.lower[most_exceeded_index]
+        )
+        is_fixed[most_exceeded_index], fixed_offset[most_exceeded_index], is_at_bound[most_exceeded_index] = (
+            True,
+            bound_value,
+            True,
+        )
         if isinstance(equations, BoundaryEdge):
-            unknowns, offset[worst_index] = nearest_point.unknowns, bound_value
+            unknowns, offset[most_exceeded_index] = nearest_point.unknowns, bound_value
             continue
         unknowns, offset = _move_to_bound(
-            nearest_point, scene_vector, space, offset, worst_index, bound_value, is_fixed
+            nearest_point, scene_vector, parameter_space, offset, most_exceeded_index, bound_value, is_fixed
         )
         if unknowns is None:
             return None
     return None
 
 
-def _find_on_edges(scene_vector, space, starts, nearest_points):
-    """Find nearest points on edges for starts whose sheet has no suitable nearest point.
+def _find_nearest_on_edges(scene_vector, parameter_space, search_starts, nearest_results):
+    """Find the nearest points on edges, for starts whose nearest point on the boundary is unsuitable.
 
-    A sheet is unsuitable if Newton's method failed, if the orbit of the point is inadmissible, or if the point is
-    farther than the start. Returns pairs as `_find_nearest` does.
+    The nearest point is unsuitable if its orbit is inadmissible. At an SN it is also unsuitable if Newton's method
+    failed or if the point is farther than the start. Returns a list of results of `_find_nearest_in_bounds`.
     """
-    edge_points, attempts = [], []
-    for (equations, unknowns, offset), result in zip(starts, nearest_points, strict=True):
-        nearest_point = None if result is None else result[0]
+    edge_results, earlier_attempts = [], []
+    for (equations, unknowns, offset), nearest_result in zip(search_starts, nearest_results, strict=True):
+        nearest_point = None if nearest_result is None else nearest_result[0]
         if nearest_point is not None and nearest_point.status == SolutionStatus.VIRTUAL:
             edge_guesses, offset = (
-                find_edges(equations, nearest_point.unknowns, scene_vector + nearest_point.offset @ space.unit_vectors),
+                find_crossed_edges(
+                    equations,
+                    nearest_point.unknowns,
+                    scene_vector + nearest_point.offset @ parameter_space.unit_changes,
+                ),
                 nearest_point.offset,
             )
         elif equations.kind == "SN" and (
             nearest_point is None or nearest_point.distance > (1.0 + RAY_TOLERANCE) * np.linalg.norm(offset)
         ):
-            edge_guesses = [make_cusp(equations, unknowns, scene_vector + offset @ space.unit_vectors)]
+            edge_guesses = [make_cusp_edge(equations, unknowns, scene_vector + offset @ parameter_space.unit_changes)]
         else:
             continue
-        for edge, orbit_unknowns in edge_guesses:
-            key = edge.kind, edge.end_kind, int(edge.row), int(edge.wall)
+        for edge, edge_unknowns in edge_guesses:
+            edge_key = edge.kind, edge.edge_kind, int(edge.row), int(edge.wall)
             if any(
-                key == other_key and np.linalg.norm(offset - other_offset) < EDGE_TOLERANCE
-                for other_key, other_offset in attempts
+                edge_key == earlier_key and np.linalg.norm(offset - earlier_offset) < EDGE_TOLERANCE
+                for earlier_key, earlier_offset in earlier_attempts
             ):
                 continue
-            attempts.append((key, offset))
-            edge_points.append(_find_nearest(scene_vector, space, edge, orbit_unknowns, offset))
-    return edge_points
+            earlier_attempts.append((edge_key, offset))
+            edge_results.append(_find_nearest_in_bounds(scene_vector, parameter_space, edge, edge_unknowns, offset))
+    return edge_results
 
 
-def _move_to_bound(nearest_point, scene_vector, space, offset, bound_index, bound_value, is_fixed):
-    """Return (unknowns, offset) on the boundary with one parameter at its bound; unknowns may be None."""
+def _move_to_bound(nearest_point, scene_vector, parameter_space, offset, bound_index, bound_value, is_fixed):
+    """Return (unknowns, offset) on the boundary with one parameter at its bound; unknowns are None on failure."""
     free_offset = np.where(is_fixed, 0.0, offset)
     free_distance = np.linalg.norm(free_offset)
     if free_distance == 0:
         return None, offset
-    direction = free_offset / free_distance @ space.unit_vectors
+    scene_direction = free_offset / free_distance @ parameter_space.unit_changes
     start_unknowns = np.array(nearest_point.unknowns)
     start_unknowns[nearest_point.equations.n_orbit_unknowns] = free_distance
-    start_vector = scene_vector + np.where(is_fixed, offset, 0.0) @ space.unit_vectors
+    start_scene_vector = scene_vector + np.where(is_fixed, offset, 0.0) @ parameter_space.unit_changes
     offset = np.array(offset)
     offset[bound_index] = bound_value
-    end_vector = scene_vector + np.where(is_fixed, offset, 0.0) @ space.unit_vectors
+    end_scene_vector = scene_vector + np.where(is_fixed, offset, 0.0) @ parameter_space.unit_changes
     located_points, solution_unknowns = jax.device_get(
-        solve_points(nearest_point.equations, start_unknowns, start_vector, end_vector[None], direction)
+        solve_points(
+            nearest_point.equations, start_unknowns, start_scene_vector, end_scene_vector[None], scene_direction
+        )
     )
     if located_points.status[0] in (SolutionStatus.NONE, SolutionStatus.JUMPED):
         return None, offset
     return solution_unknowns[0], np.where(is_fixed, offset, free_offset / free_distance * located_points.value[0])
 
 
-def _make_near_point(orbit, treedef, sequence, scene_vector, space, nearest_point, is_bounded):
-    """Make the `NearPoint` of a `NearestBoundaryPoint`, or None if it is not a bifurcation of the orbit."""
+def _make_near_point(orbit, scene_treedef, sequence, scene_vector, parameter_space, nearest_point, is_at_bound):
+    """Make the `NearPoint` of a `NearestBoundaryPoint`.
+
+    Returns None if the orbit at the point is inadmissible, if the distance has no minimum there, or if the boundary is
+    that of another orbit.
+    """
     if nearest_point.status == SolutionStatus.VIRTUAL or (nearest_point.curvatures <= 0).any():
         return None
-    ray_result = jax.device_get(
+    ray = jax.device_get(
         follow_rays(
-            treedef, sequence, scene_vector, (1.0 + RAY_TOLERANCE) * (nearest_point.offset @ space.unit_vectors)[None]
+            scene_treedef,
+            sequence,
+            scene_vector,
+            (1.0 + RAY_TOLERANCE) * (nearest_point.offset @ parameter_space.unit_changes)[None],
         )
     )
-    status = REACHED if ray_result.fraction[0] * (1.0 + RAY_TOLERANCE) >= 1.0 - RAY_TOLERANCE else BEHIND
-    if status == REACHED and ray_result.end[0] == RayEnd.NONE and not _passes_cusp(nearest_point, ray_result):
+    status = REACHED if ray.fraction[0] * (1.0 + RAY_TOLERANCE) >= 1.0 - RAY_TOLERANCE else BEHIND
+    if status == REACHED and ray.end[0] == RayEnd.NONE and not _is_ray_near_cusp(nearest_point, ray):
         return None  # a boundary of another orbit: no event ends the ray
-    names, scene, changes = space.names, orbit.scene, nearest_point.offset * abs(space.unit_vectors).max(axis=1)
-    values = [float(scene.parameter(name)) + change for name, change in zip(names, changes, strict=True)]
+    names, scene, parameter_changes = (
+        parameter_space.names,
+        orbit.scene,
+        nearest_point.offset * abs(parameter_space.unit_changes).max(axis=1),
+    )
+    values = [float(scene.parameter(name)) + change for name, change in zip(names, parameter_changes, strict=True)]
     domains = (parameter_domain(scene, name) for name in names)
     # Rounding may exceed a domain.
     values = [min(max(value, lower), upper) for value, (lower, upper) in zip(values, domains, strict=True)]
@@ -488,7 +522,7 @@ def _make_near_point(orbit, treedef, sequence, scene_vector, space, nearest_poin
     return NearPoint(
         kind=nearest_point.equations.kind,
         distance=nearest_point.distance,
-        change=dict(zip(names, map(float, changes), strict=True)),
+        change=dict(zip(names, map(float, parameter_changes), strict=True)),
         direction=dict(zip(names, map(float, nearest_point.offset / nearest_point.distance), strict=True)),
         scene=scene,
         times=np.asarray(point_sequence.times),
@@ -497,22 +531,22 @@ def _make_near_point(orbit, treedef, sequence, scene_vector, space, nearest_poin
         residual=nearest_point.residual,
         slope=nearest_point.slope,
         status=status,
-        at_bound=tuple(name for name, is_at_bound in zip(names, is_bounded, strict=True) if is_at_bound),
-        edge=nearest_point.equations.end_kind if isinstance(nearest_point.equations, BoundaryEdge) else "",
+        at_bound=tuple(
+            name for name, is_parameter_at_bound in zip(names, is_at_bound, strict=True) if is_parameter_at_bound
+        ),
+        edge=nearest_point.equations.edge_kind if isinstance(nearest_point.equations, BoundaryEdge) else "",
     )
 
 
-def _passes_cusp(nearest_point, ray_result):
-    """Check whether a continued ray passed a cusp, by the orbit just beyond it."""
-    if not isinstance(nearest_point.equations, BoundaryEdge) or nearest_point.equations.end_kind != CUSP:
+def _is_ray_near_cusp(nearest_point, ray):
+    """Check that the nearest point is a cusp, and that the ray, which no event ended, passed close to the cusp."""
+    if not isinstance(nearest_point.equations, BoundaryEdge) or nearest_point.equations.edge_kind != CUSP:
         return False
-    orbit_unknowns = nearest_point.unknowns[: nearest_point.equations.equations.n_orbit_unknowns]
-    return bool(
-        abs(ray_result.unknowns[0] - orbit_unknowns).max() <= MAX_TIP_CHANGE * (1.0 + abs(orbit_unknowns).max())
-    )
+    orbit_unknowns = nearest_point.unknowns[: nearest_point.equations.boundary_equations.n_orbit_unknowns]
+    return bool(abs(ray.unknowns[0] - orbit_unknowns).max() <= MAX_TIP_CHANGE * (1.0 + abs(orbit_unknowns).max()))
 
 
-def _drop_duplicates(near_points):
+def _drop_duplicate_points(near_points):
     distinct_points = []
     for near_point in near_points:
         distances = [

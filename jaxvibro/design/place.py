@@ -9,14 +9,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from continuation.limits import EXPIRED_REASON, UNLIMITED, limits_of
+from continuation.computation_limits import EXPIRED_REASON, UNLIMITED, make_limits
 
 from ..branches.branch import Special
 from ..output.table_text import align_columns
 from ..scene import check
 from ..scene.codes import SolutionStatus
 from ..scene.scene import Scene
-from .free_parameters import allowed_changes, check_units
+from .free_parameter_checks import bounds_of_changes, check_free_parameters
 from .located import located
 from .located_point import Located
 
@@ -35,7 +35,7 @@ class Placement:
     Attributes
     ----------
     scene : Scene
-        New scene. If the targets cannot be attained, the last scene on the path towards them.
+        New scene. If the targets are not attained, the last scene with admissible orbits on the path towards them.
     change : dict of str to float
         Change of each free parameter.
     distance : float
@@ -49,7 +49,8 @@ class Placement:
     why : str
         Reason why the targets are not attained, or an empty string.
     at_bound : tuple of str
-        Names of the free parameters that are at a bound.
+        Names of the free parameters that are at a bound, or that end the path because they reach a bound just beyond
+        this end.
     slope : float
         Largest residual of the condition that the change is minimal.
 
@@ -98,7 +99,7 @@ class _PlacementProblem(NamedTuple):
     ----------
     names : tuple of str
         Names of the free parameters.
-    units : numpy.ndarray
+    parameter_units : numpy.ndarray
         Unit of each free parameter.
     start_values : numpy.ndarray
         Initial values of the free parameters.
@@ -106,12 +107,12 @@ class _PlacementProblem(NamedTuple):
         Bounds of the change, in units.
     evaluate : callable
         Function of changes of shape (points, free) that returns values and Jacobians.
-    virtual_kinds : callable
+    inadmissible_kinds : callable
         Function of a change of shape (free,) that returns the kinds of the points whose orbit is inadmissible.
     """
 
     names: tuple[str, ...]
-    units: Float[np.ndarray, " free"]
+    parameter_units: Float[np.ndarray, " free"]
     start_values: Float[np.ndarray, " free"]
     lower: Float[np.ndarray, " free"]
     upper: Float[np.ndarray, " free"]
@@ -119,10 +120,10 @@ class _PlacementProblem(NamedTuple):
         [Float[np.ndarray, "places free"]],
         tuple[Float[np.ndarray, "places targets"], Float[np.ndarray, "places targets free"]],
     ]
-    virtual_kinds: Callable[[Float[np.ndarray, " free"]], list[str]]
+    inadmissible_kinds: Callable[[Float[np.ndarray, " free"]], list[str]]
 
 
-class _PathPoint(NamedTuple):
+class _TargetPathPoint(NamedTuple):
     """Point on the path to the targets.
 
     Attributes
@@ -133,20 +134,20 @@ class _PathPoint(NamedTuple):
         Change of the free parameters, in units.
     multipliers : numpy.ndarray
         Lagrange multipliers of the targets.
-    at_bound : numpy.ndarray
+    is_at_bound : numpy.ndarray
         Mask of the free parameters at a bound.
     slope : float
         Residual of the optimality condition.
-    is_expired : bool
+    is_time_expired : bool
         True if the time expired at this point.
     """
 
     fraction: float
     change: Float[np.ndarray, " free"]
     multipliers: Float[np.ndarray, " targets"]
-    at_bound: Bool[np.ndarray, " free"]
+    is_at_bound: Bool[np.ndarray, " free"]
     slope: float
-    is_expired: bool = False
+    is_time_expired: bool = False
 
 
 @check.host_only("use the function that located gives")
@@ -177,7 +178,8 @@ def place(
     scene : Scene, optional
         Initial scene. By default the scene of the first `Special`.
     max_seconds : float, optional
-        Wall-clock time in s after which the search stops, which ``why`` then states. By default the time is unlimited.
+        Wall-clock time in s after which the search stops. The attribute ``why`` then states this reason. By default the
+        time is unlimited.
 
     Returns
     -------
@@ -197,10 +199,10 @@ def place(
 
     Notes
     -----
-    The targets are approached along the straight path from the present values. Newton's method solves the
+    The values approach the targets along the straight path from the present values. Newton's method solves the
     Karush-Kuhn-Tucker conditions at each point of the path. If the path ends before the targets, or if an orbit at the
-    targets is inadmissible, ``met`` is False, ``why`` states the reason, and the scene, change and values are those of
-    the last point on the path whose orbits are all admissible, to 1/256 of the path.
+    targets is inadmissible, ``met`` is False and ``why`` states the reason. The scene, change and values are then those
+    of the last point on the path at which all orbits are admissible, to 1/256 of the path.
 
     Examples
     --------
@@ -209,19 +211,22 @@ def place(
     >>> round(float(placed.scene.damping), 6)
     0.060462
     """
-    limits = limits_of(None, max_seconds, None, check.ArgumentError)
-    sources = tuple(what) if isinstance(what, list | tuple) else (what,)
+    limits = make_limits(None, max_seconds, None, check.ArgumentError)
+    value_sources = tuple(what) if isinstance(what, list | tuple) else (what,)
     target_values = np.atleast_1d(np.asarray(target, float))
-    value_functions = [located(source, name) if isinstance(source, Special) else source for source in sources]
-    first_special = next((source for source in sources if isinstance(source, Special)), None)
+    value_functions = [
+        located(value_source, name) if isinstance(value_source, Special) else value_source
+        for value_source in value_sources
+    ]
+    first_special = next((value_source for value_source in value_sources if isinstance(value_source, Special)), None)
     start_scene = scene if scene is not None else getattr(first_special, "scene", None)
     if not isinstance(start_scene, Scene):
         raise check.ArgumentError("scene", "must be a Scene if no Special is given", scene)
-    if not all(callable(function) for function in value_functions):
+    if not all(callable(value_function) for value_function in value_functions):
         raise check.ArgumentError("what", "must be a Special or a function of a scene", what)
-    free = check_units(start_scene, free)
-    target_names = {function.name for function in value_functions if isinstance(function, Located)}
-    for key in target_names & set(free):
+    free = check_free_parameters(start_scene, free)
+    placed_names = {value_function.name for value_function in value_functions if isinstance(value_function, Located)}
+    for key in placed_names & set(free):
         raise check.ArgumentError(f"free.{key}", "must not be a parameter that is placed", free[key])
     if (
         target_values.shape != (len(value_functions),)
@@ -233,148 +238,169 @@ def place(
             f" parameters, {len(free)}"
         )
         raise check.ArgumentError("target", rule, target)
-    problem = _make_problem(start_scene, free, bounds or {}, value_functions)
-    return _make_placement(start_scene, problem, target_values, *_approach_targets(problem, target_values, limits))
+    problem = _make_placement_problem(start_scene, free, bounds or {}, value_functions)
+    return _make_placement(
+        start_scene, problem, target_values, *_follow_path_to_targets(problem, target_values, limits)
+    )
 
 
-def _make_problem(scene, free, bounds, value_functions):
-    names, units = tuple(free), np.array(list(free.values()))
+def _make_placement_problem(scene, unit_by_name, bounds, value_functions):
+    names, parameter_units = tuple(unit_by_name), np.array(list(unit_by_name.values()))
     start_values = np.array([float(scene.parameter(name)) for name in names])
 
     def evaluate_values(change):
-        changed_scene = scene.replace(**dict(zip(names, jnp.asarray(start_values) + change * units, strict=True)))
+        changed_scene = scene.replace(
+            **dict(zip(names, jnp.asarray(start_values) + change * parameter_units, strict=True))
+        )
         values = jnp.stack([function(changed_scene) for function in value_functions])
         return values, values
 
-    jacobian_function = jax.vmap(jax.jacrev(evaluate_values, has_aux=True))
+    jacobians_and_values = jax.vmap(jax.jacrev(evaluate_values, has_aux=True))
     # The functions that a special point calls are compiled already.
-    if not all(isinstance(function, Located) for function in value_functions):
-        jacobian_function = jax.jit(jacobian_function)
+    if not all(isinstance(value_function, Located) for value_function in value_functions):
+        jacobians_and_values = jax.jit(jacobians_and_values)
 
-    def evaluate(changes):
-        jacobians, values = jax.device_get(jacobian_function(changes))
+    def values_and_jacobians(changes):
+        jacobians, values = jax.device_get(jacobians_and_values(changes))
         return values, jacobians
 
-    def virtual_kinds(change):
-        changed_scene = scene.replace(**dict(zip(names, start_values + change * units, strict=True)))
-        located_points = [function for function in value_functions if isinstance(function, Located)]
+    def inadmissible_kinds(change):
+        changed_scene = scene.replace(**dict(zip(names, start_values + change * parameter_units, strict=True)))
+        located_functions = [function for function in value_functions if isinstance(function, Located)]
         return [
             function.special.kind
-            for function in located_points
+            for function in located_functions
             if function.solve(changed_scene).status == SolutionStatus.VIRTUAL
         ]
 
-    return _PlacementProblem(names, units, start_values, *allowed_changes(scene, free, bounds), evaluate, virtual_kinds)
+    return _PlacementProblem(
+        names,
+        parameter_units,
+        start_values,
+        *bounds_of_changes(scene, unit_by_name, bounds),
+        values_and_jacobians,
+        inadmissible_kinds,
+    )
 
 
-def _approach_targets(problem, target_values, limits=UNLIMITED):
-    """Follow the path to the targets within the time limits.
+def _follow_path_to_targets(problem, target_values, limits=UNLIMITED):
+    """Follow the path to the targets within the time limit.
 
-    Returns the last admissible `_PathPoint`, a mask of the parameters that are at a bound there or block the path, and
-    the kinds of the points that are inadmissible beyond it.
-    """
+    Returns the last admissible `_TargetPathPoint`, a mask of the parameters that are at a bound at this point or block
+    the path beyond it, and the kinds of the special points whose orbits are inadmissible beyond it."""
     n_params = len(problem.names)
-    path_point = last_admissible = _PathPoint(
+    path_point = last_admissible_point = _TargetPathPoint(
         0.0, np.zeros(n_params), np.zeros(len(target_values)), np.zeros(n_params, bool), 0.0
     )
-    start_values = problem.evaluate(_difference_points(path_point.change))[0][0]
+    start_values = problem.evaluate(_difference_stencil(path_point.change))[0][0]
     if not np.isfinite(start_values).all():
         raise check.ArgumentError("scene", "must have all points that are to be placed", start_values)
 
-    def solve_at(path_point, fraction):
-        solution, blocking_bounds = _solve_within_bounds(
+    def solve_at_fraction(path_point, fraction):
+        solution, is_blocking_bound = _solve_within_bounds(
             problem,
             path_point.change,
             path_point.multipliers,
-            path_point.at_bound,
+            path_point.is_at_bound,
             start_values + fraction * (target_values - start_values),
         )
-        return None if solution is None else _PathPoint(fraction, *solution), blocking_bounds
+        return None if solution is None else _TargetPathPoint(fraction, *solution), is_blocking_bound
 
-    fraction_step, virtual_kinds = 1.0, problem.virtual_kinds(path_point.change)
-    blocking_bounds, is_expired = path_point.at_bound, False
-    while path_point.fraction < 1.0 and fraction_step >= MIN_FRACTION and not (is_expired := limits.expired):
-        next_point, blocking_bounds = solve_at(path_point, min(1.0, path_point.fraction + fraction_step))
+    fraction_step, inadmissible_kinds = 1.0, problem.inadmissible_kinds(path_point.change)
+    is_blocking_bound, is_time_expired = path_point.is_at_bound, False
+    while path_point.fraction < 1.0 and fraction_step >= MIN_FRACTION and not (is_time_expired := limits.expired):
+        next_point, is_blocking_bound = solve_at_fraction(path_point, min(1.0, path_point.fraction + fraction_step))
         if next_point is None:
             fraction_step *= 0.5
         else:
             path_point, fraction_step = next_point, 2.0 * fraction_step
-            virtual_kinds = problem.virtual_kinds(path_point.change)
-            last_admissible = last_admissible if virtual_kinds else path_point
-    if not virtual_kinds:
+            inadmissible_kinds = problem.inadmissible_kinds(path_point.change)
+            last_admissible_point = last_admissible_point if inadmissible_kinds else path_point
+    if not inadmissible_kinds:
         return (
-            path_point._replace(is_expired=is_expired),
-            path_point.at_bound if path_point.fraction == 1.0 or is_expired else blocking_bounds,
-            virtual_kinds,
+            path_point._replace(is_time_expired=is_time_expired),
+            path_point.is_at_bound if path_point.fraction == 1.0 or is_time_expired else is_blocking_bound,
+            inadmissible_kinds,
         )
-    upper_fraction = path_point.fraction
-    while upper_fraction - last_admissible.fraction > MIN_FRACTION and not (is_expired := is_expired or limits.expired):
-        middle_fraction = 0.5 * (last_admissible.fraction + upper_fraction)
-        next_point, _ = solve_at(last_admissible, middle_fraction)
-        if next_point is None or problem.virtual_kinds(next_point.change):
-            upper_fraction = middle_fraction
+    inadmissible_fraction = path_point.fraction
+    while inadmissible_fraction - last_admissible_point.fraction > MIN_FRACTION and not (
+        is_time_expired := is_time_expired or limits.expired
+    ):
+        middle_fraction = 0.5 * (last_admissible_point.fraction + inadmissible_fraction)
+        next_point, _ = solve_at_fraction(last_admissible_point, middle_fraction)
+        if next_point is None or problem.inadmissible_kinds(next_point.change):
+            inadmissible_fraction = middle_fraction
         else:
-            last_admissible = next_point
-    return last_admissible._replace(is_expired=is_expired), last_admissible.at_bound, virtual_kinds
+            last_admissible_point = next_point
+    return (
+        last_admissible_point._replace(is_time_expired=is_time_expired),
+        last_admissible_point.is_at_bound,
+        inadmissible_kinds,
+    )
 
 
-def _solve_within_bounds(problem, change, multipliers, at_bound, target_values):
+def _solve_within_bounds(problem, change_iterate, multipliers, is_at_bound, target_values):
     """Find the least change within the bounds that attains the target values, by an active-set method.
 
-    Returns the solution (change, multipliers, mask of the parameters at a bound, slope) and the last mask. The solution
-    is None if Newton's method fails.
+    Returns the solution and the last mask of the parameters at a bound. The solution is (change, multipliers, mask,
+    slope), or None if Newton's method fails.
     """
-    for _ in range(2 * len(change) + 1):
-        solution = _solve_kkt(problem, change, multipliers, at_bound, target_values)
+    for _ in range(2 * len(change_iterate) + 1):
+        solution = _solve_kkt(problem, change_iterate, multipliers, is_at_bound, target_values)
         if solution is None:
-            return None, at_bound
-        change, multipliers, gradient, slope = solution
-        excess = np.where(at_bound, 0.0, np.maximum(change - problem.upper, problem.lower - change))
-        release_rates = np.where(change >= problem.upper, -gradient, gradient)
-        release_excess = np.where(at_bound, release_rates, 0.0)  # positive if a parameter would leave its bound inwards
-        if excess.max() > ROUNDING_TOLERANCE:
-            worst_index = int(np.argmax(excess))
-            at_bound = at_bound | (np.arange(len(at_bound)) == worst_index)
-            change = np.clip(change, problem.lower, problem.upper)
-        elif release_excess.max() > ROUNDING_TOLERANCE * (1.0 + abs(gradient).max()):
-            at_bound = at_bound & (np.arange(len(at_bound)) != int(np.argmax(release_excess)))
+            return None, is_at_bound
+        change_iterate, multipliers, lagrangian_descent, slope = solution
+        bound_excess = np.where(
+            is_at_bound, 0.0, np.maximum(change_iterate - problem.upper, problem.lower - change_iterate)
+        )
+        inward_descent_rates = np.where(change_iterate >= problem.upper, -lagrangian_descent, lagrangian_descent)
+        descent_rates_at_bounds = np.where(
+            is_at_bound, inward_descent_rates, 0.0
+        )  # positive if a parameter would leave its bound inwards
+        if bound_excess.max() > ROUNDING_TOLERANCE:
+            worst_index = int(np.argmax(bound_excess))
+            is_at_bound = is_at_bound | (np.arange(len(is_at_bound)) == worst_index)
+            change_iterate = np.clip(change_iterate, problem.lower, problem.upper)
+        elif descent_rates_at_bounds.max() > ROUNDING_TOLERANCE * (1.0 + abs(lagrangian_descent).max()):
+            is_at_bound = is_at_bound & (np.arange(len(is_at_bound)) != int(np.argmax(descent_rates_at_bounds)))
         else:
-            return (change, multipliers, at_bound, slope), at_bound
-    return None, at_bound
+            return (change_iterate, multipliers, is_at_bound, slope), is_at_bound
+    return None, is_at_bound
 
 
-def _difference_points(change):
-    """Return the points of central differences about a change; the first is the change itself."""
-    steps = DIFFERENCE_STEP * np.eye(len(change))
-    return np.concatenate([change[None], change + steps, change - steps])
+def _difference_stencil(change):
+    """Return a change, followed by the points at which central differences about this change are evaluated."""
+    difference_steps = DIFFERENCE_STEP * np.eye(len(change))
+    return np.concatenate([change[None], change + difference_steps, change - difference_steps])
 
 
-def _solve_kkt(problem, change, multipliers, at_bound, target_values):
-    """Solve the Karush-Kuhn-Tucker conditions by Newton's method.
+def _solve_kkt(problem, change, multipliers, is_at_bound, target_values):
+    """Solve the Karush-Kuhn-Tucker conditions by Newton's method, with the parameters at a bound fixed.
 
-    Returns (change, multipliers, negative gradient of the Lagrangian, largest free component of the gradient), or None.
+    Returns (change, multipliers, negative gradient of the Lagrangian, largest free component of the gradient), or None
+    if the method fails.
     """
-    n_params, n_targets, step_length, is_free = len(change), len(target_values), np.inf, ~at_bound
+    n_params, n_targets, step_length, is_free = len(change), len(target_values), np.inf, ~is_at_bound
     for _ in range(MAX_ITERATIONS):
-        values, jacobians = problem.evaluate(_difference_points(change))
+        values, jacobians = problem.evaluate(_difference_stencil(change))
         if not (np.isfinite(values).all() and np.isfinite(jacobians).all()):
             return None
         jacobian, jacobian_derivatives = (
             jacobians[0],
             (jacobians[1 : n_params + 1] - jacobians[n_params + 1 :]) / (2.0 * DIFFERENCE_STEP),
         )
-        hessian = np.eye(n_params) + np.einsum("jci,c->ij", jacobian_derivatives, multipliers)
-        hessian = 0.5 * (hessian + hessian.T)
-        gradient, value_errors = change + multipliers @ jacobian, values[0] - target_values
-        tolerance = ROUNDING_TOLERANCE * (1.0 + abs(change).max())
+        lagrangian_hessian = np.eye(n_params) + np.einsum("jci,c->ij", jacobian_derivatives, multipliers)
+        lagrangian_hessian = 0.5 * (lagrangian_hessian + lagrangian_hessian.T)
+        lagrangian_gradient, value_errors = change + multipliers @ jacobian, values[0] - target_values
+        rounding_threshold = ROUNDING_TOLERANCE * (1.0 + abs(change).max())
         if step_length <= 1e-9 * (1.0 + abs(change).max()):
-            return change, multipliers, -gradient, float(abs(gradient[is_free]).max(initial=0.0))
+            return change, multipliers, -lagrangian_gradient, float(abs(lagrangian_gradient[is_free]).max(initial=0.0))
         if is_free.sum() < n_targets:
             return None
         kkt_matrix = np.zeros((is_free.sum() + n_targets,) * 2)
-        free_hessian = hessian[np.ix_(is_free, is_free)]
+        free_hessian = lagrangian_hessian[np.ix_(is_free, is_free)]
         kkt_matrix[:-n_targets, :-n_targets] = (
-            free_hessian if np.linalg.eigvalsh(free_hessian).min() > tolerance else np.eye(is_free.sum())
+            free_hessian if np.linalg.eigvalsh(free_hessian).min() > rounding_threshold else np.eye(is_free.sum())
         )
         kkt_matrix[-n_targets:, :-n_targets], kkt_matrix[:-n_targets, -n_targets:] = (
             jacobian[:, is_free],
@@ -384,49 +410,52 @@ def _solve_kkt(problem, change, multipliers, at_bound, target_values):
             solution = -np.linalg.solve(kkt_matrix, np.concatenate([change[is_free], value_errors]))
         except np.linalg.LinAlgError:
             return None
-        full_step, new_multipliers = np.zeros(n_params), solution[-n_targets:]
+        full_step, next_multipliers = np.zeros(n_params), solution[-n_targets:]
         full_step[is_free] = solution[:-n_targets]
         step_fraction = min(1.0, MAX_STEP * (1.0 + np.linalg.norm(change)) / max(np.linalg.norm(full_step), 1e-300))
         change, multipliers, step_length = (
             change + step_fraction * full_step,
-            new_multipliers,
+            next_multipliers,
             float(np.linalg.norm(full_step)),
         )
     return None
 
 
-def _make_placement(scene, problem, target_values, path_point, at_bound, virtual_kinds):
+def _make_placement(scene, problem, target_values, path_point, is_at_bound, inadmissible_kinds):
     change = path_point.change
-    new_scene = scene.replace(**dict(zip(problem.names, problem.start_values + change * problem.units, strict=True)))
-    values = problem.evaluate(_difference_points(change))[0][0]
-    names = tuple(name for name, is_bound in zip(problem.names, at_bound, strict=True) if is_bound)
-    reason = _failure_reason(path_point.fraction, virtual_kinds, names, path_point.is_expired)
+    new_scene = scene.replace(
+        **dict(zip(problem.names, problem.start_values + change * problem.parameter_units, strict=True))
+    )
+    values = problem.evaluate(_difference_stencil(change))[0][0]
+    bound_names = tuple(
+        name for name, is_parameter_at_bound in zip(problem.names, is_at_bound, strict=True) if is_parameter_at_bound
+    )
+    reason = _failure_reason(path_point.fraction, inadmissible_kinds, bound_names, path_point.is_time_expired)
     return Placement(
         scene=new_scene,
-        change=dict(zip(problem.names, map(float, change * problem.units), strict=True)),
+        change=dict(zip(problem.names, map(float, change * problem.parameter_units), strict=True)),
         distance=float(np.linalg.norm(change)),
         values=values,
         targets=target_values,
         met=not reason,
         why=reason,
-        at_bound=names,
+        at_bound=bound_names,
         slope=path_point.slope,
     )
 
 
-def _failure_reason(fraction, virtual_kinds, names, is_expired=False):
-    """State why the path to the targets ends, or return an empty string if they are attained.
+def _failure_reason(fraction, inadmissible_kinds, bound_names, is_time_expired=False):
+    """Return the reason why the path to the targets ends, or an empty string if the targets are attained.
 
-    `virtual_kinds` are the kinds of points whose orbits are inadmissible beyond the end, `names` the parameters at a
-    bound.
-    """
+    `inadmissible_kinds` are the kinds of special points whose orbits are inadmissible beyond the end of the path.
+    `bound_names` are the parameters at a bound."""
     if fraction == 1.0:
         return ""
     cause = "the point cannot be continued (it meets another point, or its value has an extremum)"
-    if is_expired:
+    if is_time_expired:
         cause = EXPIRED_REASON
-    elif virtual_kinds:
-        cause = f"the orbit of the {virtual_kinds[0]} passes through a wall beyond it"
-    elif names:
-        cause = f"{', '.join(names)} {'are' if len(names) > 1 else 'is'} at a bound"
+    elif inadmissible_kinds:
+        cause = f"the orbit of the {inadmissible_kinds[0]} passes through a wall beyond it"
+    elif bound_names:
+        cause = f"{', '.join(bound_names)} {'are' if len(bound_names) > 1 else 'is'} at a bound"
     return f"the path to the targets ends after {fraction:.3g} of its length: {cause}"

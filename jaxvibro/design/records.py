@@ -1,4 +1,4 @@
-"""Define records of measurements: impacts, samples and special points. Each record is checked when it is made."""
+"""Define records of measurements: impacts, samples and published special points."""
 
 from dataclasses import dataclass, replace
 
@@ -26,7 +26,7 @@ class ImpactRecord:
     phase : float or None, optional
         Phase of the drive at time 0, in rad. None if it is unknown.
     flawed : bool, optional
-        Whether impacts may be missing from the record or spurious.
+        True if impacts may be missing from the record or spurious.
 
     Raises
     ------
@@ -52,14 +52,14 @@ class ImpactRecord:
     flawed: bool = True
 
     def __post_init__(self) -> None:
-        times = _parse_row("times", self.times)
-        sides = _parse_matching_row("sides", self.sides, times)
+        times = _parse_vector("times", self.times)
+        sides = _parse_vector_per_time("sides", self.sides, times)
         if not np.all(np.isin(sides, (-1.0, 1.0))):
             raise check.ArgumentError("sides", "must be -1 (left) or 1 (right)", float(sides[abs(sides) != 1.0][0]))
-        _require_order(times, np.diff(times) < 0)
+        _require_time_order(times, np.diff(times) < 0)
         object.__setattr__(self, "times", times)
         object.__setattr__(self, "sides", sides.astype(int))
-        object.__setattr__(self, "sigma", positive_number("sigma", self.sigma))
+        object.__setattr__(self, "sigma", require_positive_number("sigma", self.sigma))
         object.__setattr__(self, "phase", _parse_phase(self.phase))
         if not isinstance(self.flawed, bool):
             raise check.ArgumentError("flawed", "must be True or False", self.flawed)
@@ -111,25 +111,26 @@ class SampleRecord:
     phase: float | None = 0.0
 
     def __post_init__(self) -> None:
-        times = _parse_row("times", self.times)
-        _require_order(times, np.diff(times) <= 0)
+        times = _parse_vector("times", self.times)
+        _require_time_order(times, np.diff(times) <= 0)
         object.__setattr__(self, "times", times)
         for key in ("x", "v"):
             column = getattr(self, key)
             if column is not None:
-                object.__setattr__(self, key, _parse_matching_row(key, column, times))
+                object.__setattr__(self, key, _parse_vector_per_time(key, column, times))
         if self.v is None and self.sigma_v is not None:
             raise check.ArgumentError("sigma_v", "must be omitted if v is not given", self.sigma_v)
-        object.__setattr__(self, "sigma", positive_number("sigma", self.sigma))
+        object.__setattr__(self, "sigma", require_positive_number("sigma", self.sigma))
         if self.sigma_v is not None:
-            object.__setattr__(self, "sigma_v", positive_number("sigma_v", self.sigma_v))
+            object.__setattr__(self, "sigma_v", require_positive_number("sigma_v", self.sigma_v))
         object.__setattr__(self, "phase", _parse_phase(self.phase))
 
     @property
     def measured(self) -> tuple[Float[np.ndarray, "samples channels"], Float[np.ndarray, " channels"]]:
-        """Measured values and their errors.
+        """Measured values and their standard errors.
 
-        A tuple of the values, ``x`` first, of shape (samples, 1) or (samples, 2), and the standard errors of both.
+        Tuple of the values of ``x``, and of ``v`` if it is measured, of shape (samples, channels), and the standard
+        errors of shape (channels,).
         """
         if self.v is None:
             return np.asarray(self.x)[:, None], np.array([self.sigma])
@@ -189,12 +190,12 @@ def record_from_physical(record: ImpactRecord | SampleRecord, scene: Scene) -> I
     )
 
 
-def positive_number(key, value):
+def require_positive_number(argument_name, value):
     """Convert a value to a positive float.
 
     Parameters
     ----------
-    key : str
+    argument_name : str
         Name of the argument, for the error message.
     value : float
         Value to convert.
@@ -209,33 +210,35 @@ def positive_number(key, value):
     ArgumentError
         If the value is not a finite number greater than 0.
     """
-    number = check.finite_array(key, value, np.float64)
+    number = check.check_finite_array(argument_name, value, np.float64)
     if number.ndim or number <= 0:
-        raise check.ArgumentError(key, "must be a number greater than 0", value)
+        raise check.ArgumentError(argument_name, "must be a number greater than 0", value)
     return float(number)
 
 
-def _parse_matching_row(key, value, times):
-    array = _parse_row(key, value)
-    if len(array) != len(times):
-        raise check.ArgumentError(key, f"must have one entry for each time, {len(times)}", len(array))
-    return array
+def _parse_vector_per_time(argument_name, value, times):
+    values_per_time = _parse_vector(argument_name, value)
+    if len(values_per_time) != len(times):
+        raise check.ArgumentError(
+            argument_name, f"must have one entry for each time, {len(times)}", len(values_per_time)
+        )
+    return values_per_time
 
 
-def _require_order(times, is_wrong):
-    if np.any(is_wrong):
-        bad_index = int(np.flatnonzero(is_wrong)[0]) + 1
-        raise check.ArgumentError("times", "must be in order", float(times[bad_index]), (bad_index,))
+def _require_time_order(times, is_out_of_order):
+    if np.any(is_out_of_order):
+        first_wrong_index = int(np.flatnonzero(is_out_of_order)[0]) + 1
+        raise check.ArgumentError("times", "must be in order", float(times[first_wrong_index]), (first_wrong_index,))
 
 
 def _parse_phase(value):
-    return None if value is None else float(check.finite_array("phase", value, np.float64))
+    return None if value is None else float(check.check_finite_array("phase", value, np.float64))
 
 
-def _parse_row(key, value):
-    array = check.finite_array(key, value, np.float64)
+def _parse_vector(argument_name, value):
+    array = check.check_finite_array(argument_name, value, np.float64)
     if array.ndim != 1 or not len(array):
-        raise check.ArgumentError(key, "must be a one-dimensional array with at least one number", value)
+        raise check.ArgumentError(argument_name, "must be a one-dimensional array with at least one number", value)
     return array
 
 
@@ -278,7 +281,7 @@ class PointRecord:
     walls: tuple[str | None, ...] = ()
 
     def __post_init__(self) -> None:
-        points, values = tuple(self.points), _parse_row("values", self.values)
+        points, values = tuple(self.points), _parse_vector("values", self.values)
         if len(points) != len(values):
             raise check.ArgumentError("values", f"must have one entry for each point, {len(points)}", len(values))
         for point in points:
@@ -290,4 +293,4 @@ class PointRecord:
         object.__setattr__(self, "walls", walls)
         object.__setattr__(self, "points", points)
         object.__setattr__(self, "values", values)
-        object.__setattr__(self, "sigma", positive_number("sigma", self.sigma))
+        object.__setattr__(self, "sigma", require_positive_number("sigma", self.sigma))

@@ -1,9 +1,9 @@
-"""Fit parameters of a scene to samples of a motion: least squares under continuity of consecutive shots.
+"""Fit parameters of a scene to samples of a motion by least squares, with continuous consecutive shots.
 
-A record is processed from its beginning, because a small error of the frequency is a large error of the phase of a late
-sample. The motion is predicted as far as its errors allow, and solved again. At the beginning, and where the motion
-leaves the record, many states and parameters are tried. The candidates that agree best with the next samples are
-continued.
+A record is processed from its beginning, because a small error of the frequency causes a large error of the phase of a
+late sample. The motion is predicted as far as its errors allow, and the fit is then repeated with the additional
+samples. At the beginning, and where the prediction deviates from the record, many states and parameters are tried. The
+candidates that agree best with the next samples are continued.
 """
 
 from functools import partial
@@ -14,11 +14,17 @@ import scipy
 from jaxtyping import Float
 
 from ..scene.scene import Scene, replace_unchecked
-from . import least_squares
-from .least_squares import FreeParameters, LeastSquaresProblem, LeastSquaresSolution, Linearisation, largest_chi2
-from .next_impact import make_wall_motion, wall_state
+from . import constrained_least_squares
+from .constrained_least_squares import (
+    FreeParameterSpec,
+    LeastSquaresProblem,
+    LeastSquaresSolution,
+    Linearisation,
+    max_plausible_chi2,
+)
+from .impact_prediction import make_wall_properties, wall_position_velocity
+from .multiple_shooting import Shots, divide_into_shots, rigid_wall_clearances, sample_motions, simulate_shots
 from .records import SampleRecord
-from .shooting import Shots, fly_shots, lay_out_shots, sample_motions, wall_clearances
 
 # Newton steps; tolerance of the step while the record is followed, in standard errors and scales
 MAX_ITERATIONS, ROUGH_TOLERANCE = 20, 1e-2
@@ -37,91 +43,123 @@ MIN_CLEARANCE_FRACTION = 0.25  # fraction of the clearance of a node that a step
 MAX_HALVINGS = 30
 
 
-class Samples(NamedTuple):
-    """Problem of a fit: scene, phase, shots, measured values (record, channels), their errors, free parameters."""
+class SampleFitProblem(NamedTuple):
+    """Problem of a fit to a record of samples.
+
+    Attributes
+    ----------
+    scene : Scene
+        Initial scene.
+    phase : float
+        Phase of the drive at time 0. If the phase is a free parameter, only the division into shots uses this value.
+    shots : Shots
+        Shots of the record.
+    measurements : numpy.ndarray
+        Measured values of x, or of x and v. Array of shape (record, channels).
+    sigma : numpy.ndarray
+        Standard error of each channel. Array of shape (channels,).
+    free_spec : FreeParameterSpec
+        Free parameters.
+    """
 
     scene: Scene
     phase: float
     shots: Shots
     measurements: Float[np.ndarray, "record channels"]
     sigma: Float[np.ndarray, " channels"]
-    free_params: FreeParameters
+    free_spec: FreeParameterSpec
 
-    def scene_and_phase(self, parameters: Float[np.ndarray, " free"]) -> tuple[Scene, float]:
-        """Return the scene with the given parameters, and the phase."""
-        return self.free_params.scene_and_phase(self.scene, self.phase, parameters)
+    def scene_and_start_phase(self, parameters: Float[np.ndarray, " free"]) -> tuple[Scene, float]:
+        """Return the scene with the given parameters, and the phase of the drive at time 0."""
+        return self.free_spec.scene_and_start_phase(self.scene, self.phase, parameters)
 
 
-def make_samples(scene: Scene, data: SampleRecord, free_params: FreeParameters) -> Samples:
-    """Make the `Samples` of a record."""
-    (measurements, sigma), phase = data.measured, data.phase or 0.0
-    return Samples(
-        scene, phase, lay_out_shots(scene, phase, data.times, measurements[:, 0]), measurements, sigma, free_params
+def make_sample_problem(scene: Scene, data: SampleRecord, free_spec: FreeParameterSpec) -> SampleFitProblem:
+    """Make the `SampleFitProblem` of a record."""
+    (measurements, sigma), start_phase = data.measured, data.phase or 0.0
+    return SampleFitProblem(
+        scene,
+        start_phase,
+        divide_into_shots(scene, start_phase, data.times, measurements[:, 0]),
+        measurements,
+        sigma,
+        free_spec,
     )
 
 
-def follow_record(samples: Samples) -> LeastSquaresSolution | None:
-    """Return the `LeastSquaresSolution` of a whole record, or None if no motion follows it."""
-    for state, parameters in _start_candidates(samples):
-        solution = _grow_solution(
-            samples._replace(free_params=samples.free_params.with_start_phase(parameters)), state, parameters
+def follow_sample_record(fit_problem: SampleFitProblem) -> LeastSquaresSolution | None:
+    """Fit a whole record; return the `LeastSquaresSolution`, or None if no motion agrees with the record."""
+    for state, parameters in _first_state_candidates(fit_problem):
+        solution = _extend_to_whole_record(
+            fit_problem._replace(free_spec=fit_problem.free_spec.with_start_phase(parameters)), state, parameters
         )
         if solution is not None:
             return solution
     return None
 
 
-def _grow_solution(samples, state, parameters):
-    """Extend the solution from the first shot to all shots, or return None if it breaks off.
+def _extend_to_whole_record(fit_problem, state, parameters):
+    """Fit the first shot and extend the solution to all shots, or return None if the solution becomes unacceptable.
 
-    The motion is predicted from the last node as long as it follows the record, and then solved again.
+    The motion is predicted from the last node as long as it agrees with the record. The fit is then repeated with the
+    new nodes.
     """
-    solution = _solve_nodes(samples, state[None], samples.free_params, parameters, MAX_ITERATIONS, ROUGH_TOLERANCE)
-    while _is_acceptable(samples, solution) and len(solution.nodes) < len(samples.shots.start_indices):
-        next_states = _predict_states(samples, solution)
-        new_solution = _add_nodes(samples, solution, next_states)
-        if not _is_acceptable(samples, new_solution) and len(next_states) > 1:
-            new_solution = _add_nodes(samples, solution, next_states[:1])
-        if not _is_acceptable(samples, new_solution) or _is_expensive(solution, new_solution):
-            alternatives = _state_candidates(
-                samples, _draw_parameters(samples.free_params, solution), len(solution.nodes)
-            )[:MAX_OPENINGS]
-            alternatives = [
-                _add_nodes(samples, solution._replace(parameters=parameters), node_state[None])
-                for node_state, parameters in alternatives
-            ]
-            new_solution = min((new_solution, *alternatives), key=_total_cost)
-        solution = new_solution
-    return solution if _is_acceptable(samples, solution) else None
-
-
-def _is_acceptable(samples, solution):
-    """Check that noise may have made the record from the solution, with an allowance for underestimated errors.
-
-    At a grazing, where steps need not become short, the last step is accepted.
-    """
-    chi2_limit = ERROR_FACTOR**2 * largest_chi2(len(solution.residuals) - 2)
-    is_closed = solution.converged or solution.max_constraint <= CONSTRAINT_FRACTION * np.min(samples.sigma)
-    return bool(is_closed and solution.chi2 + solution.prior_chi2 <= chi2_limit)
-
-
-def _is_expensive(solution, new_solution):
-    """Check whether additional samples cost more than noise nearly always does."""
-    n_new = len(new_solution.residuals) - len(solution.residuals)
-    return _total_cost(new_solution) - _total_cost(solution) > n_new + MAX_DEVIATIONS * np.sqrt(2.0 * n_new)
-
-
-def _draw_parameters(free_params, solution):
-    """Draw plausible parameters; the first are those of the solution."""
-    remaining_range, deviations = (
-        free_params.remaining_range(solution.parameters),
-        np.random.default_rng(0).normal(size=(N_DRAWS, len(free_params.names))),
+    solution = _solve_first_shots(
+        fit_problem, state[None], fit_problem.free_spec, parameters, MAX_ITERATIONS, ROUGH_TOLERANCE
     )
-    eigenvalues, eigenvectors = np.linalg.eigh(np.nan_to_num(solution.covariance))
-    deviations = (deviations * np.sqrt(np.maximum(eigenvalues, 0.0))) @ eigenvectors.T
+    while _is_acceptable_solution(fit_problem, solution) and len(solution.nodes) < len(fit_problem.shots.start_indices):
+        predicted_states = _simulate_next_nodes(fit_problem, solution)
+        longer_solution = _refit_with_more_nodes(fit_problem, solution, predicted_states)
+        if not _is_acceptable_solution(fit_problem, longer_solution) and len(predicted_states) > 1:
+            longer_solution = _refit_with_more_nodes(fit_problem, solution, predicted_states[:1])
+        if not _is_acceptable_solution(fit_problem, longer_solution) or _is_extension_expensive(
+            solution, longer_solution
+        ):
+            alternative_solutions = _rank_state_candidates(
+                fit_problem, _draw_plausible_params(fit_problem.free_spec, solution), len(solution.nodes)
+            )[:MAX_OPENINGS]
+            alternative_solutions = [
+                _refit_with_more_nodes(fit_problem, solution._replace(parameters=parameters), node_state[None])
+                for node_state, parameters in alternative_solutions
+            ]
+            longer_solution = min((longer_solution, *alternative_solutions), key=_total_cost)
+        solution = longer_solution
+    return solution if _is_acceptable_solution(fit_problem, solution) else None
+
+
+def _is_acceptable_solution(fit_problem, solution):
+    """Check that noise explains the residuals of a solution, with an allowance for underestimated errors.
+
+    A solution that has not converged is accepted if its shots are continuous, because at a grazing the steps of the
+    iteration need not become short.
+    """
+    max_chi2 = ERROR_FACTOR**2 * max_plausible_chi2(len(solution.residuals) - 2)
+    is_continuous = solution.converged or solution.max_constraint <= CONSTRAINT_FRACTION * np.min(fit_problem.sigma)
+    return bool(is_continuous and solution.chi2 + solution.prior_chi2 <= max_chi2)
+
+
+def _is_extension_expensive(solution, longer_solution):
+    """Return True if additional samples increase the cost by more than noise plausibly does."""
+    n_new_residuals = len(longer_solution.residuals) - len(solution.residuals)
+    return _total_cost(longer_solution) - _total_cost(solution) > n_new_residuals + MAX_DEVIATIONS * np.sqrt(
+        2.0 * n_new_residuals
+    )
+
+
+def _draw_plausible_params(free_spec, solution):
+    """Draw random parameters from the covariance of a solution; the first row holds the parameters of the solution."""
+    change_bounds, parameter_deviations = (
+        free_spec.remaining_change_bounds(solution.parameters),
+        np.random.default_rng(0).normal(size=(N_DRAWS, len(free_spec.names))),
+    )
+    principal_variances, principal_directions = np.linalg.eigh(np.nan_to_num(solution.covariance))
+    parameter_deviations = (
+        parameter_deviations * np.sqrt(np.maximum(principal_variances, 0.0))
+    ) @ principal_directions.T
     return (
         solution.parameters
-        + np.concatenate([0.0 * deviations[:1], np.clip(deviations, *remaining_range)]) * free_params.scales
+        + np.concatenate([0.0 * parameter_deviations[:1], np.clip(parameter_deviations, *change_bounds)])
+        * free_spec.scales
     )
 
 
@@ -129,116 +167,149 @@ def _total_cost(solution):
     return solution.chi2 + solution.prior_chi2 if np.isfinite(solution.chi2) else np.inf
 
 
-def _add_nodes(samples, solution, new_states):
-    """Return the `LeastSquaresSolution` with additional nodes."""
-    states = np.concatenate([solution.nodes, new_states])
-    return _solve_nodes(samples, states, samples.free_params, solution.parameters, MAX_ITERATIONS, ROUGH_TOLERANCE)
+def _refit_with_more_nodes(fit_problem, solution, new_states):
+    """Fit a solution again with additional nodes; return the `LeastSquaresSolution`."""
+    node_states = np.concatenate([solution.nodes, new_states])
+    return _solve_first_shots(
+        fit_problem, node_states, fit_problem.free_spec, solution.parameters, MAX_ITERATIONS, ROUGH_TOLERANCE
+    )
 
 
-def _predict_states(samples, solution):
-    """Predict the states of the next nodes from the last one, up to the point at which the motion leaves the record."""
-    n_nodes, n_channels, n_params = len(solution.nodes), len(samples.sigma), len(solution.parameters)
-    names, phase = samples.free_params.split_phase(solution.parameters, samples.phase)
-    covariance, state, sensitivity = (
+def _simulate_next_nodes(fit_problem, solution):
+    """Predict the states of the next nodes from the last node.
+
+    The prediction continues as long as the motion agrees with the record and its standard errors are small. The number
+    of predicted nodes is at least 1 and at most the number of nodes of the solution.
+    """
+    n_nodes, n_channels, n_params = len(solution.nodes), len(fit_problem.sigma), len(solution.parameters)
+    parameter_names, start_phase = fit_problem.free_spec.separate_start_phase(solution.parameters, fit_problem.phase)
+    covariance, state, state_sensitivity = (
         solution.covariance_with([2 * n_nodes - 2, 2 * n_nodes - 1]),
         solution.nodes[-1],
         np.eye(2, 2 + n_params),
     )
-    states = []
-    for k in range(n_nodes - 1, min(len(samples.shots.start_indices), 2 * n_nodes) - 1):
-        shot = samples.shots.single_shot(k)
-        shot_result = fly_shots(samples.scene, names, shot, state[None], solution.parameters[: len(names)], phase)
-        derivatives = shot_result.derivatives[0, ..., : 2 + n_params] * np.append(
-            [1.0, 1.0], samples.free_params.scales
+    predicted_states = []
+    for shot_index in range(n_nodes - 1, min(len(fit_problem.shots.start_indices), 2 * n_nodes) - 1):
+        shot = fit_problem.shots.single_shot(shot_index)
+        shot_result = simulate_shots(
+            fit_problem.scene,
+            parameter_names,
+            shot,
+            state[None],
+            solution.parameters[: len(parameter_names)],
+            start_phase,
         )
-        derivatives = derivatives[..., :2] @ sensitivity + np.concatenate(
-            [np.zeros((*derivatives.shape[:2], 2)), derivatives[..., 2:]], -1
+        sample_derivatives = shot_result.derivatives[0, ..., : 2 + n_params] * np.append(
+            [1.0, 1.0], fit_problem.free_spec.scales
         )
-        if k >= n_nodes:
-            errors = np.sqrt(np.maximum(np.einsum("tcu,uw,tcw->tc", derivatives, covariance, derivatives), 0.0))[
-                :, :n_channels
-            ]
-            deviation = abs(shot_result.values[0, :, :n_channels] - samples.measurements[shot.sample_indices[0]])
+        sample_derivatives = sample_derivatives[..., :2] @ state_sensitivity + np.concatenate(
+            [np.zeros((*sample_derivatives.shape[:2], 2)), sample_derivatives[..., 2:]], -1
+        )
+        if shot_index >= n_nodes:
+            prediction_errors = np.sqrt(
+                np.maximum(np.einsum("tcu,uw,tcw->tc", sample_derivatives, covariance, sample_derivatives), 0.0)
+            )[:, :n_channels]
+            sample_deviations = abs(
+                shot_result.values[0, :, :n_channels] - fit_problem.measurements[shot.sample_indices[0]]
+            )
             if not np.all(
-                (deviation <= MATCH_ERRORS * np.hypot(errors, samples.sigma)) & (errors <= SURE_ERRORS * samples.sigma)
+                (sample_deviations <= MATCH_ERRORS * np.hypot(prediction_errors, fit_problem.sigma))
+                & (prediction_errors <= SURE_ERRORS * fit_problem.sigma)
             ):
-                return np.array(states[: max(1, len(states) - 1)])
-        state, sensitivity = shot_result.values[0, -1], derivatives[-1]
-        states.append(state)
-    return np.array(states)
+                return np.array(predicted_states[: max(1, len(predicted_states) - 1)])
+        state, state_sensitivity = shot_result.values[0, -1], sample_derivatives[-1]
+        predicted_states.append(state)
+    return np.array(predicted_states)
 
 
-def solve_samples(
-    samples: Samples, solution: LeastSquaresSolution, free_params: FreeParameters
+def solve_whole_record(
+    fit_problem: SampleFitProblem, solution: LeastSquaresSolution, free_spec: FreeParameterSpec
 ) -> LeastSquaresSolution:
-    """Solve the least squares of the whole record with other free parameters, from an earlier solution."""
-    return _solve_nodes(samples, solution.nodes, free_params, solution.parameters)
+    """Fit the whole record with another `FreeParameterSpec`, starting from an earlier solution."""
+    return _solve_first_shots(fit_problem, solution.nodes, free_spec, solution.parameters)
 
 
-def _solve_nodes(samples, states, free_params, parameters, *stop_settings):
-    """Solve the least squares of the first shots from approximate states and parameters.
+def _solve_first_shots(fit_problem, node_states, free_spec, parameters, *stop_settings):
+    """Fit the first shots from approximate states of their nodes and approximate parameters.
 
-    `stop_settings` are those of `solve_least_squares`.
+    `stop_settings` are the last arguments of `solve_least_squares`.
     """
-    shots = samples.shots.first_shots(len(states))
+    shots = fit_problem.shots.first_shots(len(node_states))
     problem = LeastSquaresProblem(
-        partial(_linearise, samples, shots), _shift_nodes, partial(_max_step_fraction, samples, shots)
+        partial(_linearise_shots, fit_problem, shots), _add_node_change, partial(_max_step_fraction, fit_problem, shots)
     )
-    return least_squares.solve_least_squares(problem, states, free_params, parameters, *stop_settings)
+    return constrained_least_squares.solve_least_squares(problem, node_states, free_spec, parameters, *stop_settings)
 
 
-def _linearise(samples, shots, states, parameters):
-    """Return the `Linearisation` of the shots at states and parameters."""
-    names, phase = samples.free_params.split_phase(parameters, samples.phase)
-    shot_results = fly_shots(samples.scene, names, shots, states, parameters[: len(names)], phase)
-    n_nodes, n_times, n_params, n_channels = (
-        len(states),
+def _linearise_shots(fit_problem, shots, node_states, parameters):
+    """Return the `Linearisation` of the shots at states of the nodes and parameters."""
+    parameter_names, start_phase = fit_problem.free_spec.separate_start_phase(parameters, fit_problem.phase)
+    shot_results = simulate_shots(
+        fit_problem.scene, parameter_names, shots, node_states, parameters[: len(parameter_names)], start_phase
+    )
+    n_nodes, max_samples_per_shot, n_params, n_channels = (
+        len(node_states),
         shot_results.values.shape[1],
         len(parameters),
-        len(samples.sigma),
+        len(fit_problem.sigma),
     )
-    derivatives = shot_results.derivatives[..., : 2 + n_params] * np.append([1.0, 1.0], samples.free_params.scales)
-    node_column, derivative_indices = np.repeat(np.arange(n_nodes), 2 * n_times)[:, None], np.arange(2 + n_params)
-    columns = np.where(
-        derivative_indices < 2, 2 * node_column + derivative_indices, 2 * n_nodes - 2 + derivative_indices
+    state_jacobian = shot_results.derivatives[..., : 2 + n_params] * np.append([1.0, 1.0], fit_problem.free_spec.scales)
+    node_of_row, derivative_columns = (
+        np.repeat(np.arange(n_nodes), 2 * max_samples_per_shot)[:, None],
+        np.arange(2 + n_params),
     )
-    derivatives = scipy.sparse.csr_array(
-        (derivatives.ravel(), columns.ravel(), np.arange(0, derivatives.size + 1, 2 + n_params))
+    jacobian_columns = np.where(
+        derivative_columns < 2, 2 * node_of_row + derivative_columns, 2 * n_nodes - 2 + derivative_columns
     )
-    identity = scipy.sparse.eye_array(2 * n_nodes, 2 * n_nodes + n_params, format="csr")
-    inner_nodes, end_indices = np.arange(n_nodes - 1), shots.n_samples[:-1] - 1
+    state_jacobian = scipy.sparse.csr_array(
+        (state_jacobian.ravel(), jacobian_columns.ravel(), np.arange(0, state_jacobian.size + 1, 2 + n_params))
+    )
+    node_jacobian = scipy.sparse.eye_array(2 * n_nodes, 2 * n_nodes + n_params, format="csr")
+    inner_node_indices, shot_end_indices = np.arange(n_nodes - 1), shots.n_samples[:-1] - 1
     constraints, constraint_jacobian = (
-        shot_results.values[inner_nodes, end_indices] - states[1:],
-        derivatives[_channel_rows(inner_nodes * n_times + end_indices)] - identity[2:],
+        shot_results.values[inner_node_indices, shot_end_indices] - node_states[1:],
+        state_jacobian[_rows_of_states(inner_node_indices * max_samples_per_shot + shot_end_indices)]
+        - node_jacobian[2:],
     )
-    is_used = np.arange(n_times) < shots.n_samples[:, None] - (np.arange(n_nodes) < n_nodes - 1)[:, None]
-    sample_indices = np.concatenate([shots.start_indices, shots.sample_indices[is_used]])
-    order = np.argsort(sample_indices)  # order of the record
-    values = np.concatenate([states, shot_results.values[is_used]])[order, :n_channels]
-    rows = np.concatenate([np.arange(n_nodes), n_nodes + np.flatnonzero(is_used)])[order]
-    value_jacobian = scipy.sparse.vstack([identity, derivatives], format="csr")[_channel_rows(rows, n_channels)]
-    residuals = (values - samples.measurements[sample_indices[order]]) / samples.sigma
-    inverse_errors = scipy.sparse.diags_array(np.tile(1.0 / samples.sigma, len(values)))
-    return Linearisation(constraints.ravel(), constraint_jacobian, residuals.ravel(), inverse_errors @ value_jacobian)
+    is_sample_of_shot = (
+        np.arange(max_samples_per_shot) < shots.n_samples[:, None] - (np.arange(n_nodes) < n_nodes - 1)[:, None]
+    )
+    sample_indices = np.concatenate([shots.start_indices, shots.sample_indices[is_sample_of_shot]])
+    record_order = np.argsort(sample_indices)  # order of the record
+    computed_values = np.concatenate([node_states, shot_results.values[is_sample_of_shot]])[record_order, :n_channels]
+    sample_state_indices = np.concatenate([np.arange(n_nodes), n_nodes + np.flatnonzero(is_sample_of_shot)])[
+        record_order
+    ]
+    value_jacobian = scipy.sparse.vstack([node_jacobian, state_jacobian], format="csr")[
+        _rows_of_states(sample_state_indices, n_channels)
+    ]
+    residuals = (computed_values - fit_problem.measurements[sample_indices[record_order]]) / fit_problem.sigma
+    inverse_error_matrix = scipy.sparse.diags_array(np.tile(1.0 / fit_problem.sigma, len(computed_values)))
+    return Linearisation(
+        constraints.ravel(), constraint_jacobian, residuals.ravel(), inverse_error_matrix @ value_jacobian
+    )
 
 
-def _channel_rows(state_indices, n_channels=2):
-    """Return the rows of x and v, or of x alone, of states."""
+def _rows_of_states(state_indices, n_channels=2):
+    """Return the indices of x and v, or of x alone, of some states in an array that lists x, v of all states."""
     return (2 * state_indices[:, None] + np.arange(n_channels)).ravel()
 
 
-def _shift_nodes(states, change):
-    return states + change.reshape(-1, 2)
+def _add_node_change(node_states, node_change):
+    return node_states + node_change.reshape(-1, 2)
 
 
-def _max_step_fraction(samples, shots, states, parameters, state_change, parameter_change):
-    """Return the largest tried fraction of a step that keeps all nodes between the walls."""
+def _max_step_fraction(fit_problem, shots, node_states, parameters, node_change, parameter_change):
+    """Return the largest tried fraction of a step that keeps all nodes between the rigid walls.
+
+    The clearance of each node may decrease to `MIN_CLEARANCE_FRACTION` of its value before the step.
+    """
     times, fraction = shots.times[shots.start_indices], 1.0
-    clearances_before = wall_clearances(*samples.scene_and_phase(parameters), times, states[:, 0])
+    clearances_before = rigid_wall_clearances(*fit_problem.scene_and_start_phase(parameters), times, node_states[:, 0])
     for _ in range(MAX_HALVINGS):
-        moved_scene = samples.scene_and_phase(parameters + fraction * parameter_change)
+        scene_and_phase = fit_problem.scene_and_start_phase(parameters + fraction * parameter_change)
         if np.all(
-            wall_clearances(*moved_scene, times, _shift_nodes(states, fraction * state_change)[:, 0])
+            rigid_wall_clearances(*scene_and_phase, times, _add_node_change(node_states, fraction * node_change)[:, 0])
             >= MIN_CLEARANCE_FRACTION * clearances_before
         ):
             break
@@ -246,71 +317,88 @@ def _max_step_fraction(samples, shots, states, parameters, state_change, paramet
     return fraction
 
 
-def _start_candidates(samples):
-    """Yield (first state, parameters) in order of plausibility.
+def _first_state_candidates(fit_problem):
+    """Yield (first state, parameters): candidates with the initial parameters, then with random parameters.
 
-    The initial parameters come first, then others within their scales; all phases if the phase is unknown.
+    Each group is in order of decreasing plausibility. The random parameters are normally distributed about the initial
+    ones, with their scales as standard deviations, and lie within the bounds. If the phase is unknown, the initial
+    parameters are combined with many phases instead of random parameters.
     """
-    free_params, times = samples.free_params, samples.shots.times
-    if free_params.names[-1] == "phase":
-        angles = 2.0 * np.pi * np.arange(N_PHASES) / N_PHASES
-        period = 2.0 * np.pi / float(samples.scene.frequency)
-        late_indices = np.searchsorted(times, times[0] + np.arange(1, N_LOOKAHEAD + 1) * period / N_LOOKAHEAD)
-        check_indices = np.maximum(np.minimum(late_indices, len(times) - 1), np.arange(1, N_LOOKAHEAD + 1))
-        yield from _state_candidates(
-            samples, np.stack([np.append(free_params.start_values[:-1], angle) for angle in angles]), 0, check_indices
+    free_spec, times = fit_problem.free_spec, fit_problem.shots.times
+    if free_spec.names[-1] == "phase":
+        start_phases = 2.0 * np.pi * np.arange(N_PHASES) / N_PHASES
+        period = 2.0 * np.pi / float(fit_problem.scene.frequency)
+        lookahead_indices = np.searchsorted(times, times[0] + np.arange(1, N_LOOKAHEAD + 1) * period / N_LOOKAHEAD)
+        ranking_indices = np.maximum(np.minimum(lookahead_indices, len(times) - 1), np.arange(1, N_LOOKAHEAD + 1))
+        yield from _rank_state_candidates(
+            fit_problem,
+            np.stack([np.append(free_spec.start_values[:-1], start_phase) for start_phase in start_phases]),
+            0,
+            ranking_indices,
         )
         return
-    yield from _state_candidates(samples, free_params.start_values[None], 0)[:MAX_OPENINGS]
-    deviations = np.clip(
-        np.random.default_rng(0).normal(size=(N_DRAWS, len(free_params.names))), free_params.lower, free_params.upper
+    yield from _rank_state_candidates(fit_problem, free_spec.start_values[None], 0)[:MAX_OPENINGS]
+    parameter_deviations = np.clip(
+        np.random.default_rng(0).normal(size=(N_DRAWS, len(free_spec.names))), free_spec.lower, free_spec.upper
     )
-    yield from _state_candidates(samples, free_params.start_values + deviations * free_params.scales, 0)
+    yield from _rank_state_candidates(fit_problem, free_spec.start_values + parameter_deviations * free_spec.scales, 0)
 
 
-def _state_candidates(samples, parameters, node_index, check_indices=None):
-    """Return [(state of a node, parameters)] that agree with the following samples, in order of plausibility.
+def _rank_state_candidates(fit_problem, candidate_parameters, node_index, ranking_indices=None):
+    """Return [(state of a node, parameters)] that agree with the following samples, the most plausible first.
 
-    The state is as measured, or has one of many velocities. `parameters` has shape (candidates, free). `check_indices`
-    are the samples that rank the candidates, by default the next ones.
+    The position is the measured position. The velocity is the measured velocity, or a trial velocity if the record
+    contains no velocities. `candidate_parameters` has shape (candidates, free). `ranking_indices` are the indices of
+    the samples that rank the candidates, by default those of the next samples.
     """
     sample_index, times, measurements = (
-        samples.shots.start_indices[node_index],
-        samples.shots.times,
-        samples.measurements,
+        fit_problem.shots.start_indices[node_index],
+        fit_problem.shots.times,
+        fit_problem.measurements,
     )
-    scene, phase = samples.scene_and_phase(parameters[0])
-    x = _clip_to_walls(scene, phase, times[sample_index], measurements[sample_index, 0], samples.sigma[0])
-    ranges = np.maximum(np.ptp(measurements, axis=0), samples.sigma)
+    scene, start_phase = fit_problem.scene_and_start_phase(candidate_parameters[0])
+    x = _move_inside_rigid_walls(
+        scene, start_phase, times[sample_index], measurements[sample_index, 0], fit_problem.sigma[0]
+    )
+    measurement_ranges = np.maximum(np.ptp(measurements, axis=0), fit_problem.sigma)
     force_amplitude = sum((abs(float(term.amplitude)) for term in scene.drive), abs(float(scene.amplitude)))
-    max_speed = SPEED_FACTOR * max(1.0, float(scene.frequency)) * (ranges[0] + force_amplitude)
-    speeds = measurements[sample_index, 1:] if len(ranges) > 1 else max_speed * np.linspace(-1.0, 1.0, N_VELOCITIES)
-    parameter_rows, trial_speeds = np.repeat(parameters, len(speeds), axis=0), np.tile(speeds, len(parameters))
-    names, phases = samples.free_params.split_phase(parameter_rows.T, samples.phase)
-    scenes = replace_unchecked(scene, dict(zip(names, parameter_rows.T, strict=False)))
-    check_indices = np.minimum(
-        sample_index + np.arange(1, N_LOOKAHEAD + 1) if check_indices is None else check_indices, len(times) - 1
+    max_speed = SPEED_FACTOR * max(1.0, float(scene.frequency)) * (measurement_ranges[0] + force_amplitude)
+    velocities = (
+        measurements[sample_index, 1:]
+        if len(measurement_ranges) > 1
+        else max_speed * np.linspace(-1.0, 1.0, N_VELOCITIES)
+    )
+    trial_parameters, trial_velocities = (
+        np.repeat(candidate_parameters, len(velocities), axis=0),
+        np.tile(velocities, len(candidate_parameters)),
+    )
+    parameter_names, start_phases = fit_problem.free_spec.separate_start_phase(trial_parameters.T, fit_problem.phase)
+    scenes = replace_unchecked(scene, dict(zip(parameter_names, trial_parameters.T, strict=False)))
+    ranking_indices = np.minimum(
+        sample_index + np.arange(1, N_LOOKAHEAD + 1) if ranking_indices is None else ranking_indices, len(times) - 1
     )
     states, start_times = (
-        np.stack([np.full(len(trial_speeds), x), trial_speeds], 1),
-        np.full(len(trial_speeds), times[sample_index]),
+        np.stack([np.full(len(trial_velocities), x), trial_velocities], 1),
+        np.full(len(trial_velocities), times[sample_index]),
     )
     predictions = sample_motions(
-        scenes, phases, states, start_times, np.tile(times[check_indices], (len(trial_speeds), 1))
-    )[..., : len(ranges)]
-    deviations = np.nan_to_num((predictions - measurements[check_indices]) / (MISFIT_WIDTH * ranges), nan=np.inf)
-    cost = np.sum(np.minimum(deviations**2, 1.0), axis=(1, 2)).reshape(len(parameters), -1)
-    padded_cost = np.pad(cost, ((0, 0), (1, 1)), constant_values=np.inf)
-    minima = np.flatnonzero((cost <= padded_cost[:, :-2]) & (cost < padded_cost[:, 2:]))
-    minima = minima[np.argsort(cost.ravel()[minima], kind="stable")][:MAX_CANDIDATES]
-    return [(states[k], parameter_rows[k]) for k in minima]
+        scenes, start_phases, states, start_times, np.tile(times[ranking_indices], (len(trial_velocities), 1))
+    )[..., : len(measurement_ranges)]
+    scaled_deviations = np.nan_to_num(
+        (predictions - measurements[ranking_indices]) / (MISFIT_WIDTH * measurement_ranges), nan=np.inf
+    )
+    misfit_costs = np.sum(np.minimum(scaled_deviations**2, 1.0), axis=(1, 2)).reshape(len(candidate_parameters), -1)
+    padded_costs = np.pad(misfit_costs, ((0, 0), (1, 1)), constant_values=np.inf)
+    minimum_indices = np.flatnonzero((misfit_costs <= padded_costs[:, :-2]) & (misfit_costs < padded_costs[:, 2:]))
+    minimum_indices = minimum_indices[np.argsort(misfit_costs.ravel()[minimum_indices], kind="stable")][:MAX_CANDIDATES]
+    return [(states[candidate_index], trial_parameters[candidate_index]) for candidate_index in minimum_indices]
 
 
-def _clip_to_walls(scene, phase, times, x, sigma):
-    """Move positions that noise puts beyond a rigid wall, or close to it, to one standard error before it."""
+def _move_inside_rigid_walls(scene, start_phase, times, x, sigma):
+    """Limit measured positions to at least one standard error before each rigid wall."""
     for side, wall in scene.walls.items():
         if not wall.soft:
-            wall_motion = make_wall_motion(scene, side, phase)
-            wall_limit = wall_motion.sign * wall_state(wall_motion, times)[0] - sigma
-            x = wall_motion.sign * np.minimum(wall_motion.sign * x, wall_limit)
+            wall_properties = make_wall_properties(scene, side, start_phase)
+            max_distance_to_side = wall_properties.sign * wall_position_velocity(wall_properties, times)[0] - sigma
+            x = wall_properties.sign * np.minimum(wall_properties.sign * x, max_distance_to_side)
     return x

@@ -1,11 +1,10 @@
 """Find bifurcations in a box of scenes without an initial orbit: `search`.
 
-Random scenes of the box are iterated from random states. Each orbit on which a motion settles is moved towards zeros of
-the test functions of the requested kinds, along their gradients with respect to the free parameters
-(`differentiate_tests`). A ray is 1.5 times the step of Newton's method. A ray that ends has met a boundary; otherwise
-the next ray starts at its end. The points of each boundary that are nearest to the scene are passed to `follow`, which
-locates the special point.
-"""
+Random states are iterated in random scenes of the box. Each orbit on which a motion settles is continued along rays
+towards the zeros of the test functions of the requested kinds. A ray is parallel to the gradient of a test function
+with respect to the free parameters (`evaluate_test_gradients`). A ray is 1.5 times as long as a Newton step. If a
+bifurcation ends a ray, the ray has met a boundary. Otherwise the next ray starts at the end of this ray. On each
+boundary, `follow` locates the special point from the ray ends that are nearest to the scene."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -15,22 +14,22 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from continuation.limits import EXPIRED_REASON, UNLIMITED, limits_of
+from continuation.computation_limits import EXPIRED_REASON, UNLIMITED, make_limits
 
 from ..branches.branch import Special
-from ..branches.follow import branch_through, check_settings
+from ..branches.follow import branch_through, check_follow_settings
 from ..branches.seed_orbits import SETTLING_PERIODS, settled_orbits
 from ..maps.initial_conditions import draw_initial_states
 from ..maps.iterate import iterate
 from ..orbits.impact_equations import ImpactSequence
 from ..output.table_text import align_columns
-from ..problem.orbit_point import OrbitPoint, set_up_problem
+from ..problem.orbit_point import OrbitPoint, set_up_equations
 from ..scene import check
 from ..scene.scene import Scene
-from .bifurcation_tests import FLIP, FOLD, TOUCH, ZERO_SPEED, differentiate_tests
-from .free_parameters import allowed_changes, check_units
-from .point_equations import complete_scene, parameter_mask
-from .rays import RayEnd, follow_rays
+from .bifurcation_gradients import FLIP, FOLD, TOUCH, ZERO_SPEED, evaluate_test_gradients
+from .free_parameter_checks import bounds_of_changes, check_free_parameters
+from .parameter_rays import RayEnd, follow_rays
+from .special_point_equations import complete_scene, parameter_mask
 
 TESTS_OF_KIND = {"SN": (FOLD,), "SB": (FOLD,), "PD": (FLIP,), "GR": (TOUCH, ZERO_SPEED)}
 KINDS_OF_RAY_END = {RayEnd.FOLD: ("SN", "SB"), RayEnd.FLIP: ("PD",), RayEnd.TOUCH: ("GR",), RayEnd.ZERO_SPEED: ("GR",)}
@@ -54,8 +53,8 @@ class Search:
     free : dict of str to float
         Unit of each free parameter.
     points : tuple of Special
-        Special point of each boundary, sorted by distance. Its parameter is the free parameter that moves the orbit
-        most towards the boundary.
+        Special point of each boundary, sorted by distance. The parameter of a point is the free parameter with the
+        largest change, in its unit, along the ray that met the boundary.
     distances : tuple of float
         Distance of each point from the scene, in units of the free parameters.
     met : tuple of int
@@ -63,7 +62,7 @@ class Search:
     starts : int
         Number of random scenes.
     settled : int
-        Number of random scenes whose motion settled within `max_period` periods.
+        Number of random scenes whose motion settles on a periodic orbit of at most `max_period` drive periods.
     followed : int
         Number of rays.
     stopped : str
@@ -95,19 +94,36 @@ class Search:
             Table with one line per point, followed by the number of scenes and rays.
         """
         rows = [("kind", "orbit", "itinerary", "distance", *self.free, "met")]
-        for special_point, distance, n_rays in zip(self.points, self.distances, self.met, strict=True):
-            itinerary_text = " ".join(word or "." for word in special_point.itinerary)
+        for special_point, distance, n_rays_to_boundary in zip(self.points, self.distances, self.met, strict=True):
+            itinerary_text = " ".join(itinerary_word or "." for itinerary_word in special_point.itinerary)
             value_texts = (f"{float(special_point.scene.parameter(name)):.9g}" for name in self.free)
             rows.append(
-                (special_point.kind, special_point.label, itinerary_text, f"{distance:.6g}", *value_texts, str(n_rays))
+                (
+                    special_point.kind,
+                    special_point.label,
+                    itinerary_text,
+                    f"{distance:.6g}",
+                    *value_texts,
+                    str(n_rays_to_boundary),
+                )
             )
         summary = f"{self.starts} random scenes, {self.settled} of them settled; {self.followed} rays"
         stop_lines = [self.stopped] if self.stopped else []
         return "\n".join([align_columns(rows) if self.points else "nothing found", summary, *stop_lines])
 
 
-class _OrbitSeed(NamedTuple):
-    """Orbit on which a random start settled: offset of its scene in units, periods, (times, speeds, sides)."""
+class _RayStartOrbit(NamedTuple):
+    """Orbit from which a ray starts.
+
+    Attributes
+    ----------
+    offset : numpy.ndarray
+        Offset of the scene of the orbit, in units. Array of shape (free,).
+    periods : int
+        Number of drive periods.
+    impacts : tuple of numpy.ndarray
+        Times, speeds and sides of the impacts; x, v and no sides if the orbit has no impacts.
+    """
 
     offset: Float[np.ndarray, " free"]
     periods: int
@@ -115,10 +131,20 @@ class _OrbitSeed(NamedTuple):
 
 
 class _BoundaryHit(NamedTuple):
-    """End of a ray: possible kinds, orbit just before the end, displacement of the ray in units."""
+    """End of a ray on a boundary.
+
+    Attributes
+    ----------
+    kinds : tuple of str
+        Possible kinds of the bifurcation.
+    orbit_seed : _RayStartOrbit
+        Orbit just before the end of the ray.
+    displacement : numpy.ndarray
+        Displacement from the start to the target of the ray, in units. Array of shape (free,).
+    """
 
     kinds: tuple[str, ...]
-    seed: _OrbitSeed
+    orbit_seed: _RayStartOrbit
     displacement: Float[np.ndarray, " free"]
 
 
@@ -145,12 +171,12 @@ def search(
     free : dict of str to float
         Free parameters, each with its unit.
     bounds : dict of str to sequence of float
-        Lower and upper bound of free parameters, by name, which must contain the scene. Required for parameters whose
-        domain is unbounded.
+        Lower and upper bound of free parameters, by name. The bounds must contain the values of the scene, and are
+        required for parameters whose domain is unbounded.
     starts : int, optional
         Number of random scenes of the box, each with a random state.
     max_period : int, optional
-        Number of drive periods of the longest orbits.
+        Largest number of drive periods of the orbits from which rays start.
     seed : int, optional
         Seed of the random scenes and states.
     max_seconds : float, optional
@@ -165,7 +191,7 @@ def search(
     Raises
     ------
     ArgumentError
-        If `kinds`, `free`, `bounds` or a number is invalid.
+        If the scene is a batch or under a user-defined force, or if `kinds`, `free`, `bounds` or a number is invalid.
 
     See Also
     --------
@@ -175,8 +201,8 @@ def search(
     Notes
     -----
     The points can be passed to `located`, `locus` and `switch`. Boundaries are distinguished by kind, number of periods
-    and itinerary. Boundaries of motions on which no start settles are missed. If no boundary is met, the table states
-    the extent of the search.
+    and itinerary. Boundaries of orbits on which no start settles, or that have more than 16 impacts, are missed. If no
+    boundary is met, the table states the extent of the search.
 
     Examples
     --------
@@ -184,213 +210,259 @@ def search(
     >>> result.settled <= result.starts
     True
     """
-    limits = limits_of(None, max_seconds, None, check.ArgumentError)
-    check.require_single(scene)
+    limits = make_limits(None, max_seconds, None, check.ArgumentError)
+    check.require_single_scene(scene)
     check.require_spring(scene, "search")
-    kinds = check.name_tuple("kinds", kinds)
+    kinds = check.make_name_tuple("kinds", kinds)
     if not kinds or not set(kinds) <= set(TESTS_OF_KIND):
         raise check.ArgumentError("kinds", f"must be one or more of {', '.join(TESTS_OF_KIND)}", kinds)
-    units = check_units(scene, free)
-    change_bounds = allowed_changes(scene, units, bounds)
-    for name, lower, upper in zip(units, *change_bounds, strict=True):
+    parameter_units = check_free_parameters(scene, free)
+    change_bounds = bounds_of_changes(scene, parameter_units, bounds)
+    for name, lower, upper in zip(parameter_units, *change_bounds, strict=True):
         if not np.isfinite([lower, upper]).all():
             raise check.ArgumentError(
                 f"bounds.{name}", "must be given because the domain of the parameter is unbounded", None
             )
-    starts, max_period = check.whole_number("starts", starts, 1), check.whole_number("max_period", max_period, 1)
+    starts, max_period = (
+        check.check_whole_number("starts", starts, 1),
+        check.check_whole_number("max_period", max_period, 1),
+    )
     if max_period > check.MAX_ORBIT_PERIODS:
         raise check.ArgumentError("max_period", f"must be at most {check.MAX_ORBIT_PERIODS}", max_period)
-    seeds = _settle_starts(scene, units, change_bounds, starts, max_period, check.whole_number("seed", seed, 0))
-    boundary_hits, n_rays, is_complete = _follow_seeds(scene, units, change_bounds, _thin_seeds(seeds), kinds, limits)
-    points, distances, ray_counts, n_unexplored = _locate_boundaries(
-        scene, units, change_bounds, boundary_hits, kinds, limits
+    orbit_seeds = _settled_orbit_seeds(
+        scene, parameter_units, change_bounds, starts, max_period, check.check_whole_number("seed", seed, 0)
+    )
+    boundary_hits, n_rays, is_complete = _follow_rays_from_seeds(
+        scene, parameter_units, change_bounds, _limit_per_itinerary(orbit_seeds), kinds, limits
+    )
+    points, distances_from_scene, ray_counts_by_boundary, n_boundaries_skipped = _locate_boundaries(
+        scene, parameter_units, change_bounds, boundary_hits, kinds, limits
     )
     stop_reason = (
         ""
-        if is_complete and not n_unexplored
-        else f"{EXPIRED_REASON}: {n_rays} rays followed, {n_unexplored} boundaries not located"
+        if is_complete and not n_boundaries_skipped
+        else f"{EXPIRED_REASON}: {n_rays} rays followed, {n_boundaries_skipped} boundaries not located"
     )
-    return Search(scene, units, points, distances, ray_counts, starts, len(seeds), n_rays, stop_reason)
+    return Search(
+        scene,
+        parameter_units,
+        points,
+        distances_from_scene,
+        ray_counts_by_boundary,
+        starts,
+        len(orbit_seeds),
+        n_rays,
+        stop_reason,
+    )
 
 
-def _shift_scene(scene, units, offset):
-    """Shift the free parameters of a scene by an offset in units; rows of offsets give a batch."""
-    values = np.asarray(offset).T
-    unit_values = zip(units.items(), values, strict=True)
-    return scene.replace(**{name: float(scene.parameter(name)) + unit * value for (name, unit), value in unit_values})
+def _scene_at_offset(scene, parameter_units, offset):
+    """Shift the free parameters of a scene by an offset in units; several rows of offsets give a batch of scenes."""
+    offsets_by_parameter = np.asarray(offset).T
+    units_and_offsets = zip(parameter_units.items(), offsets_by_parameter, strict=True)
+    return scene.replace(
+        **{name: float(scene.parameter(name)) + unit * value for (name, unit), value in units_and_offsets}
+    )
 
 
-def _settle_starts(scene, units, change_bounds, n_starts, max_period, seed):
-    """Iterate random states in random scenes; return an `_OrbitSeed` for each that settles."""
+def _settled_orbit_seeds(scene, parameter_units, change_bounds, n_starts, max_period, random_seed):
+    """Iterate random states in random scenes; return a `_RayStartOrbit` for each motion that settles."""
     lower, upper = change_bounds
-    offsets = lower + (upper - lower) * np.random.default_rng(seed).random((n_starts, len(units)))
-    scenes = _shift_scene(scene, units, offsets)
-    iterates = iterate(scenes, draw_initial_states(scenes, n_starts, (seed, 1)), SETTLING_PERIODS)
-    period_lengths = np.broadcast_to(2.0 * np.pi / np.asarray(scenes.frequency), n_starts)
+    offsets = lower + (upper - lower) * np.random.default_rng(random_seed).random((n_starts, len(parameter_units)))
+    scenes = _scene_at_offset(scene, parameter_units, offsets)
+    iterates = iterate(scenes, draw_initial_states(scenes, n_starts, (random_seed, 1)), SETTLING_PERIODS)
+    drive_period_durations = np.broadcast_to(2.0 * np.pi / np.asarray(scenes.frequency), n_starts)
     return [
-        _OrbitSeed(offsets[lane], *orbit_data)
-        for lane, *orbit_data in settled_orbits(iterates, period_lengths, max_period)
+        _RayStartOrbit(offsets[lane], *orbit_fields)
+        for lane, *orbit_fields in settled_orbits(iterates, drive_period_durations, max_period)
     ]
 
 
-def _thin_seeds(seeds):
-    """Keep at most `MAX_PER_ITINERARY` orbits of each itinerary, and none with more than `MAX_IMPACTS` impacts."""
-    counts, thinned_seeds = {}, []
-    for seed in seeds:
-        key = _itinerary_key(seed)
-        counts[key] = counts.get(key, 0) + 1
-        if counts[key] <= MAX_PER_ITINERARY and len(seed.impacts[0]) <= MAX_IMPACTS:
-            thinned_seeds.append(seed)
-    return thinned_seeds
+def _limit_per_itinerary(orbit_seeds):
+    """Return at most `MAX_PER_ITINERARY` orbits of each itinerary, each with at most `MAX_IMPACTS` impacts."""
+    itinerary_counts, remaining_seeds = {}, []
+    for orbit_seed in orbit_seeds:
+        itinerary_key = _itinerary_key(orbit_seed)
+        itinerary_counts[itinerary_key] = itinerary_counts.get(itinerary_key, 0) + 1
+        if itinerary_counts[itinerary_key] <= MAX_PER_ITINERARY and len(orbit_seed.impacts[0]) <= MAX_IMPACTS:
+            remaining_seeds.append(orbit_seed)
+    return remaining_seeds
 
 
-def _itinerary_key(seed):
-    """Return the periods of an orbit and the smallest rotation of its sides, independent of the first impact."""
-    sides = tuple(int(side) for side in seed.impacts[2])
-    return seed.periods, min((sides[k:] + sides[:k] for k in range(len(sides))), default=())
+def _itinerary_key(orbit_seed):
+    """Return (number of periods of an orbit, lexicographically smallest cyclic permutation of its sides).
+
+    The key is therefore independent of the choice of the first impact.
+    """
+    sides = tuple(int(side) for side in orbit_seed.impacts[2])
+    return orbit_seed.periods, min((sides[rotation:] + sides[:rotation] for rotation in range(len(sides))), default=())
 
 
-def _follow_seeds(scene, units, change_bounds, seeds, kinds, limits=UNLIMITED):
-    """Follow rays from orbits; return the `_BoundaryHit` records, the number of rays, and the completeness."""
-    tests = sorted({test for kind in kinds for test in TESTS_OF_KIND[kind]})
-    seed_groups, boundary_hits, n_rays = {}, [], 0
-    for entry in seeds:
-        seed_groups.setdefault(len(entry.impacts[0]), []).append(entry)
-    for n_impacts, seed_group in seed_groups.items():
-        lanes = [(entry, test) for entry in seed_group for test in (tests if n_impacts else [TOUCH]) if test in tests]
+def _follow_rays_from_seeds(scene, parameter_units, change_bounds, orbit_seeds, kinds, limits=UNLIMITED):
+    """Follow rays from orbits; return (`_BoundaryHit` records, number of rays, whether all rays were followed)."""
+    test_codes = sorted({test_code for kind in kinds for test_code in TESTS_OF_KIND[kind]})
+    seeds_by_n_impacts, boundary_hits, n_rays = {}, [], 0
+    for seed_or_hit in orbit_seeds:
+        seeds_by_n_impacts.setdefault(len(seed_or_hit.impacts[0]), []).append(seed_or_hit)
+    for n_impacts, orbit_seeds_of_group in seeds_by_n_impacts.items():
+        seeds_and_tests = [
+            (seed_or_hit, test_code)
+            for seed_or_hit in orbit_seeds_of_group
+            for test_code in (test_codes if n_impacts else [TOUCH])
+            if test_code in test_codes
+        ]
         for _ in range(MAX_STEPS):
-            lanes, new_hits, n_followed, is_complete = _step_lanes(scene, units, change_bounds, lanes, limits)
-            boundary_hits += [entry for entry in new_hits if set(entry.kinds) & set(kinds)]
-            n_rays += n_followed
+            seeds_and_tests, new_hits, n_new_rays, is_complete = _follow_next_rays(
+                scene, parameter_units, change_bounds, seeds_and_tests, limits
+            )
+            boundary_hits += [seed_or_hit for seed_or_hit in new_hits if set(seed_or_hit.kinds) & set(kinds)]
+            n_rays += n_new_rays
             if not is_complete:
                 return boundary_hits, n_rays, False
     return boundary_hits, n_rays, True
 
 
-def _step_lanes(scene, units, change_bounds, lanes, limits):
-    """Follow one ray from each (`_OrbitSeed`, test); all orbits have the same number of impacts.
+def _follow_next_rays(scene, parameter_units, change_bounds, seeds_and_tests, limits):
+    """Follow one ray from each lane (`_RayStartOrbit`, test); all orbits have the same number of impacts.
 
-    Returns the lanes that continue, the `_BoundaryHit` of each ray that ended, the number of rays, and whether all
-    lanes were followed in time.
+    Returns the lanes whose rays met no boundary, the `_BoundaryHit` of each other ray, the number of rays, and whether
+    all rays were followed in time.
     """
-    next_lanes, boundary_hits, n_rays = [], [], 0
-    for block_start in range(0, len(lanes), LANES):
+    next_seeds_and_tests, boundary_hits, n_rays = [], [], 0
+    for block_start in range(0, len(seeds_and_tests), LANES):
         if limits.expired:
-            return next_lanes, boundary_hits, n_rays, False
-        block = lanes[block_start : block_start + LANES]
-        displacements, ray_results = _follow_block(
-            scene, units, change_bounds, block + block[-1:] * (LANES - len(block))
+            return next_seeds_and_tests, boundary_hits, n_rays, False
+        lane_block = seeds_and_tests[block_start : block_start + LANES]
+        displacements, rays = _follow_rays_of_block(
+            scene, parameter_units, change_bounds, lane_block + lane_block[-1:] * (LANES - len(lane_block))
         )
-        for k, (seed, test) in enumerate(block):
-            if not displacements[k].any():
+        for lane, (orbit_seed, test_code) in enumerate(lane_block):
+            if not displacements[lane].any():
                 continue
             n_rays += 1
-            orbit_columns = np.split(ray_results.unknowns[k], 2) if len(seed.impacts[0]) else seed.impacts[:2]
-            new_seed = _OrbitSeed(
-                seed.offset + ray_results.fraction[k] * displacements[k],
-                seed.periods,
-                (*orbit_columns, seed.impacts[2]),
+            orbit_columns = np.split(rays.unknowns[lane], 2) if len(orbit_seed.impacts[0]) else orbit_seed.impacts[:2]
+            ray_end_seed = _RayStartOrbit(
+                orbit_seed.offset + rays.fraction[lane] * displacements[lane],
+                orbit_seed.periods,
+                (*orbit_columns, orbit_seed.impacts[2]),
             )
-            if ray_results.end[k] == RayEnd.NONE:
-                next_lanes.append((new_seed, test))
+            if rays.end[lane] == RayEnd.NONE:
+                next_seeds_and_tests.append((ray_end_seed, test_code))
             else:
                 boundary_hits.append(
-                    _BoundaryHit(KINDS_OF_RAY_END[RayEnd(int(ray_results.end[k]))], new_seed, displacements[k])
+                    _BoundaryHit(KINDS_OF_RAY_END[RayEnd(int(rays.end[lane]))], ray_end_seed, displacements[lane])
                 )
-    return next_lanes, boundary_hits, n_rays, True
+    return next_seeds_and_tests, boundary_hits, n_rays, True
 
 
-def _follow_block(scene, units, change_bounds, lanes):
-    """Follow a block of lanes; return the displacements in units and the `Ray` records."""
-    treedef, base_vector, unit_vectors = _flatten_scene(scene, units)
-    offsets = np.stack([seed.offset for seed, _ in lanes])
-    impact_columns = [np.stack([seed.impacts[k] for seed, _ in lanes]) for k in range(3)]
-    periods = np.array([float(seed.periods) for seed, _ in lanes])
+def _follow_rays_of_block(scene, parameter_units, change_bounds, seeds_and_tests):
+    """Follow a block of lanes; return the displacements in units and the `RayResult` records."""
+    scene_treedef, base_scene_vector, unit_changes = _flatten_scene(scene, parameter_units)
+    scene_offsets = np.stack([orbit_seed.offset for orbit_seed, _ in seeds_and_tests])
+    impact_columns = [np.stack([orbit_seed.impacts[k] for orbit_seed, _ in seeds_and_tests]) for k in range(3)]
+    periods = np.array([float(orbit_seed.periods) for orbit_seed, _ in seeds_and_tests])
     sequences, scene_vectors = (
-        ImpactSequence(*impact_columns, np.zeros(len(lanes)), periods),
-        base_vector + offsets @ unit_vectors,
+        ImpactSequence(*impact_columns, np.zeros(len(seeds_and_tests)), periods),
+        base_scene_vector + scene_offsets @ unit_changes,
     )
-    test_indices = np.arange(len(lanes)), np.array([test for _, test in lanes])
-    values, gradients = (
-        array[test_indices]
-        for array in jax.device_get(differentiate_tests(treedef, sequences, scene_vectors, unit_vectors))
+    lane_test_indices = np.arange(len(seeds_and_tests)), np.array([test_code for _, test_code in seeds_and_tests])
+    test_values, test_gradients = (
+        lane_tests[lane_test_indices]
+        for lane_tests in jax.device_get(evaluate_test_gradients(scene_treedef, sequences, scene_vectors, unit_changes))
     )
-    displacements = _newton_displacements(values, gradients, offsets, change_bounds)
-    return displacements, jax.device_get(follow_rays(treedef, sequences, scene_vectors, displacements @ unit_vectors))
+    displacements = _newton_displacements(test_values, test_gradients, scene_offsets, change_bounds)
+    return displacements, jax.device_get(
+        follow_rays(scene_treedef, sequences, scene_vectors, displacements @ unit_changes)
+    )
 
 
-def _flatten_scene(scene, units):
+def _flatten_scene(scene, parameter_units):
     """Return the tree structure of a scene, its numbers, and their change for one unit of each free parameter."""
     full_scene = complete_scene(scene)
-    unit_vectors = np.stack([parameter_mask(scene, name) * unit for name, unit in units.items()])
+    unit_changes = np.stack([parameter_mask(scene, name) * unit for name, unit in parameter_units.items()])
     return (
         jax.tree.structure(full_scene),
         np.stack([np.asarray(leaf) for leaf in jax.tree.leaves(full_scene)]),
-        unit_vectors,
+        unit_changes,
     )
 
 
-def _newton_displacements(values, gradients, offsets, change_bounds):
-    """Return 1.5 Newton steps towards the zero of each test, truncated at the box; 0 where a step is not finite."""
+def _newton_displacements(test_values, test_gradients, scene_offsets, change_bounds):
+    """Return 1.5 Newton steps towards the zero of a test function, in each lane.
+
+    A step is truncated at the boundary of the box. A step that is not finite is replaced by 0.
+    """
     with np.errstate(all="ignore"):
-        displacements = -STEP_FACTOR * values[:, None] * gradients / np.sum(gradients**2, axis=1, keepdims=True)
+        displacements = (
+            -STEP_FACTOR * test_values[:, None] * test_gradients / np.sum(test_gradients**2, axis=1, keepdims=True)
+        )
         displacements = np.where(np.isfinite(displacements).all(axis=1, keepdims=True), displacements, 0.0)
-        bound_distances = np.where(displacements > 0, change_bounds[1] - offsets, change_bounds[0] - offsets)
-        fractions = np.nan_to_num(
+        bound_distances = np.where(
+            displacements > 0, change_bounds[1] - scene_offsets, change_bounds[0] - scene_offsets
+        )
+        bound_fractions = np.nan_to_num(
             np.where(displacements == 0, 1.0, bound_distances / displacements), nan=1.0, posinf=1.0
         )
-    return displacements * np.clip(fractions.min(axis=1, keepdims=True), 0.0, 1.0)
+    return displacements * np.clip(bound_fractions.min(axis=1, keepdims=True), 0.0, 1.0)
 
 
-def _locate_boundaries(scene, units, change_bounds, boundary_hits, kinds, limits=UNLIMITED):
-    """Locate the boundaries that rays met.
+def _locate_boundaries(scene, parameter_units, change_bounds, boundary_hits, kinds, limits=UNLIMITED):
+    """Locate a special point on each boundary that rays met.
 
-    Returns the `Special` points sorted by distance, their distances, the number of rays on each, and the number of
-    boundaries that were not located in time.
+    Returns the `Special` points sorted by distance, their distances, the number of rays that met each boundary, and the
+    number of boundaries that were not located in time.
     """
     hits_by_boundary = {}
-    for hit in sorted(boundary_hits, key=lambda hit: np.linalg.norm(hit.seed.offset)):
-        hits_by_boundary.setdefault((hit.kinds, *_itinerary_key(hit.seed)), []).append(hit)
-    best_by_key, n_unexplored = {}, 0
-    for boundary_group in hits_by_boundary.values():
+    for hit in sorted(boundary_hits, key=lambda hit: np.linalg.norm(hit.orbit_seed.offset)):
+        hits_by_boundary.setdefault((hit.kinds, *_itinerary_key(hit.orbit_seed)), []).append(hit)
+    best_point_by_key, n_boundaries_skipped = {}, 0
+    for hits_of_boundary in hits_by_boundary.values():
         if limits.expired:
-            n_unexplored += 1
+            n_boundaries_skipped += 1
             continue
-        for hit in boundary_group[:MAX_ATTEMPTS]:
-            special = _locate_special(scene, units, change_bounds, hit, kinds)
+        for hit in hits_of_boundary[:MAX_ATTEMPTS]:
+            special = _locate_special_point(scene, parameter_units, change_bounds, hit, kinds)
             if special is None:
                 continue
-            scaled_changes = (
+            changes_in_units = (
                 (float(special.scene.parameter(name)) - float(scene.parameter(name))) / unit
-                for name, unit in units.items()
+                for name, unit in parameter_units.items()
             )
-            distance, orbit_row = float(np.linalg.norm(list(scaled_changes))), special.spot
-            key = (
+            distance, boundary_orbit = float(np.linalg.norm(list(changes_in_units))), special.spot
+            boundary_key = (
                 special.kind,
                 *_itinerary_key(
-                    _OrbitSeed(hit.seed.offset, orbit_row.periods, (orbit_row.times, orbit_row.speeds, orbit_row.sides))
+                    _RayStartOrbit(
+                        hit.orbit_seed.offset,
+                        boundary_orbit.periods,
+                        (boundary_orbit.times, boundary_orbit.speeds, boundary_orbit.sides),
+                    )
                 ),
             )
-            previous = best_by_key.get(key, (special, np.inf, 0))
-            best_point = min((previous[:2], (special, distance)), key=lambda candidate: candidate[1])
-            best_by_key[key] = (*best_point, previous[2] + len(boundary_group))
+            previous_entry = best_point_by_key.get(boundary_key, (special, np.inf, 0))
+            best_point = min((previous_entry[:2], (special, distance)), key=lambda candidate: candidate[1])
+            best_point_by_key[boundary_key] = (*best_point, previous_entry[2] + len(hits_of_boundary))
             break
-    ordered_points = sorted(best_by_key.values(), key=lambda entry: entry[1])
-    return *(tuple(hit[k] for hit in ordered_points) for k in range(3)), n_unexplored
+    sorted_entries = sorted(best_point_by_key.values(), key=lambda entry: entry[1])
+    return *(tuple(hit[k] for hit in sorted_entries) for k in range(3)), n_boundaries_skipped
 
 
-def _locate_special(scene, units, change_bounds, hit, kinds):
+def _locate_special_point(scene, parameter_units, change_bounds, hit, kinds):
     """Locate the `Special` of one of the kinds next to a `_BoundaryHit`, or return None."""
-    parameter_index = int(np.argmax(abs(hit.displacement)))
-    name, hit_scene = tuple(units)[parameter_index], _shift_scene(scene, units, hit.seed.offset)
-    value = float(hit_scene.parameter(name))
-    orbit_row = OrbitPoint(value, *hit.seed.impacts, hit.seed.periods, np.nan, np.nan, np.nan)
-    bounds = tuple(
-        float(scene.parameter(name)) + units[name] * float(change[parameter_index]) for change in change_bounds
+    main_parameter_index = int(np.argmax(abs(hit.displacement)))
+    name, hit_scene = (
+        tuple(parameter_units)[main_parameter_index],
+        _scene_at_offset(scene, parameter_units, hit.orbit_seed.offset),
     )
-    follow_direction = "forward" if hit.displacement[parameter_index] > 0 else "backward"
-    follow_settings = check_settings(**STEP_SETTINGS, stop=kinds)
+    value = float(hit_scene.parameter(name))
+    orbit_row = OrbitPoint(value, *hit.orbit_seed.impacts, hit.orbit_seed.periods, np.nan, np.nan, np.nan)
+    bounds = tuple(
+        float(scene.parameter(name)) + parameter_units[name] * float(change_limits[main_parameter_index])
+        for change_limits in change_bounds
+    )
+    follow_direction = "forward" if hit.displacement[main_parameter_index] > 0 else "backward"
+    follow_settings = check_follow_settings(**STEP_SETTINGS, stop=kinds)
     branch = branch_through(
-        hit_scene, name, bounds, set_up_problem(hit_scene, name, orbit_row), follow_direction, follow_settings
+        hit_scene, name, bounds, set_up_equations(hit_scene, name, orbit_row), follow_direction, follow_settings
     )
     return next((special_point for special_point in branch.special if special_point.kind in kinds), None)

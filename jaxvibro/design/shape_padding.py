@@ -1,4 +1,4 @@
-"""Pad arguments of compiled functions to few shapes, so that few programs are compiled."""
+"""Pad the arguments of compiled functions to a few shapes, to compile few programs."""
 
 import jax
 import numpy as np
@@ -18,10 +18,15 @@ def pad_to_power_of_two(array, min_length=MIN_ROWS, axis=0):
     return np.pad(array, pad_widths, mode="edge")
 
 
-def scene_with_tangents(scene, names, parameters):
-    """Return the scene with other values of the named parameters, and the unit tangents of these, padded with zeros."""
-    changed_scene = jax.tree.map(np.asarray, replace_unchecked(scene, dict(zip(names, parameters, strict=True))))
+def scene_with_tangents(scene, parameter_names, parameters):
+    """Return the scene with other values of the named parameters, and its unit tangents along these parameters.
+
+    The tangents are scenes stacked along the first axis and are padded with zeros.
+    """
+    changed_scene = jax.tree.map(
+        np.asarray, replace_unchecked(scene, dict(zip(parameter_names, parameters, strict=True)))
+    )
     zero_scene = jax.tree.map(lambda leaf: np.zeros(()), changed_scene)
-    tangents = [replace_unchecked(zero_scene, {name: np.ones(())}) for name in names]
+    tangents = [replace_unchecked(zero_scene, {name: np.ones(())}) for name in parameter_names]
     tangents += [zero_scene] * (-len(tangents) % PARAMETER_BLOCK)
     return changed_scene, jax.tree.map(lambda *leaves: np.stack(leaves), *tangents)

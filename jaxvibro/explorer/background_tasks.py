@@ -10,7 +10,7 @@ from typing import Any
 import jax
 
 from ..scene.check import ArgumentError
-from ..stores.filling import Progress
+from ..stores.study_completion import Progress
 
 PROGRESS_INTERVAL = 0.1  # s between two reports
 MAX_TASKS = 4  # simultaneous tasks
@@ -20,7 +20,7 @@ Schedule = Callable[[Callable[[], None]], object]
 
 
 def progress_text(progress: Any) -> str:
-    """Return progress as text."""
+    """Return the progress of a task as text."""
     if isinstance(progress, Progress):
         return f"{progress.done} of {progress.total}"
     return "" if progress is None else str(progress)
@@ -29,8 +29,8 @@ def progress_text(progress: Any) -> str:
 class TaskStopped(SystemExit):
     """Signal that the user stopped a task.
 
-    It is not an Exception, so that no code in between handles it as an error. A thread that ends with it prints
-    nothing.
+    The class does not derive from Exception, so that handlers of errors do not catch it. A thread that ends with a
+    SystemExit prints nothing.
     """
 
 
@@ -39,12 +39,12 @@ class BackgroundTask(threading.Thread):
 
     Parameters
     ----------
-    job : callable
+    task_function : callable
         Function to run. Its argument is a function that reports progress.
     on_end : callable
         Function of ``(value, None)`` or ``(None, error)``, called from this thread at the end unless the task was
         stopped.
-    report : callable
+    report_progress : callable
         Function that receives progress at most ten times per second.
     double_precision : bool
         Use double precision in the thread.
@@ -52,13 +52,18 @@ class BackgroundTask(threading.Thread):
 
     def __init__(
         self,
-        job: Callable[[ProgressCallback], Any],
+        task_function: Callable[[ProgressCallback], Any],
         on_end: Callable[[Any, Exception | None], None],
-        report: ProgressCallback,
+        report_progress: ProgressCallback,
         double_precision: bool,
     ) -> None:
         super().__init__(daemon=True)
-        self._job, self._on_end, self._report, self._double_precision = job, on_end, report, double_precision
+        self._job, self._on_end, self._report, self._double_precision = (
+            task_function,
+            on_end,
+            report_progress,
+            double_precision,
+        )
         self._lock, self._stop_requested, self._is_running, self._last_report_time = threading.Lock(), False, True, 0.0
         self.start()
 
@@ -98,9 +103,9 @@ class BackgroundTasks:
 
     Parameters
     ----------
-    report : callable
-        Function of (number, progress), called from any thread.
-    schedule : callable
+    report_progress : callable
+        Function of (task number, progress), called from any thread.
+    run_in_page_thread : callable
         Function that runs a callback in the thread of the page.
     double_precision : bool
         Use double precision in the threads.
@@ -108,50 +113,49 @@ class BackgroundTasks:
 
     def __init__(
         self,
-        report: Callable[[int, Any], object],
-        schedule: Schedule,
+        report_progress: Callable[[int, Any], object],
+        run_in_page_thread: Schedule,
         double_precision: bool,
     ) -> None:
-        self._report, self._schedule, self._double_precision = report, schedule, double_precision
+        self._report, self._schedule, self._double_precision = report_progress, run_in_page_thread, double_precision
         self._task_numbers, self._tasks = itertools.count(1), dict[int, tuple[str, BackgroundTask]]()
 
     @property
     def labels(self) -> dict[int, str]:
         """Labels of the running tasks, {number: label}."""
-        return {number: label for number, (label, _) in self._tasks.items()}
+        return {task_number: label for task_number, (label, _) in self._tasks.items()}
 
     def start(
         self,
         label: str,
-        job: Callable[[ProgressCallback, Schedule], Any],
+        task_function: Callable[[ProgressCallback, Schedule], Any],
         on_end: Callable[[Any, Exception | None], None],
     ) -> None:
         """Start a task.
 
-        `job` receives a function that reports progress and a `schedule` that does nothing once the task is stopped.
-        `on_end` is called in the thread of the page with (value, error), unless the task was stopped. Raises
-        ArgumentError if too many tasks are running.
-        """
+        `task_function` has two arguments: a function that reports progress, and a function that runs a callback in the
+        thread of the page unless the task was stopped. `on_end` is called in the thread of the page with (value, error)
+        unless the task was stopped. Raises ArgumentError if `MAX_TASKS` tasks are running."""
         if len(self._tasks) >= MAX_TASKS:
             raise ArgumentError(
                 "work", f"must be at most {MAX_TASKS} simultaneous tasks. Stop the running ones first", label
             )
-        number = next(self._task_numbers)
+        task_number = next(self._task_numbers)
 
-        def schedule(callback):
-            self._schedule(lambda: callback() if number in self._tasks else None)
+        def schedule_if_running(callback):
+            self._schedule(lambda: callback() if task_number in self._tasks else None)
 
-        def finish(value, error):
-            del self._tasks[number]
+        def finish_task(value, error):
+            del self._tasks[task_number]
             on_end(value, error)
 
         task = BackgroundTask(
-            lambda report: job(report, schedule),
-            lambda value, error: schedule(lambda: finish(value, error)),
-            lambda progress: self._report(number, progress),
+            lambda report: task_function(report, schedule_if_running),
+            lambda value, error: schedule_if_running(lambda: finish_task(value, error)),
+            lambda progress: self._report(task_number, progress),
             self._double_precision,
         )
-        self._tasks[number] = label, task
+        self._tasks[task_number] = label, task
 
     def stop(self) -> None:
         """Stop all running tasks."""

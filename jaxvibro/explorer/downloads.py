@@ -14,8 +14,8 @@ from ..orbits.orbit import Orbit
 from ..output.checksums import netcdf_bytes
 from ..scene.check import ArgumentError
 from . import panels
+from .page_screen import DRAW_FUNCTIONS, Screen, draw_arguments
 from .page_state import PageState
-from .screen import DRAW_FUNCTIONS, Screen, draw_arguments
 
 PICTURE_FORMATS = ("png", "svg", "pdf")
 
@@ -23,7 +23,7 @@ PICTURE_FORMATS = ("png", "svg", "pdf")
 def panel_picture(panel: str, file_format: str, page: PageState, results: Mapping[str, Any], screen: Screen) -> bytes:
     """Return the figure of a panel as a file.
 
-    Raises ArgumentError for another panel or format, and if there is nothing to draw.
+    Raises ArgumentError for an unknown panel or format, and if there is nothing to draw.
     """
     if panel not in DRAW_FUNCTIONS or file_format not in PICTURE_FORMATS:
         raise ArgumentError(
@@ -31,36 +31,36 @@ def panel_picture(panel: str, file_format: str, page: PageState, results: Mappin
             f"must be one of {', '.join(DRAW_FUNCTIONS)}, as {', '.join(PICTURE_FORMATS)}",
             f"{panel}.{file_format}",
         )
-    arguments = draw_arguments(panel, page, results)
-    if arguments is None:
+    panel_arguments = draw_arguments(panel, page, results)
+    if panel_arguments is None:
         raise ArgumentError("picture", "requires a motion. Select an orbit first", panel)
-    limits = screen.limits.get(panel, panels.Limits())
-    return panels.export_picture(lambda ax: DRAW_FUNCTIONS[panel](ax, *arguments), limits, file_format)
+    limits = screen.limits.get(panel, panels.AxisLimits())
+    return panels.export_picture(lambda ax: DRAW_FUNCTIONS[panel](ax, *panel_arguments), limits, file_format)
 
 
 def data_archive(page: PageState, results: Mapping[str, Any]) -> bytes:
-    """Return a ZIP of the data of all results: NetCDF of curves, grids and motions, and tables as text."""
+    """Return a ZIP archive of all results: NetCDF files of curves, grids and motions, and tables as text."""
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as zip_file:
-        for line in page.lines:
-            for name, content in data_files(line.name, results[line.name]):
-                zip_file.writestr(name, content)
+        for call_line in page.lines:
+            for file_name, content in result_data_files(call_line.name, results[call_line.name]):
+                zip_file.writestr(file_name, content)
     return buffer.getvalue()
 
 
-def data_files(name: str, value: Any) -> Iterator[tuple[str, bytes]]:
+def result_data_files(result_name: str, result: Any) -> Iterator[tuple[str, bytes]]:
     """Yield (file name, content) of the data of a result."""
-    if isinstance(value, Branch | Locus):
-        yield f"{name}.nc", value.content
-    elif isinstance(value, xr.Dataset):
-        yield f"{name}.nc", netcdf_bytes(value)
-    elif isinstance(value, Orbit):
-        yield f"{name}.nc", netcdf_bytes(panels.trajectory_of(value))
-    elif isinstance(value, Diagram):
-        for k, element in enumerate(value.branches):
-            yield from data_files(f"{name}.branches_{k}", element)
-    elif isinstance(value, tuple):
-        for k, element in enumerate(value):
-            yield from data_files(f"{name}_{k}", element)
-    if hasattr(value, "table"):
-        yield f"{name}.txt", f"{value.table()}\n".encode()
+    if isinstance(result, Branch | Locus):
+        yield f"{result_name}.nc", result.content
+    elif isinstance(result, xr.Dataset):
+        yield f"{result_name}.nc", netcdf_bytes(result)
+    elif isinstance(result, Orbit):
+        yield f"{result_name}.nc", netcdf_bytes(panels.trajectory_of_motion(result))
+    elif isinstance(result, Diagram):
+        for index, member_result in enumerate(result.branches):
+            yield from result_data_files(f"{result_name}.branches_{index}", member_result)
+    elif isinstance(result, tuple):
+        for index, member_result in enumerate(result):
+            yield from result_data_files(f"{result_name}_{index}", member_result)
+    if hasattr(result, "table"):
+        yield f"{result_name}.txt", f"{result.table()}\n".encode()

@@ -1,10 +1,10 @@
-"""Describe any error in one line for a page."""
+"""Convert errors to records with one line of text for a page."""
 
 import traceback
 from typing import Any
 
 from ..orbits.orbit import OrbitError
-from ..scene.check import ArgumentError, shorten
+from ..scene.check import ArgumentError, shorten_text
 
 EXPECTED_ERRORS = (ArgumentError, OrbitError, ArithmeticError, MemoryError, OSError)
 
@@ -16,6 +16,6 @@ def error_record(error: BaseException) -> dict[str, Any]:
     return message_record(str(error) or type(error).__name__)
 
 
-def message_record(text: str) -> dict[str, Any]:
+def message_record(error_text: str) -> dict[str, Any]:
     """Return the record of an error text."""
-    return {"kind": "told", "text": shorten(text, 300), "bad": True}
+    return {"kind": "told", "text": shorten_text(error_text, 300), "bad": True}

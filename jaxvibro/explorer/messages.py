@@ -7,35 +7,59 @@ from typing import Annotated, Any, Literal
 import msgspec
 from msgspec import Meta, Struct
 
-from ..scene.check import ArgumentError, shorten
+from ..scene.check import ArgumentError, shorten_text
 
-Panel = Literal["diagram", "plane", "portrait", "trace"]
+PanelName = Literal["diagram", "plane", "portrait", "trace"]
 Interval = tuple[float, float]
 ShortText = Annotated[str, Meta(max_length=200)]
 Count = Annotated[int, Meta(ge=1, le=100_000)]
 
 
 class Message(Struct, tag_field="do", forbid_unknown_fields=True, kw_only=True):
-    """Message of a page; `number` is returned in its answer."""
+    """Message of a page.
+
+    Attributes
+    ----------
+    number : int
+        Number of the message, which the answer repeats.
+    """
 
     number: int = 0
 
     @property
     def replacement_key(self) -> tuple[Any, ...] | None:
-        """Key of messages that replace each other: of two consecutive ones with the same key only the later counts."""
+        """Key of messages that replace each other; of consecutive messages with equal keys only the last is applied."""
         return None
 
 
 class Hello(Message, tag="hello"):
-    """Start of a page; `text` is the scene file that the page had from an earlier server, if any."""
+    """First message of a page.
+
+    Attributes
+    ----------
+    text : str
+        Text of the scene file that the page received from an earlier server; "" if there is none.
+    """
 
     text: str = ""
 
 
-class Resize(Message, tag="size"):
-    """New size of a panel in page pixels; `ratio` is the number of screen pixels per page pixel."""
+class ResizePanel(Message, tag="size"):
+    """New size of a panel.
 
-    panel: Panel
+    Attributes
+    ----------
+    panel : str
+        Panel.
+    width : float
+        Width in page pixels.
+    height : float
+        Height in page pixels.
+    ratio : float
+        Number of screen pixels per page pixel.
+    """
+
+    panel: PanelName
     width: float
     height: float
     ratio: float = 1.0
@@ -45,10 +69,10 @@ class Resize(Message, tag="size"):
         return "size", self.panel
 
 
-class Zoom(Message, tag="zoom"):
+class ZoomPanel(Message, tag="zoom"):
     """New limits of the axes of a panel; None restores the full range."""
 
-    panel: Panel
+    panel: PanelName
     x: Interval | None = None
     y: Interval | None = None
 
@@ -81,7 +105,17 @@ class SetStart(Message, tag="start"):
 
 
 class SetParameter(Message, tag="set"):
-    """New value of a parameter of the scene; `last` is True once the slider is released."""
+    """New value of a parameter of the scene.
+
+    Attributes
+    ----------
+    name : str
+        Parameter.
+    value : float
+        Value.
+    last : bool
+        True once the slider is released.
+    """
 
     name: ShortText
     value: float
@@ -93,7 +127,7 @@ class SetParameter(Message, tag="set"):
 
 
 class Select(Message, tag="choose"):
-    """Selection of a special point, an orbit or a line, by its reference."""
+    """Selection of a special point or a branch by its reference."""
 
     of: ShortText
 
@@ -116,9 +150,16 @@ class SetAxes(Message, tag="along"):
 
 
 class RunAction(Message, tag="ask"):
-    """Call on the selection.
+    """Request for a call on the selection, the current orbit or the scene.
 
-    `count` is the number of cells per side of a grid, or of values of a sweep. `max_period` belongs to `explore`.
+    Attributes
+    ----------
+    call : str
+        Name of the call.
+    count : int
+        Number of cells per side of a grid, or number of values of a sweep.
+    max_period : int
+        Largest number of drive periods of the orbits that ``"explore"`` searches for.
     """
 
     call: Literal["follow", "switch", "explore", "locus", "margin", "basins", "map", "sweep", "attractors"]
@@ -126,7 +167,7 @@ class RunAction(Message, tag="ask"):
     max_period: Annotated[int, Meta(ge=1, le=32)] = 2
 
 
-class Stop(Message, tag="stop"):
+class StopTasks(Message, tag="stop"):
     """Request to stop the running tasks."""
 
 
@@ -134,7 +175,7 @@ class Undo(Message, tag="undo"):
     """Request to undo the last step."""
 
 
-class Load(Message, tag="load"):
+class LoadSceneFile(Message, tag="load"):
     """Text of a scene file that replaces the content of the page."""
 
     text: str
@@ -142,8 +183,8 @@ class Load(Message, tag="load"):
 
 PageMessage = (
     Hello
-    | Resize
-    | Zoom
+    | ResizePanel
+    | ZoomPanel
     | Click
     | SetStart
     | SetParameter
@@ -151,38 +192,40 @@ PageMessage = (
     | MoveOnBranch
     | SetAxes
     | RunAction
-    | Stop
+    | StopTasks
     | Undo
-    | Load
+    | LoadSceneFile
 )
 _message_decoder = msgspec.json.Decoder(PageMessage)
 
 
-class _NumberedMessage(Struct):
+class _MessageNumber(Struct):
     number: int = 0
 
 
-_number_decoder = msgspec.json.Decoder(_NumberedMessage)
+_number_decoder = msgspec.json.Decoder(_MessageNumber)
 
 
-def decode(text: str | bytes) -> PageMessage:
+def decode_message(message_text: str | bytes) -> PageMessage:
     """Decode a message. Raises ArgumentError for invalid text."""
     try:
-        return _message_decoder.decode(text)
+        return _message_decoder.decode(message_text)
     except (msgspec.MsgspecError, ValueError, RecursionError) as error:
-        raise ArgumentError("message", f"must be a known message ({shorten(error)})", shorten(text)) from None
+        raise ArgumentError(
+            "message", f"must be a known message ({shorten_text(error)})", shorten_text(message_text)
+        ) from None
 
 
-def message_number(text: str | bytes) -> int:
-    """Return the number of a text that is not a valid message, 0 if it has none."""
+def decode_message_number(message_text: str | bytes) -> int:
+    """Return the `number` of an invalid message; 0 if its text contains none."""
     try:
-        return _number_decoder.decode(text).number
+        return _number_decoder.decode(message_text).number
     except (msgspec.MsgspecError, ValueError, RecursionError):
         return 0
 
 
-def encode(record: dict[str, Any]) -> str:
-    """Encode a record as JSON that browsers read, with null for numbers that are not finite."""
+def encode_record(record: dict[str, Any]) -> str:
+    """Encode a record as standard JSON, with null for numbers that are not finite."""
     try:
         return json.dumps(record, allow_nan=False)
     except ValueError:

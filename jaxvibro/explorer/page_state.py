@@ -11,10 +11,10 @@ from ..branches.branch import Branch
 from ..branches.diagram import Diagram
 from ..design.margin import Margin
 from ..loci.locus import Locus
-from ..scene.parameters import parameter_domain
 from ..scene.scene import Scene
+from ..scene.scene_parameters import parameter_domain
 from ..studies.schema import SceneFile, ViewTable
-from .calls import SCENE_NAME, prune_lines
+from .page_calls import SCENE_NAME, prune_call_lines
 
 RELATIVE_ROUNDING = 1e-12  # relative difference of values that are equal up to rounding
 SLIDER_FACTOR = 2.0  # upper end of a slider, relative to the value
@@ -35,13 +35,13 @@ class PageState:
     second_bounds : tuple of float
         Bounds of `second`.
     lines : tuple of ViewTable
-        Calls in order.
+        Actions of the user as calls of the Python interface, in chronological order.
     scene : str
         Name of the current scene.
     current : str
-        Name of the current orbit or motion; "" before there is any.
+        Name of the current orbit or motion; "" if there is none.
     chosen : str
-        Reference of the selection.
+        Python expression of the selected branch or special point, for example ``"branch.special[1]"``.
     place : int or None
         Index of the selected point on its branch, else None.
     variable : str
@@ -59,11 +59,11 @@ class PageState:
     place: int | None = None
     variable: str = "x"
 
-    def with_lines(self, *lines: ViewTable, **changes: Any) -> "PageState":
-        """Return the page with further lines and changes, without scenes and orbits that nothing uses."""
+    def with_call_lines(self, *lines: ViewTable, **changes: Any) -> "PageState":
+        """Return the page with further lines and changed fields; lines of unused scenes and motions are removed."""
         page = replace(self, **changes)
         names_in_use = (page.scene, page.current, page.chosen.split(".")[0].split("[")[0])
-        return replace(page, lines=prune_lines((*self.lines, *lines), names_in_use))
+        return replace(page, lines=prune_call_lines((*self.lines, *lines), names_in_use))
 
     @property
     def plane_bounds(self) -> dict[str, tuple[float, float]]:
@@ -71,54 +71,81 @@ class PageState:
         return {self.parameter: self.bounds, self.second: self.second_bounds}
 
 
-def first_page(scene: Scene, file: SceneFile | None) -> PageState:
-    """Return the first content of a page, with parameters and bounds from the file, else those of the drive."""
-    names = [name for name in scene.names if name != "hardness"]
-    name, bounds = (file and _file_diagram(file)) or ("amplitude", slider_range(scene, "amplitude"))
-    table = file and (file.locus or file.map)
-    other_parameters = [candidate for candidate in (table.parameters if table else ()) if candidate != name]
-    second = next(
-        iter(other_parameters), next(candidate for candidate in ("frequency", "amplitude", *names) if candidate != name)
+def initial_page(scene: Scene, scene_file: SceneFile | None) -> PageState:
+    """Return the initial content of a page.
+
+    The parameters and bounds of the diagram and the plane are those in the file. Where the file defines none, the
+    parameters are the amplitude and the frequency of the drive, and the bounds are the ranges of their sliders.
+    """
+    parameter_names = [parameter for parameter in scene.names if parameter != "hardness"]
+    parameter, bounds = (scene_file and _diagram_axis_of_file(scene_file)) or (
+        "amplitude",
+        slider_range(scene, "amplitude"),
     )
-    second_bounds = table.bounds[second] if table and second in table.bounds else slider_range(scene, second)
-    return PageState(name, bounds, second, second_bounds)
+    plane_table = scene_file and (scene_file.locus or scene_file.map)
+    other_plane_parameters = [
+        candidate_name
+        for candidate_name in (plane_table.parameters if plane_table else ())
+        if candidate_name != parameter
+    ]
+    second_parameter = next(
+        iter(other_plane_parameters),
+        next(
+            candidate_name
+            for candidate_name in ("frequency", "amplitude", *parameter_names)
+            if candidate_name != parameter
+        ),
+    )
+    second_bounds = (
+        plane_table.bounds[second_parameter]
+        if plane_table and second_parameter in plane_table.bounds
+        else slider_range(scene, second_parameter)
+    )
+    return PageState(parameter, bounds, second_parameter, second_bounds)
 
 
-def _file_diagram(file):
-    """Return (name, bounds) of the diagram that a file defines; None without one."""
-    if file.branch_table is not None:
-        return file.branch_table.parameter, file.branch_table.bounds
-    if file.sweep is not None:
-        end_values = [end_value for leg in file.sweep.legs for end_value in (leg.first, leg.last)]
-        return file.sweep.parameter, (min(end_values), max(end_values))
-    if file.spectrum is not None and file.spectrum.first != file.spectrum.last:
-        return file.spectrum.parameter, tuple(sorted((file.spectrum.first, file.spectrum.last)))
+def _diagram_axis_of_file(scene_file):
+    """Return (parameter, bounds) of the diagram that a scene file defines; None if it defines no diagram."""
+    if scene_file.branch_table is not None:
+        return scene_file.branch_table.parameter, scene_file.branch_table.bounds
+    if scene_file.sweep is not None:
+        sweep_ends = [
+            sweep_end for sweep_leg in scene_file.sweep.legs for sweep_end in (sweep_leg.first, sweep_leg.last)
+        ]
+        return scene_file.sweep.parameter, (min(sweep_ends), max(sweep_ends))
+    if scene_file.spectrum is not None and scene_file.spectrum.first != scene_file.spectrum.last:
+        return scene_file.spectrum.parameter, tuple(sorted((scene_file.spectrum.first, scene_file.spectrum.last)))
     return None
 
 
-def slider_range(scene: Scene, name: str) -> tuple[float, float]:
+def slider_range(scene: Scene, parameter: str) -> tuple[float, float]:
     """Return the range of the slider of a parameter: around its value, inside its domain."""
-    value = float(scene.parameter(name))
-    lower, upper = parameter_domain(scene, name)
-    if name.endswith("restitution"):
+    value = float(scene.parameter(parameter))
+    domain_lower, domain_upper = parameter_domain(scene, parameter)
+    if parameter.endswith("restitution"):
         return 0.0, 1.0
-    if name.endswith("phase"):
+    if parameter.endswith("phase"):
         return min(0.0, value), max(2.0 * np.pi, value)
-    if name.endswith(("frequency", "stiffness")):
+    if parameter.endswith(("frequency", "stiffness")):
         return value / SLIDER_FACTOR, value * SLIDER_FACTOR
-    if name == "hardness":
+    if parameter == "hardness":
         return value - 1.0, value + 1.0
     half_range = max(abs(value), 0.5)
-    preferred = (min(0.0, value), max(SLIDER_FACTOR * value, 0.5)) if name in ("amplitude", "damping") else None
-    start, stop = preferred or (value - half_range, value + half_range)
-    wall_gap = 0.01 * half_range  # walls must not meet
-    return max(start, lower + wall_gap if lower > start else start), min(
-        stop, upper - wall_gap if upper < stop else stop
+    range_from_zero = (
+        (min(0.0, value), max(SLIDER_FACTOR * value, 0.5)) if parameter in ("amplitude", "damping") else None
+    )
+    range_start, range_stop = range_from_zero or (value - half_range, value + half_range)
+    domain_inset = 0.01 * half_range  # walls must not meet
+    return max(range_start, domain_lower + domain_inset if domain_lower > range_start else range_start), min(
+        range_stop, domain_upper - domain_inset if domain_upper < range_stop else range_stop
     )
 
 
 def is_same_scene(scene: Scene, other_scene: Scene, *except_names: str) -> bool:
-    """Return True if two scenes agree in all parameters except some."""
+    """Return True if two scenes agree in all parameters except those in `except_names`, up to rounding.
+
+    If `except_names` is not empty, the hardness may also differ.
+    """
     if scene.names != other_scene.names:
         return False
     names = [name for name in scene.names if name not in except_names and not (name == "hardness" and except_names)]
@@ -129,67 +156,87 @@ def is_same_scene(scene: Scene, other_scene: Scene, *except_names: str) -> bool:
     )
 
 
-def branches(page: PageState, results: Mapping[str, Any]) -> Iterator[tuple[str, Branch]]:
+def diagram_branches(page: PageState, results: Mapping[str, Any]) -> Iterator[tuple[str, Branch]]:
     """Yield (reference, `Branch`) of the branches of the diagram.
 
-    These vary the parameter of the diagram and agree with the scene in all others.
+    The branches vary the parameter of the diagram and agree with the current scene in all other parameters.
     """
     scene = results[page.scene]
-    for line in page.lines:
-        value = results[line.name]
-        for reference, branch in _curves(line.name, value, Branch):
+    for call_line in page.lines:
+        result = results[call_line.name]
+        for reference, branch in _curves_of_result(call_line.name, result, Branch):
             if branch.name == page.parameter and is_same_scene(branch.scene, scene, page.parameter):
                 yield reference, branch
 
 
-def loci(page: PageState, results: Mapping[str, Any]) -> Iterator[tuple[str, Locus]]:
-    """Yield (reference, `Locus`) of the loci of the plane."""
+def plane_loci(page: PageState, results: Mapping[str, Any]) -> Iterator[tuple[str, Locus]]:
+    """Yield (reference, `Locus`) of the loci in the two parameters of the plane.
+
+    The scenes of the loci agree with the current scene in all other parameters.
+    """
     scene, names = results[page.scene], (page.parameter, page.second)
-    for line in page.lines:
-        for reference, locus in _curves(line.name, results[line.name], Locus):
+    for call_line in page.lines:
+        for reference, locus in _curves_of_result(call_line.name, results[call_line.name], Locus):
             if locus.names == names and is_same_scene(locus.scene, scene, *names):
                 yield reference, locus
 
 
-def _curves(name, value, curve_type):
-    if isinstance(value, curve_type):
-        yield name, value
-    elif isinstance(value, Diagram) and curve_type is Branch:
-        yield from ((f"{name}.branches[{k}]", curve) for k, curve in enumerate(value.branches))
-    elif isinstance(value, tuple):
-        yield from ((f"{name}[{k}]", curve) for k, curve in enumerate(value) if isinstance(curve, curve_type))
+def _curves_of_result(result_name, result, curve_type):
+    if isinstance(result, curve_type):
+        yield result_name, result
+    elif isinstance(result, Diagram) and curve_type is Branch:
+        yield from ((f"{result_name}.branches[{index}]", curve) for index, curve in enumerate(result.branches))
+    elif isinstance(result, tuple):
+        yield from (
+            (f"{result_name}[{index}]", curve) for index, curve in enumerate(result) if isinstance(curve, curve_type)
+        )
 
 
-def latest_result(page: PageState, results: Mapping[str, Any], call: str, *except_names: str) -> Any:
-    """Return the last result of a call whose scene is the current one except for some parameters; None without one."""
+def latest_result(page: PageState, results: Mapping[str, Any], call_name: str, *except_names: str) -> Any:
+    """Return the last result of a named call on the current scene; None if there is no result.
+
+    The scene of the call may differ from the current scene in the parameters `except_names`.
+    """
     scene = results[page.scene]
-    for line in reversed(page.lines):
-        if line.call == call and is_same_scene(_receiver_scene(results[line.of]), scene, *except_names):
-            return results[line.name]
+    for call_line in reversed(page.lines):
+        if call_line.call == call_name and is_same_scene(
+            _scene_of_called_object(results[call_line.of]), scene, *except_names
+        ):
+            return results[call_line.name]
     return None
 
 
-def _receiver_scene(value):
-    return value if isinstance(value, Scene) else value.scene
+def _scene_of_called_object(receiver):
+    return receiver if isinstance(receiver, Scene) else receiver.scene
 
 
-def current_sweeps(page: PageState, results: Mapping[str, Any]) -> list[xr.Dataset]:
-    """Return the sweeps of the diagram."""
+def diagram_sweeps(page: PageState, results: Mapping[str, Any]) -> list[xr.Dataset]:
+    """Return the sweeps in the parameter of the diagram whose scenes otherwise agree with the current scene."""
     scene = results[page.scene]
     sweep_lines = [
-        line for line in page.lines if line.call == "sweep" and line.arguments["parameter"] == page.parameter
+        call_line
+        for call_line in page.lines
+        if call_line.call == "sweep" and call_line.arguments["parameter"] == page.parameter
     ]
-    return [results[line.name] for line in sweep_lines if is_same_scene(results[line.of], scene, page.parameter)]
+    return [
+        results[call_line.name]
+        for call_line in sweep_lines
+        if is_same_scene(results[call_line.of], scene, page.parameter)
+    ]
 
 
-def current_map(page: PageState, results: Mapping[str, Any]) -> xr.Dataset | None:
-    """Return the map of the plane, with the second parameter on the y axis; None without one."""
+def plane_map(page: PageState, results: Mapping[str, Any]) -> xr.Dataset | None:
+    """Return the last map whose scene agrees with the current scene in all parameters except those of the plane.
+
+    Returns None if there is no such map, or if its axes are not the second parameter (y) and the parameter of the
+    diagram (x).
+    """
     names = (page.second, page.parameter)
     map_data = latest_result(page, results, "map", *names)
     return map_data if map_data is not None and tuple(map_data["label"].dims) == names else None
 
 
-def current_margin(page: PageState, results: Mapping[str, Any]) -> Margin | None:
-    """Return the margin of the plane; None without one."""
+def plane_margin(page: PageState, results: Mapping[str, Any]) -> Margin | None:
+    """Return the last margin on the current scene if its free parameters are those of the plane, otherwise None."""
     margin = latest_result(page, results, "margin")
     return margin if margin is not None and tuple(margin.free) == (page.parameter, page.second) else None

@@ -32,15 +32,25 @@ DrawFunction = Callable[[Axes], object]
 _drawing_lock = threading.Lock()  # matplotlib parses formulas in one thread at a time
 
 
-class Size(NamedTuple):
-    """Size of a panel in page pixels, and the number of screen pixels per page pixel."""
+class PanelSize(NamedTuple):
+    """Size of a panel.
+
+    Attributes
+    ----------
+    width : float
+        Width in page pixels.
+    height : float
+        Height in page pixels.
+    ratio : float
+        Number of screen pixels per page pixel.
+    """
 
     width: float
     height: float
     ratio: float
 
 
-class Limits(NamedTuple):
+class AxisLimits(NamedTuple):
     """Limits of the axes of a panel; None keeps those of the figure."""
 
     x: tuple[float, float] | None = None
@@ -50,25 +60,28 @@ class Limits(NamedTuple):
 class Panel:
     """Figure of one panel, reused for each drawing because making axes takes longer than drawing their content."""
 
-    def __init__(self, size: Size) -> None:
+    def __init__(self, size: PanelSize) -> None:
         self.size = size
         ratio = min(max(size.ratio, 0.5), 4.0)
-        width, height = (min(max(side, MIN_SIDE), MAX_SIDE / ratio) for side in (size.width, size.height))
+        width, height = (
+            min(max(side_in_page_pixels, MIN_SIDE), MAX_SIDE / ratio)
+            for side_in_page_pixels in (size.width, size.height)
+        )
         self._figure = Figure(figsize=(width / DPI, height / DPI), dpi=DPI * ratio)
         self._canvas = FigureCanvasAgg(self._figure)
-        left, right = MARGINS["left"] / width, 1.0 - MARGINS["right"] / width
-        bottom, top = MARGINS["bottom"] / height, 1.0 - MARGINS["top"] / height
-        self._ax = self._figure.add_axes((left, bottom, right - left, top - bottom))
+        axes_left, axes_right = MARGINS["left"] / width, 1.0 - MARGINS["right"] / width
+        axes_bottom, axes_top = MARGINS["bottom"] / height, 1.0 - MARGINS["top"] / height
+        self._ax = self._figure.add_axes((axes_left, axes_bottom, axes_right - axes_left, axes_top - axes_bottom))
         self._background: Any = None  # image of the empty axes, and their limits
 
-    def render(self, draw: DrawFunction, limits: Limits, is_dragging: bool = False) -> dict[str, Any]:
+    def render(self, draw_content: DrawFunction, limits: AxisLimits, is_dragging: bool = False) -> dict[str, Any]:
         """Draw the panel and return its record for the page.
 
         Parameters
         ----------
-        draw : callable
+        draw_content : callable
             Function that draws into Axes.
-        limits : Limits
+        limits : AxisLimits
             Limits of the axes.
         is_dragging : bool, optional
             Reuse the axes of the last figure if the content lies inside them.
@@ -80,8 +93,8 @@ class Panel:
             and ``y``: limits of the axes.
         """
         with _drawing_lock:
-            self._clear()
-            draw(self._ax)
+            self._clear_axes()
+            draw_content(self._ax)
             if not is_dragging:
                 _apply_limits(self._ax, limits)
                 self._canvas.draw()
@@ -90,19 +103,24 @@ class Panel:
                 self._draw_over_background(limits)
             buffer = io.BytesIO()
             Image.fromarray(np.asarray(self._canvas.buffer_rgba())).convert("RGB").save(buffer, "png", compress_level=1)
-            axes_box = self._ax.get_position()
+            relative_axes_box = self._ax.get_position()
             return {
                 "png": base64.b64encode(buffer.getvalue()).decode(),
-                "box": [axes_box.x0, 1.0 - axes_box.y1, axes_box.width, axes_box.height],
+                "box": [
+                    relative_axes_box.x0,
+                    1.0 - relative_axes_box.y1,
+                    relative_axes_box.width,
+                    relative_axes_box.height,
+                ],
                 "x": list(map(float, self._ax.get_xlim())),
                 "y": list(map(float, self._ax.get_ylim())),
             }
 
     def _draw_over_background(self, limits):
         """Draw the content over an image of the empty axes, which is reused while the content lies inside them."""
-        if self._background is None or not self._fits_within(self._background):
+        if self._background is None or not self._content_fits_within(self._background):
             _apply_limits(self._ax, limits)
-            artists = self._artists()
+            artists = self._content_artists()
             for artist in artists:
                 artist.set_visible(False)
             self._canvas.draw()
@@ -113,31 +131,31 @@ class Panel:
             )
             for artist in artists:
                 artist.set_visible(True)
-        pixels, x_limits, y_limits = self._background
+        background_pixels, x_limits, y_limits = self._background
         self._ax.set(xlim=x_limits, ylim=y_limits)
-        self._canvas.restore_region(pixels)
-        for artist in sorted(self._artists(), key=lambda artist: artist.get_zorder()):
+        self._canvas.restore_region(background_pixels)
+        for artist in sorted(self._content_artists(), key=lambda artist: artist.get_zorder()):
             self._ax.draw_artist(artist)
 
-    def _clear(self):
+    def _clear_axes(self):
         """Remove the content of the axes and restore automatic limits."""
         ax = self._ax
         legend = ax.get_legend()
-        for artist in (*self._artists(), *([legend] if legend else ())):
+        for artist in (*self._content_artists(), *([legend] if legend else ())):
             artist.remove()
-        for child in ax.child_axes[:]:
-            child.remove()
+        for inset_axes in ax.child_axes[:]:
+            inset_axes.remove()
         ax.set_prop_cycle(None)
         ax.set_title("")
         ax.relim()
         ax.margins(0.05)
         ax.autoscale(True)
 
-    def _artists(self):
+    def _content_artists(self):
         ax = self._ax
         return [*ax.images, *ax.collections, *ax.patches, *ax.lines, *ax.texts]
 
-    def _fits_within(self, background):
+    def _content_fits_within(self, background):
         (_, x_limits, y_limits), data_limits = background, self._ax.dataLim
         return (
             x_limits[0] <= data_limits.x0
@@ -154,20 +172,20 @@ def _apply_limits(ax, limits):
         ax.set_ylim(limits.y)
 
 
-def export_picture(draw: DrawFunction, limits: Limits, file_format: str) -> bytes:
+def export_picture(draw_content: DrawFunction, limits: AxisLimits, file_format: str) -> bytes:
     """Return a figure as a file of format "png", "svg" or "pdf"."""
     with _drawing_lock:
         figure = Figure(figsize=(7.0, 5.0), dpi=200, layout="constrained")
         FigureCanvasAgg(figure)
         ax = figure.add_subplot()
-        draw(ax)
+        draw_content(ax)
         _apply_limits(ax, limits)
         buffer = io.BytesIO()
         figure.savefig(buffer, format=file_format)
     return buffer.getvalue()
 
 
-def diagram(
+def draw_diagram(
     ax: Axes,
     branches: Sequence[Branch],
     sweeps: Sequence[xr.Dataset],
@@ -177,7 +195,7 @@ def diagram(
     bounds: Sequence[float],
     variable: str,
 ) -> None:
-    """Draw branches along a parameter over sweeps, and attractors at its current value."""
+    """Draw branches along a parameter over sweeps, and attractors at the current value of the parameter."""
     for sweep in sweeps if variable in ("x", "v") else ():
         plot.diagram(sweep, variable, ax, faint=bool(branches))
     for branch in branches:
@@ -192,45 +210,47 @@ def diagram(
     _add_legend(ax)
 
 
-def plane(
+def draw_plane(
     ax: Axes,
     loci: Sequence[Locus],
     map_data: xr.Dataset | None,
     margin: Margin | None,
-    parameters: Sequence[str],
+    parameter_names: Sequence[str],
     bounds: Sequence[Sequence[float]],
 ) -> None:
     """Draw loci in two parameters over a map, with a margin."""
     if map_data is not None:
         plot.map(map_data, ax)
-    map_entries = _legend_entries(ax)
+    map_legend_entries = _legend_entries(ax)
     for locus in loci:
         plot.locus(locus, ax)
     if margin is not None:
         plot.margin(margin, ax)
     if not loci and map_data is None and margin is None:
-        ax.set(xlabel=parameter_label(parameters[0]), ylabel=parameter_label(parameters[1]))
+        ax.set(xlabel=parameter_label(parameter_names[0]), ylabel=parameter_label(parameter_names[1]))
     ax.set_xlim(*bounds[0])
     ax.set_ylim(*bounds[1])
-    _add_legend(ax, map_entries)
+    _add_legend(ax, map_legend_entries)
 
 
-def portrait(ax: Axes, motion: Orbit | xr.Dataset, scene: Scene, stable: bool, basins: xr.Dataset | None) -> None:
+def draw_portrait(
+    ax: Axes, motion: Orbit | xr.Dataset, scene: Scene, is_stable: bool, basins: xr.Dataset | None
+) -> None:
     """Draw an orbit or another motion in the phase plane, over basins."""
     if basins is not None:
         plot.basins(basins, ax)
-    basin_entries = _legend_entries(ax)
-    plot.portrait(trajectory_of(motion), scene, ax, stable)
+    basin_legend_entries = _legend_entries(ax)
+    plot.portrait(trajectory_of_motion(motion), scene, ax, is_stable)
     if basins is not None:
-        _add_legend(ax, basin_entries)
+        _add_legend(ax, basin_legend_entries)
 
 
-def trace(ax: Axes, motion: Orbit | xr.Dataset, scene: Scene) -> None:
+def draw_trace(ax: Axes, motion: Orbit | xr.Dataset, scene: Scene) -> None:
     """Draw an orbit or another motion against time."""
-    plot.trace(trajectory_of(motion), scene, ax)
+    plot.trace(trajectory_of_motion(motion), scene, ax)
 
 
-def trajectory_of(motion: Orbit | xr.Dataset) -> xr.Dataset:
+def trajectory_of_motion(motion: Orbit | xr.Dataset) -> xr.Dataset:
     """Return the trajectory of an orbit, or the motion itself."""
     return (
         simulate(motion.scene, motion.state, motion.periods, SAMPLES_PER_PERIOD)
@@ -247,8 +267,8 @@ def _legend_entries(ax):
 
 def _add_legend(ax, extra_entries=((), ())):
     handles, labels = (
-        [*axes_items, *extra_items]
-        for axes_items, extra_items in zip(ax.get_legend_handles_labels(), extra_entries, strict=True)
+        [*axes_legend_items, *extra_legend_items]
+        for axes_legend_items, extra_legend_items in zip(ax.get_legend_handles_labels(), extra_entries, strict=True)
     )
     if len(labels) > MAX_LEGEND_ENTRIES:
         handles, labels = (

@@ -8,7 +8,7 @@ import jax
 import numpy as np
 import scipy
 
-from continuation.persistent_jit import compile_evaluated
+from continuation.persistent_jit import compile_numpy_functions
 
 from ..maps.simulate import simulate
 from ..maps.strobe import strobe
@@ -17,7 +17,7 @@ from ..orbits.orbit import OrbitError
 from ..scene.check import ArgumentError
 from ..scene.scene import Scene
 from ..scene.state import State
-from .calls import SETTLE_PERIODS
+from .page_calls import SETTLE_PERIODS
 from .panels import SAMPLES_PER_PERIOD
 
 SCIPY_MODULES = "interpolate", "spatial", "linalg", "special", "sparse"  # SciPy imports each on first use
@@ -25,11 +25,22 @@ DRAWING_TIME = 1.0  # s, until the first results are drawn
 POLL_INTERVAL = 0.25  # s between two checks for work
 
 
-class Precomputation(threading.Thread):
-    """Thread that computes the first results while the browser starts, then compiles functions when idle.
+class PrecomputationThread(threading.Thread):
+    """Thread that computes the first results while the browser starts, then compiles functions while no page is used.
 
-    `is_idle` returns True if no page waits. `ready` is set once the first results exist. The functions that it compiles
-    are those that NumPy evaluates until then.
+    The functions to compile are those that NumPy evaluates until they are compiled.
+
+    Parameters
+    ----------
+    scene : Scene
+        Scene of the first page.
+    is_idle : callable
+        Function that returns True if no page has sent a message recently.
+
+    Attributes
+    ----------
+    ready : threading.Event
+        Event that is set once the first results are computed or have failed.
     """
 
     def __init__(self, scene: Scene, is_idle: Callable[[], bool]) -> None:
@@ -55,7 +66,7 @@ class Precomputation(threading.Thread):
             getattr(scipy, module_name)
         while not self._stop_event.wait(POLL_INTERVAL):
             if self._is_idle():
-                next(compile_evaluated(), None)
+                next(compile_numpy_functions(), None)
 
     def stop(self) -> None:
         """End the thread after the current compilation."""

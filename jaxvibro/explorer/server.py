@@ -22,11 +22,11 @@ from tornado import httpserver, netutil, web, websocket
 from ..scene.check import ArgumentError
 from ..scene.scene import Scene
 from ..studies.schema import SceneFile
-from ..studies.text_limits import MAX_BYTES
+from ..studies.toml_limits import MAX_BYTES
 from . import downloads, messages
 from .error_records import error_record, message_record
-from .page_text import program_text, scene_file_text
-from .precomputation import Precomputation
+from .page_display_data import program_text, scene_file_text
+from .precomputation import PrecomputationThread
 from .session import Session
 
 PAGE_FOLDER = Path(__file__).with_name("page")
@@ -52,7 +52,7 @@ def is_loopback(host: str) -> bool:
 
 
 class PageThread:
-    """Thread that handles the messages of a page in order, and only the last of those that replace each other."""
+    """Thread that handles the messages of a page in order, and only the last of messages that replace each other."""
 
     def __init__(self, double_precision: bool) -> None:
         self._closed = False
@@ -60,43 +60,43 @@ class PageThread:
         self._condition, self._double_precision = threading.Condition(), double_precision
         threading.Thread(target=self._run, daemon=True).start()
 
-    def add(self, job: Callable[[], object] | None, replacement_key: Any = None) -> bool:
-        """Queue a job, or None to end the thread; return False if the queue is full or the thread has ended."""
+    def add(self, callback: Callable[[], object] | None, replacement_key: Any = None) -> bool:
+        """Queue a callback, or None to end the thread; return False if the queue is full or the thread has ended."""
         with self._condition:
             if self._closed:
                 return False
-            self._closed = job is None
+            self._closed = callback is None
             if replacement_key is not None and self._queue and self._queue[-1][1] == replacement_key:
                 self._queue.pop()
-            elif job is not None and len(self._queue) >= MAX_QUEUED:
+            elif callback is not None and len(self._queue) >= MAX_QUEUED:
                 return False
-            self._queue.append((job, replacement_key))
+            self._queue.append((callback, replacement_key))
             self._condition.notify()
         return True
 
     def _run(self) -> None:
         with jax.enable_x64(self._double_precision):
-            while (job := self._next_job()) is not None:
+            while (callback := self._next_callback()) is not None:
                 try:
-                    job()
+                    callback()
                 except Exception:  # an internal error must not end the page
                     traceback.print_exc()
 
-    def _next_job(self):
+    def _next_callback(self):
         with self._condition:
             self._condition.wait_for(lambda: self._queue)
             return self._queue.popleft()[0]
 
 
-class Explorer:
+class ExplorerServer:
     """Server of pages of one scene.
 
     Parameters
     ----------
     scene : Scene
         Scene of the file, or a scene without a file.
-    file : SceneFile or None
-        Scene file.
+    scene_file : SceneFile or None
+        Scene file; None if the scene cannot be written as text.
     address : str
         Loopback address.
     port : int or None
@@ -113,19 +113,19 @@ class Explorer:
     """
 
     def __init__(
-        self, scene: Scene, file: SceneFile | None, address: str, port: int | None, token: str | None = None
+        self, scene: Scene, scene_file: SceneFile | None, address: str, port: int | None, token: str | None = None
     ) -> None:
         if not is_loopback(address):
             raise ArgumentError("address", "must be a loopback address, such as 127.0.0.1", address)
-        self.scene, self.file, self.token = scene, file, token or secrets.token_urlsafe(32)
-        self.pages: dict[str, PageSocket] = {}
+        self.scene, self.file, self.token = scene, scene_file, token or secrets.token_urlsafe(32)
+        self.page_sockets: dict[str, PageSocket] = {}
         self._listening_sockets = _bind_sockets(address, port)
         self.port = self._listening_sockets[0].getsockname()[1]
-        host = f"[{address}]" if ":" in address else address
-        self.url = f"http://{host}:{self.port}/?token={self.token}"
+        url_host = f"[{address}]" if ":" in address else address
+        self.url = f"http://{url_host}:{self.port}/?token={self.token}"
         self._started = threading.Event()
         self.last_request_time = 0.0  # s, time of the last message of any page
-        self.precomputation = Precomputation(scene, self._is_idle)
+        self.precomputation = PrecomputationThread(scene, self._is_idle)
 
     async def serve(self) -> None:
         """Serve until `stop` is called."""
@@ -138,16 +138,21 @@ class Explorer:
             (r"/socket", PageSocket, handler_arguments),
             (r"/take/([\w-]+)/([\w.]+)", DownloadHandler, handler_arguments),
         ]
-        settings: dict[str, Any] = {"websocket_max_message_size": MAX_BYTES + 4096, "websocket_ping_interval": 20}
-        settings |= {"default_handler_class": NotFoundHandler, "default_handler_args": handler_arguments}
-        server = httpserver.HTTPServer(web.Application(routes, **settings), max_body_size=4096, max_header_size=65536)
-        server.add_sockets(self._listening_sockets)
+        application_settings: dict[str, Any] = {
+            "websocket_max_message_size": MAX_BYTES + 4096,
+            "websocket_ping_interval": 20,
+        }
+        application_settings |= {"default_handler_class": NotFoundHandler, "default_handler_args": handler_arguments}
+        http_server = httpserver.HTTPServer(
+            web.Application(routes, **application_settings), max_body_size=4096, max_header_size=65536
+        )
+        http_server.add_sockets(self._listening_sockets)
         try:
             await self._stop_requested.wait()
         finally:
-            for socket in list(self.pages.values()):
-                socket.close()
-            server.stop()
+            for page_socket in list(self.page_sockets.values()):
+                page_socket.close()
+            http_server.stop()
 
     def stop(self) -> None:
         """Stop the server, from any thread."""
@@ -158,29 +163,29 @@ class Explorer:
     def _is_idle(self):
         return time.monotonic() - self.last_request_time > IDLE_TIME
 
-    def allows(self, request: Any) -> bool:
+    def allows_request(self, request: Any) -> bool:
         """Return True if a request has the token and names this machine as its host."""
-        token = request.query_arguments.get("token", [b""])[-1]
-        return hmac.compare_digest(token, self.token.encode()) and is_loopback(host_name(f"//{request.host}"))
+        request_token = request.query_arguments.get("token", [b""])[-1]
+        return hmac.compare_digest(request_token, self.token.encode()) and is_loopback(host_of_url(f"//{request.host}"))
 
 
-def host_name(url: str) -> str:
-    """Return the host in a URL from outside, without its port; "" if there is none."""
-    return (urlsplit(url).hostname or "") if is_url(url) else ""
+def host_of_url(url: str) -> str:
+    """Return the host name in an external URL, without the port; "" if there is none."""
+    return (urlsplit(url).hostname or "") if is_valid_url(url) else ""
 
 
-def is_url(text: str) -> bool:
-    """Return True if a text from outside parses as a URL; Python raises for some, such as half a bracket."""
+def is_valid_url(url_text: str) -> bool:
+    """Return True if `urlsplit` can parse an external text; it raises ValueError for texts such as "http://["."""
     try:
-        return bool(urlsplit(text))
+        return bool(urlsplit(url_text))
     except ValueError:
         return False
 
 
 def _bind_sockets(address, port):
-    for candidate in PORTS if port is None else [port]:
+    for candidate_port in PORTS if port is None else [port]:
         try:
-            return netutil.bind_sockets(candidate, address)
+            return netutil.bind_sockets(candidate_port, address)
         except OSError as error:
             last_error = error
     raise OSError(last_error.errno, f"no port is free at {address} ({last_error.strerror})")
@@ -189,7 +194,7 @@ def _bind_sockets(address, port):
 class GuardedHandler(web.RequestHandler):
     """Handler that refuses requests without the token or with a foreign host name."""
 
-    def initialize(self, explorer: Explorer) -> None:
+    def initialize(self, explorer: ExplorerServer) -> None:
         self.explorer = explorer
 
     def set_default_headers(self) -> None:
@@ -197,7 +202,7 @@ class GuardedHandler(web.RequestHandler):
             self.set_header(name, value)
 
     def prepare(self) -> None:
-        if not self.explorer.allows(self.request):
+        if not self.explorer.allows_request(self.request):
             raise web.HTTPError(403)
 
     def write_error(self, status_code: int, **kwargs: Any) -> None:
@@ -226,8 +231,8 @@ class AssetHandler(GuardedHandler):
     """Handler of the scripts and the style sheet of the page."""
 
     def get(self, name: str) -> None:
-        kind = "text/css" if name.endswith("css") else "text/javascript"
-        self.set_header("Content-Type", f"{kind}; charset=utf-8")
+        content_type = "text/css" if name.endswith("css") else "text/javascript"
+        self.set_header("Content-Type", f"{content_type}; charset=utf-8")
         self.finish((PAGE_FOLDER / name).read_bytes())
 
 
@@ -235,21 +240,21 @@ class DownloadHandler(GuardedHandler):
     """Handler of downloads: scene.toml, lines.py, data.zip, or the figure of a panel."""
 
     async def get(self, page_name: str, file_name: str) -> None:
-        socket = self.explorer.pages.get(page_name)
-        if socket is None or socket.session is None:
+        page_socket = self.explorer.page_sockets.get(page_name)
+        if page_socket is None or page_socket.session is None:
             raise web.HTTPError(404)
-        session = socket.session
+        session = page_socket.session
         loop, future = asyncio.get_running_loop(), asyncio.get_running_loop().create_future()
 
-        def produce():
+        def produce_download():
             try:
-                outcome = download_content(file_name, session), None
+                data_or_error = download_content(file_name, session), None
             except Exception as error:  # answer the request after any error
-                outcome = None, error
+                data_or_error = None, error
             with suppress(RuntimeError):  # the loop has ended
-                loop.call_soon_threadsafe(future.set_result, outcome)
+                loop.call_soon_threadsafe(future.set_result, data_or_error)
 
-        if not socket.page_thread.add(produce):
+        if not page_socket.page_thread.add(produce_download):
             raise web.HTTPError(503)
         data, error = await future
         if error is not None:
@@ -261,35 +266,37 @@ class DownloadHandler(GuardedHandler):
         self.finish(data)
 
 
-def download_content(name: str, session: Session) -> bytes:
+def download_content(file_name: str, session: Session) -> bytes:
     """Return the content of a download. Raises ArgumentError for unknown names."""
     page, results = session.page, session.results
-    if name == "scene.toml":
+    if file_name == "scene.toml":
         if session.file is None:
             raise ArgumentError(
-                "scene.toml", "requires a scene that can be written; a force without a name cannot", name
+                "scene.toml", "requires a scene that can be written; a force without a name cannot", file_name
             )
         return scene_file_text(page, session.file).encode()
-    if name == "lines.py":
+    if file_name == "lines.py":
         return program_text(page, results, session.file).encode()
-    if name == "data.zip":
+    if file_name == "data.zip":
         return downloads.data_archive(page, results)
-    panel, _, file_format = name.partition(".")
+    panel, _, file_format = file_name.partition(".")
     return downloads.panel_picture(panel, file_format, page, results, session.screen)
 
 
 class PageSocket(websocket.WebSocketHandler):
-    """WebSocket of a page, JSON in both directions; closing it stops the tasks of the page."""
+    """WebSocket of a page, with JSON in both directions; its end stops the tasks of the page."""
 
-    def initialize(self, explorer: Explorer) -> None:
+    def initialize(self, explorer: ExplorerServer) -> None:
         self.explorer, self.name = explorer, secrets.token_urlsafe(9)
         self.session: Session | None = None
 
     def prepare(self) -> None:
         origins = (self.request.headers.get(name, "") for name in ("Origin", "Sec-Websocket-Origin"))
-        if not (self.explorer.allows(self.request) and all(map(is_url, origins))):  # tornado parses them as URLs
+        if not (
+            self.explorer.allows_request(self.request) and all(map(is_valid_url, origins))
+        ):  # tornado parses them as URLs
             raise web.HTTPError(403)
-        if len(self.explorer.pages) >= MAX_PAGES:
+        if len(self.explorer.page_sockets) >= MAX_PAGES:
             raise web.HTTPError(503)
 
     def check_origin(self, origin: str) -> bool:
@@ -302,12 +309,12 @@ class PageSocket(websocket.WebSocketHandler):
 
         def send_record(record):
             with suppress(RuntimeError):  # the loop has ended
-                loop.call_soon_threadsafe(self._send, messages.encode(record))
+                loop.call_soon_threadsafe(self._send, messages.encode_record(record))
 
         self.page_thread = PageThread(double_precision)
         session_arguments = self.explorer.file, self.explorer.scene, send_record, self.page_thread.add
         self.session = Session(*session_arguments, self.explorer.precomputation.ready.wait)
-        self.explorer.pages[self.name] = self
+        self.explorer.page_sockets[self.name] = self
         self._send(json.dumps({"kind": "page", "name": self.name}))
 
     def _send(self, text):
@@ -316,18 +323,20 @@ class PageSocket(websocket.WebSocketHandler):
 
     def on_message(self, text: str | bytes) -> None:
         try:
-            message = messages.decode(text)
+            message = messages.decode_message(text)
         except ArgumentError as error:
             self._send(json.dumps(error_record(error)))
-            self._send(json.dumps({"kind": "answer", "number": messages.message_number(text)}))
+            self._send(json.dumps({"kind": "answer", "number": messages.decode_message_number(text)}))
             return
         session, self.explorer.last_request_time = self.session, time.monotonic()
-        if session is not None and not self.page_thread.add(lambda: session.receive(message), message.replacement_key):
+        if session is not None and not self.page_thread.add(
+            lambda: session.receive_message(message), message.replacement_key
+        ):
             self._send(json.dumps(message_record("too many messages are queued; the last one was ignored")))
             self._send(json.dumps({"kind": "answer", "number": message.number}))
 
     def on_close(self) -> None:
-        self.explorer.pages.pop(self.name, None)
+        self.explorer.page_sockets.pop(self.name, None)
         if self.session is not None:
             self.session.close()
             self.page_thread.add(None)

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from ..branches.curves import VARIABLES
-from ..flight.wall_positions import clamp_to_walls
+from ..branches.branch_curves import VARIABLES
+from ..flight.wall_positions import adapt_to_moved_walls
 from ..orbits.orbit import Orbit, OrbitError
 from ..scene import check
 from ..scene.check import ArgumentError
@@ -15,16 +15,16 @@ from ..scene.scene import Scene
 from ..scene.state import State
 from ..studies import scene_file
 from ..studies.schema import SceneFile, ViewTable
-from ..studies.text_limits import MAX_BYTES
-from . import actions, descriptions, messages, page_state, screen
+from ..studies.toml_limits import MAX_BYTES
+from . import action_calls, messages, page_descriptions, page_screen, page_state
 from .background_tasks import BackgroundTasks, Schedule, progress_text
-from .calls import SCENE_NAME, evaluate, resolve
 from .error_records import error_record
 from .nearest_point import nearest_point
+from .page_calls import SCENE_NAME, evaluate_call_line, resolve_reference
+from .page_display_data import display_data_on_drag, display_data_when_idle
 from .page_state import PageState
-from .page_text import live_fields, static_fields
-from .panels import Limits, Panel, Size
-from .replay import replay_lines, restore_page
+from .panels import AxisLimits, Panel, PanelSize
+from .view_replay import replay_call_lines, restore_page
 
 MAX_UNDO = 200  # steps of undo
 DRAG_PERIODS = 16  # drive periods shown while a slider moves
@@ -38,61 +38,72 @@ class Session:
 
     Parameters
     ----------
-    file : SceneFile or None
+    scene_file : SceneFile or None
         Scene file, whose tables select the first results. None if the scene cannot be written as text.
     scene : Scene
         Scene of the page.
-    send : callable
+    send_record : callable
         Function that sends a record to the page, from any thread.
-    schedule : callable
+    run_in_page_thread : callable
         Function that runs a callback in the thread of this session.
-    wait : callable, optional
+    wait_until_ready : callable, optional
         Function that is called after the first fields are sent and before the first computation.
     """
 
     def __init__(
-        self, file: SceneFile | None, scene: Scene, send: Send, schedule: Schedule, wait: Wait = lambda: None
+        self,
+        scene_file: SceneFile | None,
+        scene: Scene,
+        send_record: Send,
+        run_in_page_thread: Schedule,
+        wait_until_ready: Wait = lambda: None,
     ) -> None:
-        self.send, self.schedule, self.wait, self.screen, self.connected = send, schedule, wait, screen.Screen(), False
-        self._open(file, scene)
+        self.send, self.schedule, self.wait, self.screen, self.connected = (
+            send_record,
+            run_in_page_thread,
+            wait_until_ready,
+            page_screen.Screen(),
+            False,
+        )
+        self._open_scene(scene_file, scene)
 
-    def _open(self, file: SceneFile | None, scene: Scene) -> None:
-        """Start with a scene."""
-        self.file = file
+    def _open_scene(self, scene_file: SceneFile | None, scene: Scene) -> None:
+        """Show the initial page of a scene; earlier results and steps of undo are discarded."""
+        self.file = scene_file
         self.results: dict[str, Any] = {SCENE_NAME: scene}
         self.name_counters = {"scene": 2}  # next number of each name stem
         self.history: list[PageState] = []
         # Page and names at the start of a slider motion.
         self.drag_start: tuple[PageState, tuple[str, str, str]] | None = None
-        self.page = page_state.first_page(scene, file)
+        self.page = page_state.initial_page(scene, scene_file)
         self.screen.invalidate()
         self.tasks = BackgroundTasks(self._send_progress, self.schedule, bool(scene.dtype == np.float64))
         self.sent_fields: dict[str, Any] = {}  # fields that the page has
         self.static_page: PageState | None = None  # page whose static fields were sent
 
-    def _end_replay(self, results: dict[str, Any] | None, error: Exception | None) -> None:
+    def _show_replay_results(self, results: dict[str, Any] | None, error: Exception | None) -> None:
         """Show the results of the [[view]] tables of the file."""
         if results is None or self.file is None:
             self._finish_action(error)
             return
-        for line in self.file.view:
-            stem, _, number = line.name.rpartition("_")
-            if int(number) >= self.name_counters.get(stem, 1):
-                self.name_counters[stem] = int(number) + 1
+        for call_line in self.file.view:
+            name_stem, _, name_number = call_line.name.rpartition("_")
+            if int(name_number) >= self.name_counters.get(name_stem, 1):
+                self.name_counters[name_stem] = int(name_number) + 1
         self.results = results
-        self._show(restore_page(self.page, self.file.view, results))
+        self._show_page(restore_page(self.page, self.file.view, results))
         self.history.clear()
         self.update_page()
 
     def close(self) -> None:
-        """Stop all tasks, because the page is closed or requests it."""
+        """Stop all tasks of the page."""
         self.tasks.stop()
 
-    def receive(self, message: messages.PageMessage) -> None:
-        """Apply a message and update the page; an error is sent as one line."""
-        self.connected |= not isinstance(message, messages.Resize)
+    def receive_message(self, message: messages.PageMessage) -> None:
+        """Apply a message and update the page; an error is sent to the page as one line."""
+        self.connected |= not isinstance(message, messages.ResizePanel)
         try:
-            if self.drag_start is not None and not isinstance(message, messages.SetParameter | messages.Resize):
+            if self.drag_start is not None and not isinstance(message, messages.SetParameter | messages.ResizePanel):
                 self._end_drag()
             self._handle(message)
         except Exception as error:  # answer the page after any error
@@ -107,47 +118,52 @@ class Session:
     @_handle.register
     def _(self, message: messages.Hello) -> None:
         if message.text:
-            self._handle(messages.Load(text=message.text))
+            self._handle(messages.LoadSceneFile(text=message.text))
         else:
             self._run_first_actions()
 
     @_handle.register
-    def _(self, message: messages.Resize) -> None:
-        size = Size(message.width, message.height, message.ratio)
-        if message.panel not in self.screen.panels or self.screen.panels[message.panel].size != size:
-            self.screen.panels[message.panel] = Panel(size)
+    def _(self, message: messages.ResizePanel) -> None:
+        panel_size = PanelSize(message.width, message.height, message.ratio)
+        if message.panel not in self.screen.panels or self.screen.panels[message.panel].size != panel_size:
+            self.screen.panels[message.panel] = Panel(panel_size)
 
     @_handle.register
-    def _(self, message: messages.Zoom) -> None:
+    def _(self, message: messages.ZoomPanel) -> None:
         for interval in (message.x, message.y):
-            actions.require_increasing("zoom", interval)
-        self.screen.limits[message.panel] = Limits(message.x, message.y)
+            action_calls.require_valid_bounds("zoom", interval)
+        self.screen.limits[message.panel] = AxisLimits(message.x, message.y)
 
     @_handle.register
     def _(self, message: messages.Click) -> None:
-        page = self.page
+        current_page = self.page
         if message.panel == "plane":
-            self._set_parameters({page.parameter: message.x, page.second: message.y})
+            self._set_parameters({current_page.parameter: message.x, current_page.second: message.y})
             return
-        limits = self.screen.axis_limits("diagram", page)
-        point = nearest_point(page_state.branches(page, self.results), page.variable, (message.x, message.y), limits)
-        if point is None:
-            self._set_parameters({page.parameter: message.x})
+        axis_limits = self.screen.axis_limits("diagram", current_page)
+        reference_and_index = nearest_point(
+            page_state.diagram_branches(current_page, self.results),
+            current_page.variable,
+            (message.x, message.y),
+            axis_limits,
+        )
+        if reference_and_index is None:
+            self._set_parameters({current_page.parameter: message.x})
         else:
-            self._select(*point)
+            self._select(*reference_and_index)
 
     @_handle.register
     def _(self, message: messages.SetStart) -> None:
-        self._set_start(message.x, message.v)
+        self._set_initial_state(message.x, message.v)
 
     @_handle.register
     def _(self, message: messages.SetParameter) -> None:
         if self.drag_start is None:
-            self.drag_start = self.page, self._new_names()
-        page_before, names = self.drag_start
+            self.drag_start = self.page, self._new_scene_motion_names()
+        page_before_drag, names = self.drag_start
         try:
             self.page = self._change_parameters(
-                {message.name: message.value}, page_before, names, None if message.last else DRAG_PERIODS
+                {message.name: message.value}, page_before_drag, names, None if message.last else DRAG_PERIODS
             )
         finally:
             if message.last:
@@ -159,13 +175,13 @@ class Session:
 
     @_handle.register
     def _(self, message: messages.MoveOnBranch) -> None:
-        branches = dict(page_state.branches(self.page, self.results))
+        branches = dict(page_state.diagram_branches(self.page, self.results))
         if not branches:
             raise ArgumentError("move", "requires a branch in the diagram. Follow an orbit first", message.by)
         names, reference = list(branches), self.page.chosen.partition(".special")[0]
         row = self.page.place
         if reference in branches and row is None:
-            row = resolve(self.page.chosen, self.results).place
+            row = resolve_reference(self.page.chosen, self.results).place
         name, row = (reference, row) if reference in branches and row is not None else (names[0], 0)
         if message.branch:
             name, row = names[(names.index(name) + message.branch) % len(names)], 0
@@ -176,22 +192,22 @@ class Session:
         names = self.results[self.page.scene].names
         for name, interval in ((message.parameter, message.bounds), (message.second, message.second_bounds)):
             check.require_parameter(name, names, name)
-            actions.require_increasing("bounds", interval)
+            action_calls.require_valid_bounds("bounds", interval)
         if message.parameter == message.second:
             raise ArgumentError("second", "must differ from the parameter of the diagram", message.second)
         if message.variable not in VARIABLES:
             raise ArgumentError("variable", f"must be one of {', '.join(VARIABLES)}", message.variable)
-        keys = ("parameter", "bounds", "second", "second_bounds", "variable")
+        axis_field_names = ("parameter", "bounds", "second", "second_bounds", "variable")
         self.screen.limits.clear()
-        self._show(self.page.with_lines(**{key: getattr(message, key) for key in keys}))
+        self._show_page(self.page.with_call_lines(**{key: getattr(message, key) for key in axis_field_names}))
 
     @_handle.register
     def _(self, message: messages.RunAction) -> None:
-        rounds = list(actions.action_lines(message, self.page, self.results, self._new_name))
-        self._run_rounds(descriptions.action_label(message.call, self.page, self.results), rounds)
+        line_rounds = list(action_calls.action_call_lines(message, self.page, self.results, self._new_result_name))
+        self._start_rounds_task(page_descriptions.action_label(message.call, self.page, self.results), line_rounds)
 
     @_handle.register
-    def _(self, message: messages.Stop) -> None:
+    def _(self, message: messages.StopTasks) -> None:
         self.close()
 
     @_handle.register
@@ -202,30 +218,30 @@ class Session:
         self._drop_unused_results()
 
     @_handle.register
-    def _(self, message: messages.Load) -> None:
+    def _(self, message: messages.LoadSceneFile) -> None:
         if len(message.text) > MAX_BYTES:
             raise ArgumentError("scene file", f"must be at most {MAX_BYTES:,} bytes long", "more")
-        file = scene_file.parse_content("scene file", message.text.encode())
-        scene = file.scene.make(self.results[SCENE_NAME].dtype)
+        file_tables = scene_file.parse_scene_file("scene file", message.text.encode())
+        scene = file_tables.scene.make(self.results[SCENE_NAME].dtype)
         self.close()
-        self._open(file, scene)
+        self._open_scene(file_tables, scene)
         self._run_first_actions()
 
     def _run_first_actions(self) -> None:
-        """Repeat the [[view]] tables of the file, or else compute its orbit and then its branches."""
+        """Repeat the calls in the [[view]] tables of the file; if there are none, compute an orbit, then branches."""
         self._send_fields()
         self.wait()
         if self.file is not None and self.file.view:
             lines, scene = tuple(self.file.view), self.results[SCENE_NAME]
             self.tasks.start(
                 "restoring the earlier calls",
-                lambda report, schedule: replay_lines(lines, scene, report),
-                self._end_replay,
+                lambda report, schedule: replay_call_lines(lines, scene, report),
+                self._show_replay_results,
             )
             return
-        table = self.file and self.file.branch
+        branch_table = self.file and self.file.branch
         try:
-            self._set_start(*((table.start.x, table.start.v) if table else (0.0, 0.0)))
+            self._set_initial_state(*((branch_table.start.x, branch_table.start.v) if branch_table else (0.0, 0.0)))
         except Exception as error:
             self._send_error(error)
         self.history.clear()
@@ -237,27 +253,27 @@ class Session:
             self._handle(messages.RunAction(call="follow"))
 
     def update_page(self) -> None:
-        """Send the changes to the page, after its first message other than a panel size."""
+        """Send the changes to the page if the page has sent a message other than a panel size."""
         if not self.connected:
             return
         is_dragging = self.drag_start is not None
         try:
-            for record in self.screen.changed_pictures(self.page, self.results, is_dragging):
-                self.send(record)
+            for picture_record in self.screen.changed_pictures(self.page, self.results, is_dragging):
+                self.send(picture_record)
             self._send_fields(is_dragging)
         except Exception as error:
             self._send_error(error)
 
     def _send_fields(self, is_dragging: bool = False) -> None:
-        """Send the changed fields besides figures; `is_dragging` restricts them to those that follow a slider."""
-        fields = live_fields(self.page, self.results, bool(self.history), self.tasks.labels)
+        """Send the changed fields besides figures; `is_dragging` selects those that change while a slider moves."""
+        fields = display_data_on_drag(self.page, self.results, bool(self.history), self.tasks.labels)
         if not is_dragging and self.page is not self.static_page:
-            fields |= static_fields(self.page, self.results, self.file)
+            fields |= display_data_when_idle(self.page, self.results, self.file)
             self.static_page = self.page
-        new_fields = {key: value for key, value in fields.items() if self.sent_fields.get(key, ...) != value}
-        if new_fields:
-            self.sent_fields |= new_fields
-            self.send({"kind": "state", **new_fields})
+        changed_fields = {key: value for key, value in fields.items() if self.sent_fields.get(key, ...) != value}
+        if changed_fields:
+            self.sent_fields |= changed_fields
+            self.send({"kind": "state", **changed_fields})
 
     def _send_progress(self, task_number: int, progress: Any) -> None:
         self.send({"kind": "progress", "work": task_number, "far": progress_text(progress)})
@@ -265,105 +281,134 @@ class Session:
     def _send_error(self, error: Exception) -> None:
         self.send(error_record(error))
 
-    def _new_name(self, stem: str) -> str:
-        number = self.name_counters.get(stem, 1)
-        self.name_counters[stem] = number + 1
-        return f"{stem}_{number}"
+    def _new_result_name(self, name_stem: str) -> str:
+        name_number = self.name_counters.get(name_stem, 1)
+        self.name_counters[name_stem] = name_number + 1
+        return f"{name_stem}_{name_number}"
 
-    def _new_names(self) -> tuple[str, str, str]:
-        return self._new_name("scene"), self._new_name("orbit"), self._new_name("motion")
+    def _new_scene_motion_names(self) -> tuple[str, str, str]:
+        return self._new_result_name("scene"), self._new_result_name("orbit"), self._new_result_name("motion")
 
-    def _show(self, page: PageState) -> None:
-        """Show another content, as a step that can be undone."""
+    def _show_page(self, page: PageState) -> None:
+        """Show a new page content, as a step that can be undone."""
         if page != self.page:
             self.history = [*self.history[1 - MAX_UNDO :], self.page]
             self.page = page
             self._drop_unused_results()
 
     def _drop_unused_results(self) -> None:
-        """Drop the results that no step needs."""
-        needed_names = {line.name for page in (*self.history, self.page) for line in page.lines} | {SCENE_NAME}
+        """Drop the results that neither the page nor a step of undo needs."""
+        needed_names = {call_line.name for page in (*self.history, self.page) for call_line in page.lines} | {
+            SCENE_NAME
+        }
         self.results = {name: value for name, value in self.results.items() if name in needed_names}
 
     def _end_drag(self) -> None:
-        """End the motion of a slider, which counts as one step."""
+        """End the motion of a slider; the whole motion is one step of undo."""
         if self.drag_start is not None:
-            (page_before, _), self.drag_start = self.drag_start, None
-            page, self.page = self.page, page_before
-            self._show(page)
+            (page_before_drag, _), self.drag_start = self.drag_start, None
+            page, self.page = self.page, page_before_drag
+            self._show_page(page)
 
-    def _set_start(self, x: float, v: float) -> None:
-        line = self._settle(self.page.scene, State(x, v), self._new_names(), None)
-        self._show(self.page.with_lines(line, current=line.name, chosen="", place=None))
+    def _set_initial_state(self, x: float, v: float) -> None:
+        motion_line = self._settle_motion(self.page.scene, State(x, v), self._new_scene_motion_names(), None)
+        self._show_page(self.page.with_call_lines(motion_line, current=motion_line.name, chosen="", place=None))
 
-    def _settle(self, scene: str, state: State, names: Sequence[str], periods: int | None) -> ViewTable:
+    def _settle_motion(
+        self, scene_name: str, state: State, result_names: Sequence[str], periods: int | None
+    ) -> ViewTable:
         """Return the line of the orbit or motion that a state approaches, and store its result."""
         x, v, phase = (float(np.asarray(coordinate)) for coordinate in (state.x, state.v, state.phase))
-        start = {"x": x, "v": v} | ({"phase": phase} if phase else {})
-        line = ViewTable(name=names[1], call="moved" if periods else "find_orbit", of=scene, arguments=start)
+        start_arguments = {"x": x, "v": v} | ({"phase": phase} if phase else {})
+        motion_line = ViewTable(
+            name=result_names[1], call="moved" if periods else "find_orbit", of=scene_name, arguments=start_arguments
+        )
         try:
-            self.results[line.name] = evaluate(line, self.results)
+            self.results[motion_line.name] = evaluate_call_line(motion_line, self.results)
         except OrbitError:
-            extra = {"periods": periods or actions.MOTION_PERIODS}
-            line = ViewTable(name=names[2], call="motion", of=scene, arguments=start | extra)
-            self.results[line.name] = evaluate(line, self.results)
-        return line
+            duration_arguments = {"periods": periods or action_calls.MOTION_PERIODS}
+            motion_line = ViewTable(
+                name=result_names[2], call="motion", of=scene_name, arguments=start_arguments | duration_arguments
+            )
+            self.results[motion_line.name] = evaluate_call_line(motion_line, self.results)
+        return motion_line
 
     def _set_parameters(self, changes: dict[str, float]) -> None:
-        self._show(self._change_parameters(changes, self.page, self._new_names(), None))
+        self._show_page(self._change_parameters(changes, self.page, self._new_scene_motion_names(), None))
 
     def _change_parameters(
-        self, changes: dict[str, float], page: PageState, names: tuple[str, str, str], periods: int | None
+        self, changes: dict[str, float], page: PageState, result_names: tuple[str, str, str], periods: int | None
     ) -> PageState:
         """Return the page with changed parameters; the motion continues from its last state."""
-        scene, line = actions.change_scene(page, self.results, changes, names[0])
-        self.results[line.name] = scene
-        motion_line = self._settle(
-            line.name, clamp_to_walls(scene, actions.last_state(self.results.get(page.current))), names, periods
+        scene, scene_line = action_calls.changed_scene_and_line(page, self.results, changes, result_names[0])
+        self.results[scene_line.name] = scene
+        motion_line = self._settle_motion(
+            scene_line.name,
+            adapt_to_moved_walls(scene, action_calls.current_motion_state(self.results.get(page.current))),
+            result_names,
+            periods,
         )
-        return page.with_lines(line, motion_line, scene=line.name, current=motion_line.name, chosen="", place=None)
+        return page.with_call_lines(
+            scene_line, motion_line, scene=scene_line.name, current=motion_line.name, chosen="", place=None
+        )
 
     def _select(self, reference: str, point_index: int | None) -> None:
         """Show the orbit at a special point or at a point of a branch."""
         page = self.page
-        line = actions.orbit_line(reference, point_index, resolve(reference, self.results), self._new_name("orbit"))
-        orbit = self.results[line.name] = evaluate(line, self.results)
+        orbit_line = action_calls.orbit_call_line(
+            reference, point_index, resolve_reference(reference, self.results), self._new_result_name("orbit")
+        )
+        orbit = self.results[orbit_line.name] = evaluate_call_line(orbit_line, self.results)
         parameter_change = {page.parameter: float(orbit.scene.parameter(page.parameter))}
-        scene, scene_line = actions.change_scene(page, self.results, parameter_change, self._new_name("scene"))
+        scene, scene_line = action_calls.changed_scene_and_line(
+            page, self.results, parameter_change, self._new_result_name("scene")
+        )
         self.results[scene_line.name] = scene
-        fields = {"scene": scene_line.name, "current": line.name, "chosen": reference, "place": point_index}
-        self._show(page.with_lines(scene_line, line, **fields))
+        page_changes = {"scene": scene_line.name, "current": orbit_line.name, "chosen": reference, "place": point_index}
+        self._show_page(page.with_call_lines(scene_line, orbit_line, **page_changes))
 
-    def _run_rounds(self, label: str, rounds: list[list[ViewTable]]) -> None:
+    def _start_rounds_task(self, label: str, line_rounds: list[list[ViewTable]]) -> None:
         """Evaluate rounds of lines in a task and show each round in place of the previous one."""
-        page_before, results = self.page, dict(self.results)
+        page_at_start, results = self.page, dict(self.results)
 
-        def run_lines(report, schedule):
+        def evaluate_rounds(report, schedule):
             previous_lines: list[ViewTable] = []
-            for round_number, lines in enumerate(rounds, 1):
-                prefix = f"{round_number} of {len(rounds)}: " if len(rounds) > 1 else ""
-                for line in lines:
-                    results[line.name] = evaluate(
-                        line, results, lambda progress, prefix=prefix: report(prefix + progress_text(progress))
+            for round_number, round_lines in enumerate(line_rounds, 1):
+                progress_prefix = f"{round_number} of {len(line_rounds)}: " if len(line_rounds) > 1 else ""
+                for call_line in round_lines:
+                    results[call_line.name] = evaluate_call_line(
+                        call_line,
+                        results,
+                        lambda progress, prefix=progress_prefix: report(prefix + progress_text(progress)),
                     )
-                schedule(lambda outcome=(lines, previous_lines, page_before, dict(results)): self._show_lines(*outcome))
-                previous_lines = lines
+                schedule(
+                    lambda outcome=(round_lines, previous_lines, page_at_start, dict(results)): self._show_task_results(
+                        *outcome
+                    )
+                )
+                previous_lines = round_lines
 
-        self.tasks.start(label, run_lines, lambda value, error: self._finish_action(error))
+        self.tasks.start(label, evaluate_rounds, lambda value, error: self._finish_action(error))
 
-    def _show_lines(
-        self, lines: list[ViewTable], superseded: list[ViewTable], page_before: PageState, results: dict[str, Any]
+    def _show_task_results(
+        self,
+        new_lines: list[ViewTable],
+        lines_to_replace: list[ViewTable],
+        page_at_start: PageState,
+        results: dict[str, Any],
     ) -> None:
         """Show results of a task.
 
-        `superseded` are the lines that they replace. `page_before` and `results` belong to the start of the task.
-        """
-        page = actions.add_lines(self.page, lines, superseded, page_before)
-        self.results |= {line.name: results[line.name] for line in page.lines if line.name not in self.results}
-        if superseded:
+        `lines_to_replace` are the lines that the new lines replace. `page_at_start` is the page at the start of the
+        task. `results` are the results at that time and those of the task."""
+        page = action_calls.add_call_lines(self.page, new_lines, lines_to_replace, page_at_start)
+        self.results |= {
+            call_line.name: results[call_line.name] for call_line in page.lines if call_line.name not in self.results
+        }
+        if lines_to_replace:
             self.page = page
         else:
-            self._show(page)
+            self._show_page(page)
         self.update_page()
 
     def _finish_action(self, error: Exception | None) -> None:

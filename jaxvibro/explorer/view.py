@@ -11,7 +11,7 @@ from ..scene.scene import Scene
 from ..scene.scene_table import make_scene_table, scene_toml_or_empty
 from ..studies import scene_file
 from ..studies.schema import SceneFile
-from .server import Explorer
+from .server import ExplorerServer
 
 HEIGHT = 900  # pixels, height of the page in a notebook
 LAST_PORT = 65535
@@ -28,7 +28,7 @@ class View:
         Address of the page with its token. Only this machine can open it.
     """
 
-    def __init__(self, explorer: Explorer) -> None:
+    def __init__(self, explorer: ExplorerServer) -> None:
         self.url = explorer.url
         self._explorer = explorer
         self._thread = threading.Thread(target=lambda: asyncio.run(explorer.serve()), daemon=True)
@@ -70,7 +70,7 @@ def view(
         Single scene, or path of a scene file. The tables of a file select the first results, and its ``[[view]]``
         tables restore the calls of an earlier page.
     port : int, optional
-        Port. None takes the first free one from 8420 to 8439.
+        Port. None selects the first free port from 8420 to 8439, and 0 selects any free port.
     address : str, optional
         Loopback address of this machine.
     changes : sequence of str, optional
@@ -103,11 +103,11 @@ def view(
     'http://127.0.0.1:'
     >>> page.stop()
     """
-    if port is not None and check.whole_number("port", port, 0) > LAST_PORT:
+    if port is not None and check.check_whole_number("port", port, 0) > LAST_PORT:
         raise check.ArgumentError("port", f"must be at most {LAST_PORT}", port)
     if isinstance(scene, Scene):
-        check.require_single(scene)
-        file = SceneFile(scene=make_scene_table(scene)) if scene_toml_or_empty(scene) else None
-        return View(Explorer(scene, file, address, port, token))
-    file = scene_file.read(scene, changes)
-    return View(Explorer(file.scene.make(), file, address, port, token))
+        check.require_single_scene(scene)
+        file_tables = SceneFile(scene=make_scene_table(scene)) if scene_toml_or_empty(scene) else None
+        return View(ExplorerServer(scene, file_tables, address, port, token))
+    file_tables = scene_file.read_scene_file(scene, changes)
+    return View(ExplorerServer(file_tables.scene.make(), file_tables, address, port, token))

@@ -8,8 +8,8 @@ import jax.numpy as jnp
 from jaxtyping import Float
 
 from . import flow
-from .event import N_TERMS
-from .wall_motion import WallCoefficients, wall_extent
+from .event_certificates import N_TERMS
+from .wall_motion import WallCoefficients, max_wall_distance
 
 GIVEN_UP = -1.0  # remaining time of a lane that the fast path gives up
 MAX_STEPS = 256.0  # per period; rounding errors then stay below `fast_event.DOUBT_MARGIN` (docs/numbers.md)
@@ -32,25 +32,25 @@ class FastCoefficients(NamedTuple):
         Stiffness of the oscillator.
     series : FlowSeries
         Series of the flow.
-    short_series : FlowSeries
+    economised_series : FlowSeries
         Economised series of the flow, see `flow.economise_series`.
     walls : tuple of WallCoefficients
-        Walls of the `coefficients.FlowCoefficients`.
-    wall_terms : tuple
-        For each wall the Taylor coefficients of its oscillation without the factors cos and sin; None if it is fixed.
-    wall_remainders : tuple of array
+        Walls of the `flight_coefficients.FlowCoefficients`.
+    wall_taylor_factors : tuple
+        For each wall the Taylor coefficients of its oscillation without the factors cos and sin; None for a fixed wall.
+    wall_remainder_bounds : tuple of array
         Contribution of each wall's oscillation to the remainder.
-    drive_remainder : array
+    drive_remainder_bound : array
         Contribution of the drive to the remainder.
     sixth_term_weight : array
         Weight of the sixth Taylor term in the remainder.
     wall_gap : array
-        Distance between fixed walls.
+        Distance between the mean positions of the walls. 0 for one wall.
     length_scale : array
-        Sum of the wall distances and the drive amplitude.
+        Sum of the largest distances of the walls from the origin and the drive amplitude.
     period : array
         Drive period.
-    step_limit : array
+    max_steps : array
         Largest number of steps in one period.
     max_step : array
         Longest step, in units of t.
@@ -63,16 +63,16 @@ class FastCoefficients(NamedTuple):
     drag: Float[jax.Array, "..."]
     stiffness: Float[jax.Array, "..."]
     series: flow.FlowSeries
-    short_series: flow.FlowSeries
+    economised_series: flow.FlowSeries
     walls: tuple[WallCoefficients, ...]
-    wall_terms: tuple[tuple[Float[jax.Array, "..."], ...] | None, ...]
-    wall_remainders: tuple[Float[jax.Array, "..."], ...]
-    drive_remainder: Float[jax.Array, "..."]
+    wall_taylor_factors: tuple[tuple[Float[jax.Array, "..."], ...] | None, ...]
+    wall_remainder_bounds: tuple[Float[jax.Array, "..."], ...]
+    drive_remainder_bound: Float[jax.Array, "..."]
     sixth_term_weight: Float[jax.Array, "..."]
     wall_gap: Float[jax.Array, "..."]
     length_scale: Float[jax.Array, "..."]
     period: Float[jax.Array, "..."]
-    step_limit: Float[jax.Array, "..."]
+    max_steps: Float[jax.Array, "..."]
     max_step: Float[jax.Array, "..."]
     inverse_max_step: Float[jax.Array, "..."]
 
@@ -98,7 +98,8 @@ class LaneStates(NamedTuple):
     time_remaining : array
         Remaining time of the period, in longest steps. `GIVEN_UP` for a lane that the fast path gives up.
     largest_length : array
-        Largest length since the start of the period, to which rounding errors are relative.
+        Largest value of `length_scale` + abs x + abs v since the start of the period. Rounding errors are relative to
+        this length.
     """
 
     x: Float[jax.Array, "*lanes"]
@@ -109,7 +110,7 @@ class LaneStates(NamedTuple):
     largest_length: Float[jax.Array, "*lanes"]
 
 
-def scale_coefficients(coeffs):
+def make_fast_coefficients(coeffs):
     """Scale the coefficients of a scene with rigid walls for the fast path.
 
     Parameters
@@ -126,7 +127,7 @@ def scale_coefficients(coeffs):
     frequency, damping, stiffness = coeffs.frequency * max_step, coeffs.damping * max_step, max_step * max_step
     amplitude, period = coeffs.amplitude * stiffness, coeffs.period * coeffs.inverse_max_step
     series = flow.flow_series(frequency, damping, stiffness)
-    wall_terms = tuple(_wall_terms(wall, frequency) for wall in coeffs.walls)
+    wall_taylor_factors = tuple(_wall_taylor_factors(wall, frequency) for wall in coeffs.walls)
     zero = jnp.zeros_like(max_step)
     wall_gap = coeffs.walls[-1].position - coeffs.walls[0].position
     return FastCoefficients(
@@ -135,24 +136,26 @@ def scale_coefficients(coeffs):
         drag=2.0 * damping,
         stiffness=stiffness,
         series=series,
-        short_series=flow.economise_series(series),
+        economised_series=flow.economise_series(series),
         walls=coeffs.walls,
-        wall_terms=wall_terms,
-        wall_remainders=tuple(zero if terms is None else abs(terms[N_TERMS]) for terms in wall_terms),
-        drive_remainder=abs(amplitude) * frequency ** (N_TERMS - 1) / math.factorial(N_TERMS),
+        wall_taylor_factors=wall_taylor_factors,
+        wall_remainder_bounds=tuple(
+            zero if taylor_factors is None else abs(taylor_factors[N_TERMS]) for taylor_factors in wall_taylor_factors
+        ),
+        drive_remainder_bound=abs(amplitude) * frequency ** (N_TERMS - 1) / math.factorial(N_TERMS),
         sixth_term_weight=max_step / N_TERMS,
         wall_gap=wall_gap,
-        length_scale=sum((wall_extent(wall) for wall in coeffs.walls), abs(coeffs.amplitude)),
+        length_scale=sum((max_wall_distance(wall) for wall in coeffs.walls), abs(coeffs.amplitude)),
         period=period,
-        step_limit=jnp.minimum(32.0 + 2.0 * period, MAX_STEPS),
+        max_steps=jnp.minimum(32.0 + 2.0 * period, MAX_STEPS),
         max_step=max_step,
         inverse_max_step=coeffs.inverse_max_step,
     )
 
 
-def _wall_terms(wall, frequency):
+def _wall_taylor_factors(wall, frequency):
     """Return the Taylor coefficients of a wall's oscillation without the factors cos and sin, None for a fixed wall."""
     if wall.amplitude is None:
         return None
-    wall_rate = frequency * float(wall.harmonic)
-    return tuple(wall.amplitude * wall_rate**k / math.factorial(k) for k in range(N_TERMS + 1))
+    wall_frequency = frequency * float(wall.harmonic)
+    return tuple(wall.amplitude * wall_frequency**k / math.factorial(k) for k in range(N_TERMS + 1))

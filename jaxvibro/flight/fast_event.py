@@ -1,17 +1,18 @@
 """Certify the next event of a fast step: the wall that is hit and the time, or a step without contact.
 
-The first Taylor coefficients of a lane's progress towards a wall and a bound on the remainder certify both. The margins
-are much wider than any rounding error of a flight (docs/numbers.md). Times are in units of the longest step.
+The certificates use the first Taylor coefficients of G, the negative clearance of a wall (`event_certificates`), and a
+bound on the remainder. Their margins are much wider than any rounding error of a flight (docs/numbers.md). Times are in
+units of the longest step.
 """
 
 from jax import lax
 
-from ..compiled.compiler_hints import choose, maximum, minimum, positive_part, stage
-from . import event
-from .drive import harmonic_phasor
-from .event import N_TERMS, Progress
+from ..compiled.lane_arithmetic import call_without_inlining, choose, maximum, minimum, positive_part
+from . import event_certificates
+from .event_certificates import N_TERMS, EventPolynomial
 from .fast_coefficients import GIVEN_UP
-from .wall_motion import select_by_side, subtract
+from .further_drive_terms import harmonic_phasor
+from .wall_motion import select_by_side, subtract_optional
 
 DOUBT_MARGIN = 2.0**-36  # distance to a wall, in largest lengths of a lane, below which a lane is in doubt
 LANDING_MARGIN = 2.0**-16  # in longest steps; exceeds the time between the end of a landing step and its event
@@ -20,174 +21,216 @@ BEYOND_EVENT = 2.0**-6  # in longest steps; the mass provably moves into the wal
 JUMP_FRACTION = 0.9375  # fraction of the time to an event that is certain but too far away to land on
 
 
-def next_event(coeffs, lanes, drive_forces):
-    """Return (hit_side, contact time, safe time, remainder) of the next step.
+def certify_next_event(coeffs, lane_states, drive_forces):
+    """Return (hit side, contact time, safe time, bound on the remainder) of the next step.
 
-    `hit_side` is 0 without a hit. The safe time is the step without contact, `GIVEN_UP` if it is too short. The
-    remainder bounds the terms that the Taylor polynomial of x omits.
+    The hit side is 0 without a hit. The safe time is the length of a step without contact, or `GIVEN_UP` if this length
+    is too short. The bound limits the terms that the Taylor polynomial of x omits.
     """
-    phasors = wall_phasors(coeffs, lanes)
-    side = stage(_target_side, coeffs, lanes, drive_forces, phasors)
-    remainder = stage(_free_remainder, coeffs, lanes, drive_forces)
-    progress = _wall_progress(coeffs, lanes, drive_forces, phasors, side, remainder)
-    other_step = None
+    wall_phasors = compute_wall_phasors(coeffs, lane_states)
+    target_side = call_without_inlining(_target_side, coeffs, lane_states, drive_forces, wall_phasors)
+    remainder_bound = call_without_inlining(_flight_remainder_bound, coeffs, lane_states, drive_forces)
+    event_polynomial = _wall_event_polynomial(
+        coeffs, lane_states, drive_forces, wall_phasors, target_side, remainder_bound
+    )
+    other_wall_num_denom = None
     if len(coeffs.walls) == 2:
         if coeffs.has_fixed_walls:
-            other_step = stage(
-                _opposite_wall_step, coeffs, progress, stage(_cubic_bound, progress, sign=-1.0), lanes.largest_length
+            other_wall_num_denom = call_without_inlining(
+                _fixed_wall_num_denom,
+                coeffs,
+                event_polynomial,
+                call_without_inlining(_cubic_coefficient_bound, event_polynomial, polynomial_sign=-1.0),
+                lane_states.largest_length,
             )
         else:
-            other_progress = _wall_progress(coeffs, lanes, drive_forces, phasors, -side, remainder)
-            other_step = stage(
-                _other_wall_step, other_progress, stage(_cubic_bound, other_progress, sign=1.0), lanes.largest_length
+            other_wall_polynomial = _wall_event_polynomial(
+                coeffs, lane_states, drive_forces, wall_phasors, -target_side, remainder_bound
             )
-    root_guess = stage(_root_guess, progress)
-    root = stage(_refine_root, progress, root_guess)
-    certainty = stage(_root_certainty, progress, root_guess, root)
-    hit_side = stage(_hit_side, lanes, root, certainty, side, other_step)
-    safe_time = stage(
+            other_wall_num_denom = call_without_inlining(
+                _moving_wall_num_denom,
+                other_wall_polynomial,
+                call_without_inlining(_cubic_coefficient_bound, other_wall_polynomial, polynomial_sign=1.0),
+                lane_states.largest_length,
+            )
+    root_guess = call_without_inlining(_root_guess, event_polynomial)
+    root = call_without_inlining(_refine_root, event_polynomial, root_guess)
+    root_certainty = call_without_inlining(_root_certainty_level, event_polynomial, root_guess, root)
+    hit_side = call_without_inlining(_hit_side, lane_states, root, root_certainty, target_side, other_wall_num_denom)
+    safe_time = call_without_inlining(
         _safe_time,
-        lanes,
-        progress,
-        stage(_cubic_bound, progress, sign=1.0),
-        lanes.largest_length,
+        lane_states,
+        event_polynomial,
+        call_without_inlining(_cubic_coefficient_bound, event_polynomial, polynomial_sign=1.0),
+        lane_states.largest_length,
         root_guess,
         root,
-        certainty,
-        other_step,
+        root_certainty,
+        other_wall_num_denom,
     )
-    return hit_side, root, safe_time, remainder
+    return hit_side, root, safe_time, remainder_bound
 
 
-def wall_phasors(coeffs, lanes):
+def compute_wall_phasors(coeffs, lane_states):
     """Return the phasor (cosine, sine) of each wall, None for a fixed wall."""
     return [
-        None if wall_terms is None else stage(harmonic_phasor, wall, lanes.cosine, lanes.sine)
-        for wall, wall_terms in zip(coeffs.walls, coeffs.wall_terms, strict=True)
+        None
+        if taylor_factors is None
+        else call_without_inlining(harmonic_phasor, wall, lane_states.cosine, lane_states.sine)
+        for wall, taylor_factors in zip(coeffs.walls, coeffs.wall_taylor_factors, strict=True)
     ]
 
 
-def _free_term(coeffs, lanes, drive_forces, k):
+def _free_flight_term(coeffs, lane_states, drive_forces, k):
     """Return the k-th Taylor coefficient of x in free flight."""
     if k < 2:
-        return lanes.v if k else lanes.x
+        return lane_states.v if k else lane_states.x
     series = coeffs.series
     coefficient = (
-        series.p00_minus_1[k - 2] * lanes.x + series.p01[k - 1] * lanes.v + series.cos_response[k - 2] * drive_forces[0]
+        series.p00_minus_1[k - 2] * lane_states.x
+        + series.p01[k - 1] * lane_states.v
+        + series.cos_response[k - 2] * drive_forces[0]
     )
     return coefficient - series.sin_response[k - 3] * drive_forces[1] if k > 2 else coefficient
 
 
-def _wall_term(wall, wall_terms, phasor, k):
+def _wall_position_term(wall, taylor_factors, wall_phasor, k):
     """Return the k-th Taylor coefficient of a wall's position; None stands for zero."""
-    if wall_terms is None:
+    if taylor_factors is None:
         return None if k else wall.position
-    oscillation = wall_terms[k] * phasor[k % 2]
-    oscillation = -oscillation if k % 4 in (1, 2) else oscillation
-    return oscillation if k else wall.position + oscillation
+    oscillation_term = taylor_factors[k] * wall_phasor[k % 2]
+    oscillation_term = -oscillation_term if k % 4 in (1, 2) else oscillation_term
+    return oscillation_term if k else wall.position + oscillation_term
 
 
-def _wall_term_on_side(coeffs, phasors, side, k):
+def _wall_term_on_side(coeffs, wall_phasors, side, k):
     """Return the k-th Taylor coefficient of the position of the wall on a side."""
-    walls = zip(coeffs.walls, coeffs.wall_terms, phasors, strict=True)
-    return select_by_side(side, coeffs.walls, [_wall_term(*wall_args, k) for wall_args in walls])
+    walls = zip(coeffs.walls, coeffs.wall_taylor_factors, wall_phasors, strict=True)
+    return select_by_side(
+        side, coeffs.walls, [_wall_position_term(*position_term_args, k) for position_term_args in walls]
+    )
 
 
-def progress_term(coeffs, lanes, drive_forces, phasors, side, k):
-    """Return the k-th Taylor coefficient of the progress towards the wall on a side."""
-    return side * subtract(_free_term(coeffs, lanes, drive_forces, k), _wall_term_on_side(coeffs, phasors, side, k))
+def event_polynomial_term(coeffs, lane_states, drive_forces, wall_phasors, side, k):
+    """Return the k-th Taylor coefficient of G, the negative clearance of the wall on a side."""
+    return side * subtract_optional(
+        _free_flight_term(coeffs, lane_states, drive_forces, k), _wall_term_on_side(coeffs, wall_phasors, side, k)
+    )
 
 
-def _free_remainder(coeffs, lanes, drive_forces):
-    """Return a bound on abs x^(7) / 7! over a step from the energy of x^(6), which damping lowers."""
-    sixth_term, seventh_term = (_free_term(coeffs, lanes, drive_forces, k) for k in (N_TERMS - 1, N_TERMS))
-    return lax.abs(seventh_term) + coeffs.sixth_term_weight * lax.abs(sixth_term) + coeffs.drive_remainder
+def _flight_remainder_bound(coeffs, lane_states, drive_forces):
+    """Return a bound on ``|x^(7)| / 7!`` over a step, from the energy of x^(6), which damping lowers."""
+    sixth_term, seventh_term = (_free_flight_term(coeffs, lane_states, drive_forces, k) for k in (N_TERMS - 1, N_TERMS))
+    return lax.abs(seventh_term) + coeffs.sixth_term_weight * lax.abs(sixth_term) + coeffs.drive_remainder_bound
 
 
-def _wall_progress(coeffs, lanes, drive_forces, phasors, side, remainder):
-    """Return the `event.Progress` towards the wall on a side."""
-    terms = tuple(stage(progress_term, coeffs, lanes, drive_forces, phasors, side, k=k) for k in range(N_TERMS))
+def _wall_event_polynomial(coeffs, lane_states, drive_forces, wall_phasors, side, remainder_bound):
+    """Return the `event_certificates.EventPolynomial` towards the wall on a side."""
+    terms = tuple(
+        call_without_inlining(event_polynomial_term, coeffs, lane_states, drive_forces, wall_phasors, side, k=k)
+        for k in range(N_TERMS)
+    )
     if not coeffs.has_fixed_walls:
-        remainder = stage(_add_wall_remainder, coeffs, side, remainder)
-    return Progress(terms, remainder)
+        remainder_bound = call_without_inlining(_include_wall_remainder, coeffs, side, remainder_bound)
+    return EventPolynomial(terms, remainder_bound)
 
 
-def _add_wall_remainder(coeffs, side, remainder):
-    return remainder + select_by_side(side, coeffs.walls, coeffs.wall_remainders)
+def _include_wall_remainder(coeffs, side, remainder_bound):
+    return remainder_bound + select_by_side(side, coeffs.walls, coeffs.wall_remainder_bounds)
 
 
-def _target_side(coeffs, lanes, drive_forces, phasors):
-    """Return the side of the wall that the mass reaches first at its present velocity."""
+def _target_side(coeffs, lane_states, drive_forces, wall_phasors):
+    """Return the side of the wall that the mass reaches first at its present velocity.
+
+    Between fixed walls a mass without velocity has the target towards which the force accelerates it.
+    """
     if len(coeffs.walls) == 1:
-        return lax.full_like(lanes.x, float(coeffs.walls[0].sign))
+        return lax.full_like(lane_states.x, float(coeffs.walls[0].sign))
     if coeffs.has_fixed_walls:
-        direction = choose(lanes.v == 0, drive_forces[0] - coeffs.stiffness * lanes.x, lanes.v)
-        return choose(direction < 0, lax.full_like(direction, -1.0), 1.0)
-    walls = zip(coeffs.walls, coeffs.wall_terms, phasors, strict=True)
-    (left_wall, right_wall) = ([_wall_term(*wall_args, k) for k in (0, 1)] for wall_args in walls)
-    left_clearance, right_clearance = lanes.x - left_wall[0], right_wall[0] - lanes.x
-    right_first = subtract(lanes.v, right_wall[1]) * left_clearance > -subtract(lanes.v, left_wall[1]) * right_clearance
-    return choose(right_first, lax.full_like(left_clearance, 1.0), -1.0)
+        velocity_or_force = choose(
+            lane_states.v == 0, drive_forces[0] - coeffs.stiffness * lane_states.x, lane_states.v
+        )
+        return choose(velocity_or_force < 0, lax.full_like(velocity_or_force, -1.0), 1.0)
+    walls = zip(coeffs.walls, coeffs.wall_taylor_factors, wall_phasors, strict=True)
+    (left_wall, right_wall) = (
+        [_wall_position_term(*position_term_args, k) for k in (0, 1)] for position_term_args in walls
+    )
+    left_clearance, right_clearance = lane_states.x - left_wall[0], right_wall[0] - lane_states.x
+    reaches_right_first = (
+        subtract_optional(lane_states.v, right_wall[1]) * left_clearance
+        > -subtract_optional(lane_states.v, left_wall[1]) * right_clearance
+    )
+    return choose(reaches_right_first, lax.full_like(left_clearance, 1.0), -1.0)
 
 
-def _cubic_bound(progress, sign):
-    """Return K >= 0 with sign G <= sign (g0 + g1 t + g2 t^2) + K t^3."""
-    cubic_bound = progress.remainder
-    for term in progress.terms[:2:-1]:
-        cubic_bound = positive_part(sign * term + cubic_bound)
+def _cubic_coefficient_bound(event_polynomial, polynomial_sign):
+    """Return K >= 0 with s G <= s (g0 + g1 t + g2 t^2) + K t^3 for 0 <= t <= 1.
+
+    s is `polynomial_sign`, and gk are the terms of the `event_certificates.EventPolynomial` of G.
+    """
+    cubic_bound = event_polynomial.remainder_bound
+    for term in event_polynomial.terms[:2:-1]:
+        cubic_bound = positive_part(polynomial_sign * term + cubic_bound)
     return cubic_bound
 
 
-def _safe_step(clearance, slope, curvature, cubic, max_time):
-    """Return (n, d) of a step n / d <= max_time without contact.
+def _safe_step_num_denom(clearance, approach_slope, approach_curvature, cubic_coefficient, max_time):
+    """Return numerator and denominator of the length of a step without contact, which is at most `max_time`.
 
-    It uses G <= -clearance + slope t + curvature t^2 + cubic t^3.
+    The step follows from G <= -`clearance` + `approach_slope` t + `approach_curvature` t^2 + `cubic_coefficient` t^3.
     """
-    max_curvature = curvature + cubic * max_time
-    positive_curvature, approaches = positive_part(max_curvature), slope >= 0
-    stays_clear = (clearance >= max_time * (slope + positive_curvature * max_time)) | (
-        (max_curvature < 0) & (slope * slope <= -4.0 * max_curvature * clearance)
+    max_curvature = approach_curvature + cubic_coefficient * max_time
+    positive_curvature, is_approaching = positive_part(max_curvature), approach_slope >= 0
+    stays_clear = (clearance >= max_time * (approach_slope + positive_curvature * max_time)) | (
+        (max_curvature < 0) & (approach_slope * approach_slope <= -4.0 * max_curvature * clearance)
     )
-    numerator = choose(approaches, clearance, maximum(clearance, -slope * max_time))
-    denominator = choose(approaches, slope, 0.0) + positive_curvature * max_time
+    numerator = choose(is_approaching, clearance, maximum(clearance, -approach_slope * max_time))
+    denominator = choose(is_approaching, approach_slope, 0.0) + positive_curvature * max_time
     return choose(stays_clear, max_time, numerator), choose(stays_clear, 1.0, denominator)
 
 
-def _other_wall_step(progress, cubic, largest_length):
-    """Return the `_safe_step` for the other wall."""
-    terms = progress.terms
-    return _safe_step(
-        positive_part(-terms[0] - DOUBT_MARGIN * largest_length), terms[1], terms[2], cubic, lax.full_like(cubic, 1.0)
+def _moving_wall_num_denom(event_polynomial, cubic_coefficient, largest_length):
+    """Return the `_safe_step_num_denom` for a moving wall that is not the target, from its own polynomial."""
+    terms = event_polynomial.terms
+    return _safe_step_num_denom(
+        positive_part(-terms[0] - DOUBT_MARGIN * largest_length),
+        terms[1],
+        terms[2],
+        cubic_coefficient,
+        lax.full_like(cubic_coefficient, 1.0),
     )
 
 
-def _opposite_wall_step(coeffs, progress, cubic, largest_length):
-    """Return the `_safe_step` for the other of two fixed walls, from the progress towards the target wall."""
-    terms = progress.terms
-    return _safe_step(
+def _fixed_wall_num_denom(coeffs, event_polynomial, cubic_coefficient, largest_length):
+    """Return the `_safe_step_num_denom` for the other of two fixed walls, from the polynomial towards the target
+    wall."""
+    terms = event_polynomial.terms
+    return _safe_step_num_denom(
         positive_part(coeffs.wall_gap + terms[0] - DOUBT_MARGIN * largest_length),
         -terms[1],
         -terms[2],
-        cubic,
-        lax.full_like(cubic, 1.0),
+        cubic_coefficient,
+        lax.full_like(cubic_coefficient, 1.0),
     )
 
 
-def _root_guess(progress):
-    """Return the first root of the first three terms, or minus the time of their closest approach if there is none."""
-    terms = progress.terms
-    approaches, discriminant = terms[1] > 0, terms[1] * terms[1] - 4.0 * terms[2] * terms[0]
-    root_sum = lax.abs(terms[1]) + lax.sqrt(positive_part(discriminant))
-    time = choose(approaches, -2.0 * terms[0], root_sum) / choose(approaches, root_sum, 2.0 * terms[2])
-    return choose((discriminant >= 0) & (approaches | (terms[2] > 0)), time, -lax.abs(time))
+def _root_guess(event_polynomial):
+    """Return the first root of the first three terms, or minus a time near their extremum if there is no root."""
+    terms = event_polynomial.terms
+    is_approaching, discriminant = terms[1] > 0, terms[1] * terms[1] - 4.0 * terms[2] * terms[0]
+    slope_plus_root = lax.abs(terms[1]) + lax.sqrt(positive_part(discriminant))
+    time = choose(is_approaching, -2.0 * terms[0], slope_plus_root) / choose(
+        is_approaching, slope_plus_root, 2.0 * terms[2]
+    )
+    return choose((discriminant >= 0) & (is_approaching | (terms[2] > 0)), time, -lax.abs(time))
 
 
-def _refine_root(progress, root_guess):
-    """Improve the root of the quadratic by one Halley step and one Newton step with the earlier slope."""
-    value, slope, half_curvature = _polynomial_derivs(progress.terms, root_guess)
-    halley_factor = slope / (slope * slope - value * half_curvature)
-    root = root_guess - value * halley_factor
-    return root - event.horner_with_slope(progress.terms, root)[0] * halley_factor
+def _refine_root(event_polynomial, root_guess):
+    """Improve the root of the quadratic by one Halley step and a second step with the same factor."""
+    value, slope, half_curvature = _polynomial_derivs(event_polynomial.terms, root_guess)
+    halley_inverse_slope = slope / (slope * slope - value * half_curvature)
+    root = root_guess - value * halley_inverse_slope
+    return root - event_certificates.horner_with_slope(event_polynomial.terms, root)[0] * halley_inverse_slope
 
 
 def _polynomial_derivs(terms, time):
@@ -200,21 +243,28 @@ def _polynomial_derivs(terms, time):
     return value, slope, half_curvature
 
 
-def _root_certainty(progress, root_guess, root):
-    """Return 2 if a step may land on the root, 1 if it is certain to a sixteenth of the time to it, 0 otherwise.
+def _root_certainty_level(event_polynomial, root_guess, root):
+    """Return 2 if a step may end at the root, 1 if the root is certain to within a sixteenth of its time, else 0.
 
-    A root is certain if G rises with at least a fifth of its slope up to `BEYOND_EVENT` after it. Then no earlier root
-    exists. The residual of the polynomial, less its rounding error, bounds the distance to the true root.
+    The root is certain if, up to `BEYOND_EVENT` after `event_certificates.ROOT_MARGIN` times the root, the slope of G
+    is more than a fifth of its initial value. Then no earlier root exists. The bound on the distance to the true root
+    is the sum of the remainder and of the residual of the polynomial, less its rounding error, divided by the bound on
+    the slope.
     """
-    terms, remainder = progress.terms, progress.remainder
-    horizon = root * event.ROOT_MARGIN + BEYOND_EVENT
-    slope_bound = event.slope_lower_bound(progress, horizon)
-    root_cubed, (residual, _) = root * root * root, event.horner_with_slope(terms, root)
-    rounding_noise = event.ROUNDING_FACTOR * event.unit_roundoff(root.dtype) * (terms[1] * root - terms[0])
-    root_error = remainder * (root_cubed * root_cubed) + positive_part(lax.abs(residual) - rounding_noise)
-    is_certain = (root_guess >= 0) & (horizon <= 1.0) & (terms[1] > 0) & (slope_bound > 0.2 * terms[1]) & (root >= 0)
+    terms, remainder_bound = event_polynomial.terms, event_polynomial.remainder_bound
+    margin_end_time = root * event_certificates.ROOT_MARGIN + BEYOND_EVENT
+    slope_bound = event_certificates.slope_lower_bound(event_polynomial, margin_end_time)
+    root_cubed, (residual, _) = root * root * root, event_certificates.horner_with_slope(terms, root)
+    residual_rounding = (
+        event_certificates.ROUNDING_FACTOR * event_certificates.unit_roundoff(root.dtype) * (terms[1] * root - terms[0])
+    )
+    root_error = remainder_bound * (root_cubed * root_cubed) + positive_part(lax.abs(residual) - residual_rounding)
+    is_certain = (
+        (root_guess >= 0) & (margin_end_time <= 1.0) & (terms[1] > 0) & (slope_bound > 0.2 * terms[1]) & (root >= 0)
+    )
     is_accurate = (
-        root_error * (lax.abs(terms[2]) + terms[1]) < event.landing_tolerance(root.dtype) * terms[1] * slope_bound
+        root_error * (lax.abs(terms[2]) + terms[1])
+        < event_certificates.landing_time_tolerance(root.dtype) * terms[1] * slope_bound
     )
     ones = lax.full_like(root, 1.0)
     return choose(
@@ -224,33 +274,42 @@ def _root_certainty(progress, root_guess, root):
     )
 
 
-def _hit_side(lanes, root, certainty, side, other_step):
+def _hit_side(lane_states, root, root_certainty, target_side, other_wall_num_denom):
     """Return the side of the wall hit at the root, or 0 if the root is inaccurate or not the next event."""
-    is_hit = (certainty > 1.5) & (root + LANDING_MARGIN <= lanes.time_remaining)
-    if other_step is not None:
-        is_hit &= root * other_step[1] <= other_step[0]
-    return choose(is_hit, side, 0.0)
+    is_hit = (root_certainty > 1.5) & (root + LANDING_MARGIN <= lane_states.time_remaining)
+    if other_wall_num_denom is not None:
+        is_hit &= root * other_wall_num_denom[1] <= other_wall_num_denom[0]
+    return choose(is_hit, target_side, 0.0)
 
 
-def _safe_time(lanes, progress, cubic, largest_length, root_guess, root, certainty, other_step):
-    """Return a step without contact from one division, or GIVEN_UP if it is too short."""
-    terms = progress.terms
+def _safe_time(
+    lane_states,
+    event_polynomial,
+    cubic_coefficient,
+    largest_length,
+    root_guess,
+    root,
+    root_certainty,
+    other_wall_num_denom,
+):
+    """Return the length of a step without contact, or GIVEN_UP if this length is too short."""
+    terms = event_polynomial.terms
     horizon = 2.0 * lax.abs(root_guess)
-    numerator, denominator = _safe_step(
+    numerator, denominator = _safe_step_num_denom(
         positive_part(-terms[0] - DOUBT_MARGIN * largest_length),
         terms[1],
         terms[2],
-        cubic,
+        cubic_coefficient,
         choose(horizon < 1.0, horizon, 1.0),
     )
-    is_certain = certainty > 0.5
-    numerator = choose(is_certain, choose(certainty > 1.5, root - LANDING_MARGIN, JUMP_FRACTION * root), numerator)
+    is_certain = root_certainty > 0.5
+    numerator = choose(is_certain, choose(root_certainty > 1.5, root - LANDING_MARGIN, JUMP_FRACTION * root), numerator)
     denominator = choose(is_certain, 1.0, denominator)
-    if other_step is not None:
-        is_shorter = numerator * other_step[1] < other_step[0] * denominator
+    if other_wall_num_denom is not None:
+        is_target_step_shorter = numerator * other_wall_num_denom[1] < other_wall_num_denom[0] * denominator
         numerator, denominator = (
-            choose(is_shorter, numerator, other_step[0]),
-            choose(is_shorter, denominator, other_step[1]),
+            choose(is_target_step_shorter, numerator, other_wall_num_denom[0]),
+            choose(is_target_step_shorter, denominator, other_wall_num_denom[1]),
         )
-    time = minimum(numerator / denominator, lanes.time_remaining)
-    return choose((time >= MIN_STEP) | (time >= lanes.time_remaining), time, GIVEN_UP)
+    time = minimum(numerator / denominator, lane_states.time_remaining)
+    return choose((time >= MIN_STEP) | (time >= lane_states.time_remaining), time, GIVEN_UP)

@@ -1,20 +1,20 @@
 """Advance lanes in a fast step: the flight, the remaining time to an event, and the impact.
 
-Times are in units of the longest step. The drive is given by the cosine and sine of its angle.
+Times are in units of the longest step. The phasor of the drive is the cosine and sine of its angle.
 """
 
-from ..compiled.compiler_hints import choose
+from ..compiled.lane_arithmetic import choose
 from . import flow
-from .wall_motion import select_by_side, select_lists_by_side, subtract, wall_jet
+from .wall_motion import select_by_side, select_lists_by_side, subtract_optional, wall_jet
 
 
 def drive_forces(coeffs, cosine, sine):
-    """Return the force of the drive and its part in quadrature."""
+    """Return the amplitude of the drive times the cosine and times the sine of its angle."""
     return coeffs.amplitude * cosine, coeffs.amplitude * sine
 
 
-def propagate(coeffs, x, v, drive_forces, propagator):
-    """Return (x, v) after a flight, without a swift part (see `flight_state.motion_state`)."""
+def propagate_free_flight(coeffs, x, v, drive_forces, propagator):
+    """Return (x, v) after a flight, from the whole motion without a split into slow and in-phase parts."""
     force_cos, force_sin = drive_forces
     p00_minus_1, p01, cos_response, sin_response = propagator[:4]
     dx = p00_minus_1 * x + (p01 * v + (force_cos * cos_response - force_sin * sin_response))
@@ -29,12 +29,16 @@ def event_delay(coeffs, x, v, phasor, side):
     """Return the time from the end of a step to its event by one Halley step (see `impact.event_delay`)."""
     wall_derivs = [wall_jet(wall, coeffs.frequency, *phasor, 2) for wall in coeffs.walls]
     wall_position, wall_velocity, wall_acceleration = select_lists_by_side(side, coeffs.walls, wall_derivs)
-    inverse_velocity = 1.0 / subtract(v, wall_velocity)
-    time = (wall_position - x) * inverse_velocity
-    time = time * (
-        1.0 - 0.5 * subtract(evaluate_acceleration(coeffs, x, v, phasor), wall_acceleration) * time * inverse_velocity
+    inverse_velocity = 1.0 / subtract_optional(v, wall_velocity)
+    delay_to_event = (wall_position - x) * inverse_velocity
+    delay_to_event = delay_to_event * (
+        1.0
+        - 0.5
+        * subtract_optional(evaluate_acceleration(coeffs, x, v, phasor), wall_acceleration)
+        * delay_to_event
+        * inverse_velocity
     )
-    return choose(side != 0, time, 0.0)
+    return choose(side != 0, delay_to_event, 0.0)
 
 
 def evaluate_acceleration(coeffs, x, v, phasor):
@@ -43,20 +47,20 @@ def evaluate_acceleration(coeffs, x, v, phasor):
 
 
 def evaluate_jerk(coeffs, v, acceleration, sine):
-    """Return the rate of the acceleration."""
+    """Return the jerk, the time derivative of the acceleration."""
     return -(coeffs.frequency * coeffs.amplitude) * sine - coeffs.stiffness * v - coeffs.drag * acceleration
 
 
 def impact_velocity(coeffs, x, v, phasor, delay):
-    """Return the velocity at an event a delay after the end of a step."""
-    acceleration = evaluate_acceleration(coeffs, x, v, phasor)
-    return v + delay * (acceleration + 0.5 * delay * evaluate_jerk(coeffs, v, acceleration, phasor[1]))
+    """Return the velocity before impact at an event that follows the end of a step after a delay."""
+    flight_end_accel = evaluate_acceleration(coeffs, x, v, phasor)
+    return v + delay * (flight_end_accel + 0.5 * delay * evaluate_jerk(coeffs, v, flight_end_accel, phasor[1]))
 
 
-def rotate_drive(coeffs, phasor, delay):
+def rotate_drive_phasor(coeffs, phasor, delay):
     """Return the phasor of the drive after a delay."""
     angle = coeffs.frequency * delay
-    return flow.rotate(*phasor, -0.5 * angle * angle, angle)
+    return flow.rotate_phasor(*phasor, -0.5 * angle * angle, angle)
 
 
 def wall_state(coeffs, cosine, sine, side):
@@ -71,8 +75,8 @@ def restitution_of(coeffs, side):
     return select_by_side(side, coeffs.walls, [wall.restitution for wall in coeffs.walls])
 
 
-def rebound(coeffs, x, v, phasor, side, impact_velocity):
-    """Return (x, v) after the event of a step, if it has one, given the velocity before impact."""
+def apply_rebound(coeffs, x, v, phasor, side, impact_velocity):
+    """Return (x, v) after the impact at the end of a step, or unchanged without an impact."""
     wall_position, wall_velocity = wall_state(coeffs, *phasor, side)
     is_hit, restitution = side != 0, restitution_of(coeffs, side)
     new_velocity = (

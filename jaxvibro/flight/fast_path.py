@@ -1,8 +1,8 @@
 """Fly certified steps between rigid walls on the fast path, for lanes whose events are beyond doubt.
 
-A step is a simplified `step.certified_step`. Each test keeps a margin that is much wider than any rounding error of a
-flight. The fast path gives up a lane in doubt and never decides it: for example at a near grazing, a slow impact, a
-contact at the end of a period or a start on a wall. The reference path then repeats its period (docs/numbers.md).
+A step is a simplified `flight_step.certified_step`. The margin of each test is much wider than any rounding error of a
+flight. The fast path gives up a lane in doubt, for example at a near grazing, a slow impact, a contact at the end
+of a period or a start on a wall. The reference path then repeats the period of this lane (docs/numbers.md).
 
 The unit of time is the longest step, so that all coefficients of the oscillator are small. A velocity is then a length,
 the displacement in one longest step.
@@ -11,12 +11,12 @@ the displacement in one longest step.
 import jax.numpy as jnp
 from jax import lax
 
-from ..compiled.compiler_hints import choose, maximum, minimum, positive_part, stage
+from ..compiled.lane_arithmetic import call_without_inlining, choose, maximum, minimum, positive_part
 from ..scene.codes import Contact
 from . import fast_event, fast_motion, fast_tangent, fast_turning_points, flow, impact_log
 from .fast_coefficients import GIVEN_UP, LaneStates
 from .fast_event import DOUBT_MARGIN
-from .wall_motion import subtract, wall_jet
+from .wall_motion import subtract_optional, wall_jet
 
 SLOW_FRACTION = 2.0**-9  # least rebound speed beyond doubt, in largest lengths of a lane per longest step
 
@@ -38,7 +38,7 @@ def start_lanes(coeffs, path, is_active):
     LaneStates
         States of the lanes. Lanes whose start is in doubt are given up; inactive lanes have no time remaining.
     """
-    return stage(_start_lanes, coeffs, path.x, path.v, path.cosine, path.sine, path.contact, is_active)
+    return call_without_inlining(_start_lanes, coeffs, path.x, path.v, path.cosine, path.sine, path.contact, is_active)
 
 
 def _start_lanes(coeffs, x, v, cosine, sine, contact, is_active):
@@ -49,10 +49,10 @@ def _start_lanes(coeffs, x, v, cosine, sine, contact, is_active):
     is_leaving = lax.full_like(x, False, dtype=bool)
     for wall in coeffs.walls:
         wall_position, wall_velocity = wall_jet(wall, coeffs.frequency, cosine, sine, 1)
-        recession_speed = -wall.sign * subtract(v, wall_velocity)
+        recession_speed = -wall.sign * subtract_optional(v, wall_velocity)
         is_leaving |= (contact == wall.sign * Contact.LANDED) & (recession_speed > SLOW_FRACTION * lanes.largest_length)
-        wall_clearance = choose(contact == wall.sign * Contact.LANDED, jnp.inf, wall.sign * (wall_position - x))
-        clearance = minimum(clearance, wall_clearance)
+        clearance_to_wall = choose(contact == wall.sign * Contact.LANDED, jnp.inf, wall.sign * (wall_position - x))
+        clearance = minimum(clearance, clearance_to_wall)
     is_certain = (clearance > DOUBT_MARGIN * lanes.largest_length) & ((contact == 0) | is_leaving)
     return lanes._replace(time_remaining=choose(is_active, choose(is_certain, coeffs.period, GIVEN_UP), 0.0))
 
@@ -90,101 +90,127 @@ def run_lanes(coeffs, lanes, log, impact_slots, directions=(), tangents=(), with
     least_clearance : array or None
         Smallest clearance, None if not computed.
     """
-    fits_in_log = len(impact_slots.times) <= impact_log.MAX_RECENT
-    approaches = fast_turning_points.no_turning_points(lanes.x) if with_clearance else None
+    log_holds_all_impacts = len(impact_slots.times) <= impact_log.MAX_RECENT
+    closest_approaches = fast_turning_points.empty_approaches(lanes.x) if with_clearance else None
     if with_clearance:
-        lanes = fast_turning_points.check_start(coeffs, lanes)
+        lanes = fast_turning_points.reject_doubtful_starts(coeffs, lanes)
 
-    def advance_carry(carry):
-        lanes, log, n_steps, tangents, approaches = carry
-        lanes, tangents, approaches, side, speed = step_lanes(coeffs, lanes, n_steps, directions, tangents, approaches)
-        log = impact_log.record_impact(log, side, speed, speed, stage(_unscaled_time, coeffs, lanes.time_remaining))
-        return lanes, log, n_steps + 1.0, tangents, approaches
+    def advance_loop(carry):
+        lanes, log, n_steps, tangents, closest_approaches = carry
+        lanes, tangents, closest_approaches, hit_side, approach_speed = step_lanes(
+            coeffs, lanes, n_steps, directions, tangents, closest_approaches
+        )
+        log = impact_log.record_impact(
+            log,
+            hit_side,
+            approach_speed,
+            approach_speed,
+            call_without_inlining(_unscaled_time, coeffs, lanes.time_remaining),
+        )
+        return lanes, log, n_steps + 1.0, tangents, closest_approaches
 
-    def has_time_left(carry):
+    def is_any_lane_running(carry):
         return jnp.any(carry[0].time_remaining > 0)
 
     def can_continue(carry):
         must_pause = (
-            lax.full_like(carry[0].time_remaining, False, dtype=bool) if fits_in_log else impact_log.is_full(carry[1])
+            lax.full_like(carry[0].time_remaining, False, dtype=bool)
+            if log_holds_all_impacts
+            else impact_log.is_recent_log_full(carry[1])
         )
         if with_clearance:
             must_pause |= fast_turning_points.needs_measurement(carry[4])
-        return has_time_left(carry) & ~jnp.any(must_pause)
+        return is_any_lane_running(carry) & ~jnp.any(must_pause)
 
     def run_until_pause(carry):
-        (lanes, log, n_steps, tangents, approaches), impact_slots = (
-            lax.while_loop(can_continue, advance_carry, carry[0]),
+        (lanes, log, n_steps, tangents, closest_approaches), impact_slots = (
+            lax.while_loop(can_continue, advance_loop, carry[0]),
             carry[1],
         )
-        if not fits_in_log:
-            log, impact_slots = impact_log.flush(log, impact_slots)
+        if not log_holds_all_impacts:
+            log, impact_slots = impact_log.flush_recent_impacts(log, impact_slots)
         if with_clearance:
-            approaches, time_remaining = fast_turning_points.measure_pending(coeffs, lanes.time_remaining, approaches)
+            closest_approaches, time_remaining = fast_turning_points.measure_pending_turns(
+                coeffs, lanes.time_remaining, closest_approaches
+            )
             lanes = lanes._replace(time_remaining=time_remaining)
-        return (lanes, log, n_steps, tangents, approaches), impact_slots
+        return (lanes, log, n_steps, tangents, closest_approaches), impact_slots
 
-    def is_pending(carry):
-        has_time = carry[0][0].time_remaining > 0
-        return jnp.any(has_time | fast_turning_points.has_pending(carry[0][4])) if with_clearance else jnp.any(has_time)
+    def is_any_lane_pending(carry):
+        has_time_remaining = carry[0][0].time_remaining > 0
+        return (
+            jnp.any(has_time_remaining | fast_turning_points.has_pending_turn(carry[0][4]))
+            if with_clearance
+            else jnp.any(has_time_remaining)
+        )
 
-    initial_carry = lanes, log, jnp.zeros((), lanes.x.dtype), tangents, approaches
-    if fits_in_log and not with_clearance:
-        final_carry = lax.while_loop(has_time_left, advance_carry, initial_carry)
+    initial_carry = lanes, log, jnp.zeros((), lanes.x.dtype), tangents, closest_approaches
+    if log_holds_all_impacts and not with_clearance:
+        final_carry = lax.while_loop(is_any_lane_running, advance_loop, initial_carry)
     else:
-        final_carry, impact_slots = lax.while_loop(is_pending, run_until_pause, (initial_carry, impact_slots))
-    lanes, log, _, tangents, approaches = final_carry
-    if fits_in_log:
-        log, impact_slots = impact_log.flush(log, impact_slots)
+        final_carry, impact_slots = lax.while_loop(is_any_lane_pending, run_until_pause, (initial_carry, impact_slots))
+    lanes, log, _, tangents, closest_approaches = final_carry
+    if log_holds_all_impacts:
+        log, impact_slots = impact_log.flush_recent_impacts(log, impact_slots)
     return (
         lanes,
         log,
         impact_slots,
-        fast_tangent.add_period_change(coeffs, directions, tangents, lanes),
-        approaches.least_clearance if with_clearance else None,
+        fast_tangent.add_period_derivative(coeffs, directions, tangents, lanes),
+        closest_approaches.least_clearance if with_clearance else None,
     )
 
 
-def step_lanes(coeffs, lanes, n_steps, directions=(), tangents=(), approaches=None):
-    """Take one step: return (lanes, tangents, approaches, hit side, approach speed in units of t).
+def step_lanes(coeffs, lanes, n_steps, directions=(), tangents=(), closest_approaches=None):
+    """Take one step: return (lanes, tangents, approaches, hit side, approach speed).
 
-    The hit side is 0 without an impact. `n_steps` counts the earlier steps of the period. `approaches` is None if no
-    clearances are computed. A lane without remaining time, or given up, does not change.
-    """
-    lanes_before = lanes = lanes._replace(largest_length=stage(_largest_length, coeffs, lanes))
-    drive_forces = stage(fast_motion.drive_forces, coeffs, lanes.cosine, lanes.sine)
-    hit_side, contact_time, safe_time, remainder_bound = fast_event.next_event(coeffs, lanes, drive_forces)
-    step_time = stage(_step_time, lanes, hit_side, contact_time, safe_time)
-    propagator = stage(flow.step_propagator, coeffs.short_series, coeffs.frequency, step_time)
-    x, v = stage(fast_motion.propagate, coeffs, lanes.x, lanes.v, drive_forces, propagator)
+    The hit side is 0 without an impact. The approach speed is in lengths per unit of t. `n_steps` counts the earlier
+    steps of the period. `closest_approaches` is None if no clearances are computed. Lanes without remaining time and
+    lanes that are given up do not change."""
+    lanes_before = lanes = lanes._replace(largest_length=call_without_inlining(_largest_length, coeffs, lanes))
+    drive_forces = call_without_inlining(fast_motion.drive_forces, coeffs, lanes.cosine, lanes.sine)
+    hit_side, contact_time, safe_time, remainder_bound = fast_event.certify_next_event(coeffs, lanes, drive_forces)
+    step_time = call_without_inlining(_step_time, lanes, hit_side, contact_time, safe_time)
+    propagator = call_without_inlining(flow.step_propagator, coeffs.economised_series, coeffs.frequency, step_time)
+    x, v = call_without_inlining(fast_motion.propagate_free_flight, coeffs, lanes.x, lanes.v, drive_forces, propagator)
     tangents = fast_tangent.propagate_tangents(coeffs, directions, tangents, lanes, drive_forces, propagator, step_time)
-    phasor = stage(flow.rotate, lanes.cosine, lanes.sine, propagator.cos_less_1, propagator.sin_angle)
-    delay = stage(fast_motion.event_delay, coeffs, x, v, phasor, hit_side)
-    impact_velocity = stage(fast_motion.impact_velocity, coeffs, x, v, phasor, delay)
-    cosine, sine = stage(fast_motion.rotate_drive, coeffs, phasor, delay)
-    approach_speed = stage(_approach_speed, coeffs, cosine, sine, hit_side, impact_velocity)
-    time_remaining = stage(
-        _time_remaining, coeffs, lanes, n_steps, safe_time, step_time, hit_side, approach_speed, delay
+    phasor = call_without_inlining(
+        flow.rotate_phasor, lanes.cosine, lanes.sine, propagator.cos_less_1, propagator.sin_angle
     )
-    flight_end = x, v, *phasor, delay
-    x, v = stage(fast_motion.rebound, coeffs, x, v, (cosine, sine), hit_side, impact_velocity)
+    delay = call_without_inlining(fast_motion.event_delay, coeffs, x, v, phasor, hit_side)
+    impact_velocity = call_without_inlining(fast_motion.impact_velocity, coeffs, x, v, phasor, delay)
+    cosine, sine = call_without_inlining(fast_motion.rotate_drive_phasor, coeffs, phasor, delay)
+    approach_speed = call_without_inlining(_approach_speed, coeffs, cosine, sine, hit_side, impact_velocity)
+    time_remaining = call_without_inlining(
+        _time_after_step, coeffs, lanes, n_steps, safe_time, step_time, hit_side, approach_speed, delay
+    )
+    flight_end_state = x, v, *phasor, delay
+    x, v = call_without_inlining(fast_motion.apply_rebound, coeffs, x, v, (cosine, sine), hit_side, impact_velocity)
     lanes = LaneStates(x, v, cosine, sine, time_remaining, lanes.largest_length)
-    if approaches is not None:
-        approaches, time_remaining = fast_turning_points.record_turning_point(
-            coeffs, lanes_before, lanes, impact_velocity, step_time, delay, hit_side, remainder_bound, approaches
+    if closest_approaches is not None:
+        closest_approaches, time_remaining = fast_turning_points.record_turning_point(
+            coeffs,
+            lanes_before,
+            lanes,
+            impact_velocity,
+            step_time,
+            delay,
+            hit_side,
+            remainder_bound,
+            closest_approaches,
         )
         lanes = lanes._replace(time_remaining=time_remaining)
     return (
         lanes,
-        fast_tangent.apply_saltation(coeffs, directions, tangents, lanes, flight_end, hit_side, impact_velocity),
-        approaches,
+        fast_tangent.apply_saltation(coeffs, directions, tangents, lanes, flight_end_state, hit_side, impact_velocity),
+        closest_approaches,
         hit_side,
         approach_speed,
     )
 
 
 def _largest_length(coeffs, lanes):
-    """Return the largest length of each lane."""
+    """Return the largest length of each lane since the start of the period."""
     return maximum(lanes.largest_length, coeffs.length_scale + lax.abs(lanes.x) + lax.abs(lanes.v))
 
 
@@ -194,27 +220,28 @@ def _unscaled_time(coeffs, time_remaining):
 
 
 def _step_time(lanes, hit_side, contact_time, safe_time):
-    """Return the length of the step."""
+    """Return the duration of the step; 0 for a lane without time remaining."""
     return choose(lanes.time_remaining > 0, choose(hit_side != 0, contact_time, positive_part(safe_time)), 0.0)
 
 
-def _approach_speed(coeffs, cosine, sine, side, impact_velocity):
-    """Return the speed relative to the wall on a side before impact, in units of t."""
-    return side * (
-        subtract(impact_velocity, fast_motion.wall_state(coeffs, cosine, sine, side)[1]) * coeffs.inverse_max_step
+def _approach_speed(coeffs, cosine, sine, hit_side, impact_velocity):
+    """Return the speed relative to the wall on a side before impact, in lengths per unit of t."""
+    return hit_side * (
+        subtract_optional(impact_velocity, fast_motion.wall_state(coeffs, cosine, sine, hit_side)[1])
+        * coeffs.inverse_max_step
     )
 
 
-def _time_remaining(coeffs, lanes, n_steps, safe_time, step_time, side, approach_speed, delay):
+def _time_after_step(coeffs, lanes, n_steps, safe_time, step_time, hit_side, approach_speed, delay):
     """Return the remaining time after a step, GIVEN_UP for a lane in doubt."""
-    is_hit, time_remaining = side != 0, (lanes.time_remaining - step_time) - delay
-    certainty = choose(
+    is_hit, time_remaining = hit_side != 0, (lanes.time_remaining - step_time) - delay
+    certainty_margin = choose(
         is_hit,
-        fast_motion.restitution_of(coeffs, side) * approach_speed
+        fast_motion.restitution_of(coeffs, hit_side) * approach_speed
         - SLOW_FRACTION * coeffs.inverse_max_step * lanes.largest_length,
         safe_time,
     )
     time_remaining = choose(
-        (time_remaining >= 0) & (certainty > 0) & (n_steps < coeffs.step_limit), time_remaining, GIVEN_UP
+        (time_remaining >= 0) & (certainty_margin > 0) & (n_steps < coeffs.max_steps), time_remaining, GIVEN_UP
     )
     return choose(lanes.time_remaining > 0, time_remaining, lanes.time_remaining)

@@ -1,10 +1,10 @@
 """Compute the free flight x'' + 2 gamma x' + x = A cos(omega t) (paper, (3)) exactly.
 
-No formula divides by D or by sqrt(1 - gamma^2). Inside a soft wall x is multiplied by a stiffness of 1 + k2. A
-stiffness of None stands for 1.
+No formula divides by (1 - omega^2)^2 + 4 gamma^2 omega^2, the denominator of the forced response, or by
+sqrt(1 - gamma^2). Inside a soft wall the coefficient of x is the stiffness 1 + k2. A stiffness of None stands for 1.
 
-Over a step that is short relative to the fastest of the rates omega, 1 and 2 gamma the flow is its own Taylor series.
-The series needs only products, and holds at resonance, at critical damping and beyond. A longer flight is a short
+Over a step of at most 1 / max(omega, 1, 2 gamma) the flow is computed from its Taylor series. The evaluation of the
+series needs only products. The series is valid at resonance, at critical damping and beyond. A longer flight is a short
 step that is doubled repeatedly.
 """
 
@@ -18,7 +18,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Float
 
-from ..compiled.compiler_hints import choose
+from ..compiled.lane_arithmetic import choose
 from ..scene import check
 
 MAX_SCALED_STEP = 1.0  # longest step, in units of 1 / rate
@@ -33,7 +33,19 @@ CoefficientRows = Float[jax.Array, "_ ..."] | list[Float[jax.Array, "..."]]
 
 
 class FlowSeries(NamedTuple):
-    """Taylor coefficients of the `Propagator`, from the first nonzero power of t on, with the order as first axis."""
+    """Taylor coefficients of the `Propagator`, from the first nonzero power of t on, with the order as first axis.
+
+    Attributes
+    ----------
+    p00_minus_1 : array or list of array
+        Coefficients of p00 - 1, from t^2 on.
+    p01 : array or list of array
+        Coefficients of p01, from t on.
+    cos_response : array or list of array
+        Coefficients of the position under the force cos(omega t), from t^2 on.
+    sin_response : array or list of array
+        Coefficients of the position under the force sin(omega t), from t^3 on.
+    """
 
     p00_minus_1: CoefficientRows
     p01: CoefficientRows
@@ -44,7 +56,7 @@ class FlowSeries(NamedTuple):
 class Propagator(NamedTuple):
     """Propagator of a flight of a given duration, from its series.
 
-    The free flow has the matrix ((p00, p01), (-p01, p00 - 2 gamma p01)).
+    The matrix of the free flow is ((p00, p01), (-stiffness p01, p00 - 2 gamma p01)).
 
     Attributes
     ----------
@@ -70,7 +82,7 @@ class Propagator(NamedTuple):
     sin_angle: Float[jax.Array, "*lanes"]
 
 
-def max_rate(frequency, damping, stiffness=None):
+def max_angular_rate(frequency, damping, stiffness=None):
     """Return an upper bound on the rates of the drive and of the free oscillation.
 
     Parameters
@@ -78,7 +90,7 @@ def max_rate(frequency, damping, stiffness=None):
     frequency : array
         Drive frequency.
     damping : array
-        Damping ratio.
+        Half of the coefficient of the velocity; the damping ratio for stiffness 1.
     stiffness : array, optional
         Stiffness. None stands for 1.
 
@@ -88,26 +100,31 @@ def max_rate(frequency, damping, stiffness=None):
         Bound on the angular frequencies and decay rates, in radians per unit of t. At least 1 for stiffness 1.
     """
     natural_frequency = 1.0 if stiffness is None else lax.sqrt(stiffness)
-    faster_rate = choose(frequency > natural_frequency, frequency, natural_frequency)
-    return choose(2.0 * damping > faster_rate, 2.0 * damping, faster_rate)
+    larger_frequency = choose(frequency > natural_frequency, frequency, natural_frequency)
+    return choose(2.0 * damping > larger_frequency, 2.0 * damping, larger_frequency)
 
 
 def spring_force(stiffness, x):
-    """Return the spring force at x."""
+    """Return stiffness times x; None for the stiffness stands for 1."""
     return x if stiffness is None else stiffness * x
 
 
 def flow_series(frequency, damping, stiffness=None):
-    """Return the `FlowSeries` of an oscillator: derivatives at t = 0 from the equation of motion, over factorials."""
+    """Return the `FlowSeries` of an oscillator, from the derivatives at t = 0 that the equation of motion yields."""
     ones = jnp.ones_like(frequency * damping * (1.0 if stiffness is None else stiffness))
     zeros = jnp.zeros_like(ones)
 
-    def next_derivatives(pairs, _):
-        (drive_deriv, next_drive), (free_deriv, next_free), (forced_deriv, next_forced) = pairs
+    def next_derivatives(derivative_pairs, _):
+        (drive_deriv, next_drive_deriv), (free_deriv, next_free_deriv), (forced_deriv, next_forced_deriv) = (
+            derivative_pairs
+        )
         next_pairs = (
-            (next_drive, -(frequency * frequency) * drive_deriv),
-            (next_free, -2.0 * damping * next_free - spring_force(stiffness, free_deriv)),
-            (next_forced, drive_deriv - 2.0 * damping * next_forced - spring_force(stiffness, forced_deriv)),
+            (next_drive_deriv, -(frequency * frequency) * drive_deriv),
+            (next_free_deriv, -2.0 * damping * next_free_deriv - spring_force(stiffness, free_deriv)),
+            (
+                next_forced_deriv,
+                drive_deriv - 2.0 * damping * next_forced_deriv - spring_force(stiffness, forced_deriv),
+            ),
         )
         return next_pairs, (free_deriv, forced_deriv)
 
@@ -115,8 +132,8 @@ def flow_series(frequency, damping, stiffness=None):
         next_derivatives, ((ones, zeros), (zeros, ones), (zeros, zeros)), length=SERIES_ORDER + 1
     )
 
-    def divide_by_factorials(values, shift):
-        inverse_factorials = [1.0 / math.factorial(k + shift) for k in range(SERIES_ORDER + 1)]
+    def divide_by_factorials(values, order_shift):
+        inverse_factorials = [1.0 / math.factorial(k + order_shift) for k in range(SERIES_ORDER + 1)]
         return values * jnp.array(inverse_factorials, values.dtype).reshape(-1, *[1] * ones.ndim)
 
     # p00' = -stiffness p01, sin_response' = omega cos_response
@@ -131,41 +148,59 @@ def flow_series(frequency, damping, stiffness=None):
 def economise_series(series):
     """Return the `FlowSeries` with `DROPPED_DEGREES` fewer degrees.
 
-    It holds for times from 0 to the longest step, which must be 1. The polynomials lose their Chebyshev terms beyond
-    the remaining degree (economisation). The error is less than 1e-16 of the first coefficient, because the
+    The result is valid for times from 0 to 1, the longest step. The Chebyshev terms of the polynomials beyond the
+    remaining degree are omitted (economisation). The error is less than 1e-16 of the first coefficient, because the
     coefficients of a flow decrease like 1 / k!.
     """
-    return FlowSeries(*(rows if rows is None else _economise(rows) for rows in series))
+    return FlowSeries(
+        *(
+            coefficient_rows if coefficient_rows is None else _economise_rows(coefficient_rows)
+            for coefficient_rows in series
+        )
+    )
 
 
-def _economise(rows):
-    """Return the coefficient rows with `DROPPED_DEGREES` fewer degrees."""
-    n_kept = len(rows) - DROPPED_DEGREES
-    kept_rows = rows[:n_kept]
-    for row_weights, row in zip(_economy_weights(n_kept), rows[n_kept:], strict=True):
-        kept_rows = kept_rows + jnp.array(row_weights, rows.dtype).reshape(-1, *[1] * row.ndim) * row
-    return kept_rows
+def _economise_rows(coefficient_rows):
+    """Return the coefficient rows of a polynomial with `DROPPED_DEGREES` fewer degrees."""
+    n_remaining_rows = len(coefficient_rows) - DROPPED_DEGREES
+    remaining_rows = coefficient_rows[:n_remaining_rows]
+    for row_weights, dropped_row in zip(
+        _dropped_power_weights(n_remaining_rows), coefficient_rows[n_remaining_rows:], strict=True
+    ):
+        remaining_rows = (
+            remaining_rows
+            + jnp.array(row_weights, coefficient_rows.dtype).reshape(-1, *[1] * dropped_row.ndim) * dropped_row
+        )
+    return remaining_rows
 
 
 @lru_cache(8)
-def _economy_weights(n_kept):
+def _dropped_power_weights(n_remaining_rows):
     """Return the contribution of each dropped power of t to the remaining coefficients."""
-    chebyshev = [[1], [-1, 2]]  # in t from 0 to 1
-    for _ in range(n_kept - 2):
-        previous, second_previous = chebyshev[-1], [*chebyshev[-2], 0, 0]
-        chebyshev.append(
-            [4 * a - 2 * b - c for a, b, c in zip([0, *previous], [*previous, 0], second_previous, strict=True)]
-        )
-    weights = []
-    for power in range(n_kept, n_kept + DROPPED_DEGREES):
-        kept_weights = [Fraction(0)] * n_kept
-        for j, polynomial in enumerate(chebyshev):
-            factor = Fraction(math.comb(2 * power, power - j) * (2 if j else 1), 4**power)
-            kept_weights[: j + 1] = [
-                weight + factor * value for weight, value in zip(kept_weights, polynomial, strict=False)
+    chebyshev_polynomials = [[1], [-1, 2]]  # in t from 0 to 1
+    for _ in range(n_remaining_rows - 2):
+        last_polynomial, second_last_polynomial = chebyshev_polynomials[-1], [*chebyshev_polynomials[-2], 0, 0]
+        chebyshev_polynomials.append(
+            [
+                4 * shifted_coeff - 2 * last_coeff - second_last_coeff
+                for shifted_coeff, last_coeff, second_last_coeff in zip(
+                    [0, *last_polynomial], [*last_polynomial, 0], second_last_polynomial, strict=True
+                )
             ]
-        weights.append([float(value) for value in kept_weights])
-    return weights
+        )
+    weights_by_power = []
+    for dropped_power in range(n_remaining_rows, n_remaining_rows + DROPPED_DEGREES):
+        remaining_weights = [Fraction(0)] * n_remaining_rows
+        for chebyshev_degree, polynomial in enumerate(chebyshev_polynomials):
+            chebyshev_factor = Fraction(
+                math.comb(2 * dropped_power, dropped_power - chebyshev_degree) * (2 if chebyshev_degree else 1),
+                4**dropped_power,
+            )
+            remaining_weights[: chebyshev_degree + 1] = [
+                weight + chebyshev_factor * coeff for weight, coeff in zip(remaining_weights, polynomial, strict=False)
+            ]
+        weights_by_power.append([float(coeff) for coeff in remaining_weights])
+    return weights_by_power
 
 
 def step_propagator(series, frequency, time):
@@ -183,28 +218,29 @@ def drive_responses(series, time):
 
 
 def horner(coefficients, time):
-    """Evaluate a polynomial, given by its coefficients from the constant on: rows of an array, or a list."""
+    """Evaluate a polynomial from its coefficients, the constant first: rows of an array, or a list."""
     value = coefficients[len(coefficients) - 1]
     for k in range(len(coefficients) - 2, -1, -1):
         value = value * time + coefficients[k]
     return value
 
 
-def extend_jet(frequency, damping, stiffness, drive_derivs, extra_derivs, jet):
-    """Return (drive derivatives, jet): the next two derivatives of the drive force and of x from the last two of each.
+def extend_jet(frequency, damping, stiffness, drive_derivs, extra_force_derivs, last_two_derivs):
+    """Return (next two derivatives of the drive force, next two derivatives of x) from the last two of each.
 
-    `extra_derivs` are the derivatives of another force; None stands for zero.
+    `extra_force_derivs` are two derivatives of an additional force, of the same orders as `drive_derivs`; None stands
+    for zero.
     """
     minus_omega_squared, drag_factor = -(frequency * frequency), -2.0 * damping
-    force, force_rate = (
-        drive_part if extra_part is None else drive_part + extra_part
-        for drive_part, extra_part in zip(drive_derivs, extra_derivs, strict=True)
+    total_force, force_rate = (
+        drive_deriv if extra_deriv is None else drive_deriv + extra_deriv
+        for drive_deriv, extra_deriv in zip(drive_derivs, extra_force_derivs, strict=True)
     )
-    second_last_deriv = force + (drag_factor * jet[1] - spring_force(stiffness, jet[0]))
-    last_deriv = force_rate + (drag_factor * second_last_deriv - spring_force(stiffness, jet[1]))
+    next_deriv = total_force + (drag_factor * last_two_derivs[1] - spring_force(stiffness, last_two_derivs[0]))
+    next_but_one_deriv = force_rate + (drag_factor * next_deriv - spring_force(stiffness, last_two_derivs[1]))
     return (drive_derivs[0] * minus_omega_squared, drive_derivs[1] * minus_omega_squared), (
-        second_last_deriv,
-        last_deriv,
+        next_deriv,
+        next_but_one_deriv,
     )
 
 
@@ -226,8 +262,8 @@ def sin_by_series(angle):
     return value * angle
 
 
-def rotate(cosine, sine, cos_less_1, sin_angle):
-    """Rotate the phasor of the drive by an angle given by its cosine less 1 and its sine.
+def rotate_phasor(cosine, sine, cos_less_1, sin_angle):
+    """Rotate the phasor of the drive by an angle, from the cosine less 1 and the sine of the angle.
 
     Parameters
     ----------
@@ -250,7 +286,7 @@ def rotate(cosine, sine, cos_less_1, sin_angle):
     return cosine + (cosine * cos_less_1 - sine * sin_angle), sine + (sine * cos_less_1 + cosine * sin_angle)
 
 
-def rotate_by_angle(cosine, sine, angle):
+def rotate_phasor_by_angle(cosine, sine, angle):
     """Rotate the phasor of the drive by any angle.
 
     Parameters
@@ -301,7 +337,7 @@ def fly(scene, state, time):
     -----
     The error is below 1e-13 (1 + t)^2 (abs x + abs v + A) for damping in [0, 5] and frequency in [0.05, 20].
     """
-    check.require_one_harmonic(scene, "fly")
+    check.require_harmonic_drive(scene, "fly")
     values = (scene.amplitude, scene.frequency, scene.damping, state.x, state.v, state.phase, time)
     values = jnp.broadcast_arrays(*(jnp.asarray(value, scene.dtype) for value in values))
     amplitude, frequency, damping, x, v, phase, time = values
@@ -392,34 +428,36 @@ def doubling_responses(series, frequency, damping, time, stiffness=None):
     angle_pair : tuple of array
         Cosine less 1 and sine of the drive angle over the flight.
     """
-    rate_limit, zero = max_rate(frequency, damping, stiffness), lax.full_like(time, 0.0)
+    fastest_rate, zero = max_angular_rate(frequency, damping, stiffness), lax.full_like(time, 0.0)
 
     def needs_halving(carry):
-        return jnp.any(carry[0] * rate_limit > MAX_SCALED_STEP)
+        return jnp.any(carry[0] * fastest_rate > MAX_SCALED_STEP)
 
-    def halve(carry):
+    def halve_step(carry):
         step_time, n_halvings = carry
-        is_long = step_time * rate_limit > MAX_SCALED_STEP
-        return choose(is_long, 0.5 * step_time, step_time), n_halvings + choose(is_long, zero + 1.0, 0.0)
+        is_step_too_long = step_time * fastest_rate > MAX_SCALED_STEP
+        return choose(is_step_too_long, 0.5 * step_time, step_time), n_halvings + choose(
+            is_step_too_long, zero + 1.0, 0.0
+        )
 
-    _, n_doublings = lax.while_loop(needs_halving, halve, (lax.stop_gradient(time), zero))
+    _, n_doublings = lax.while_loop(needs_halving, halve_step, (lax.stop_gradient(time), zero))
 
-    def double(carry):
-        n_left, responses = carry
-        doubled = double_responses(stiffness, *responses)
-        return n_left - 1.0, jax.tree.map(
-            lambda updated, current: choose(n_left > 0, updated, current), doubled, responses
+    def double_step(carry):
+        n_doublings_left, responses = carry
+        next_responses = responses_after_doubling(stiffness, *responses)
+        return n_doublings_left - 1.0, jax.tree.map(
+            lambda updated, current: choose(n_doublings_left > 0, updated, current), next_responses, responses
         )
 
     initial_carry = (n_doublings, _step_responses(series, frequency, damping, time * jnp.exp2(-n_doublings)))
-    return lax.while_loop(lambda carry: jnp.any(carry[0] > 0), double, initial_carry)[1]
+    return lax.while_loop(lambda carry: jnp.any(carry[0] > 0), double_step, initial_carry)[1]
 
 
 def fixed_doubling_responses(series, frequency, damping, time, stiffness, n_doublings):
-    """Return the `doubling_responses` over at most 2^n_doublings longest steps."""
+    """Return the `doubling_responses` with a fixed number of doublings, over at most 2^n_doublings longest steps."""
     responses = _step_responses(series, frequency, damping, time * 0.5**n_doublings)
     for _ in range(n_doublings):
-        responses = double_responses(stiffness, *responses)
+        responses = responses_after_doubling(stiffness, *responses)
     return responses
 
 
@@ -438,23 +476,26 @@ def _step_responses(series, frequency, damping, time):
     return free_flow, forced_flow, (propagator.cos_less_1, propagator.sin_angle)
 
 
-def double_responses(stiffness, free_flow, forced_flow, angle_pair):
+def responses_after_doubling(stiffness, free_flow, forced_flow, drive_rotation):
     """Return the responses of a flight of twice the duration."""
-    (p00, p01, p11), (cos_response, sin_response), (cos_less_1, sin_angle) = free_flow, forced_flow, angle_pair
+    (p00, p01, p11), (cos_response, sin_response), (cos_less_1, sin_angle) = free_flow, forced_flow, drive_rotation
     cosine = 1.0 + cos_less_1
 
     def apply_free_flow(x, v):
         return p00 * x + p01 * v, p11 * v - p01 * spring_force(stiffness, x)
 
-    (cos_x, cos_v), (sin_x, sin_v) = apply_free_flow(*cos_response), apply_free_flow(*sin_response)
+    (propagated_cos_x, propagated_cos_v), (propagated_sin_x, propagated_sin_v) = (
+        apply_free_flow(*cos_response),
+        apply_free_flow(*sin_response),
+    )
     cos_response = (
-        cos_x + cosine * cos_response[0] - sin_angle * sin_response[0],
-        cos_v + cosine * cos_response[1] - sin_angle * sin_response[1],
+        propagated_cos_x + cosine * cos_response[0] - sin_angle * sin_response[0],
+        propagated_cos_v + cosine * cos_response[1] - sin_angle * sin_response[1],
     )
     sin_response = (
-        sin_x + cosine * sin_response[0] + sin_angle * (old_cos_response := forced_flow[0])[0],
-        sin_v + cosine * sin_response[1] + sin_angle * old_cos_response[1],
+        propagated_sin_x + cosine * sin_response[0] + sin_angle * (old_cos_response := forced_flow[0])[0],
+        propagated_sin_v + cosine * sin_response[1] + sin_angle * old_cos_response[1],
     )
-    coupling = p01 * spring_force(stiffness, p01)
-    free_flow = (p00 * p00 - coupling, p01 * (p00 + p11), p11 * p11 - coupling)
+    stiffness_times_p01_sq = p01 * spring_force(stiffness, p01)
+    free_flow = (p00 * p00 - stiffness_times_p01_sq, p01 * (p00 + p11), p11 * p11 - stiffness_times_p01_sq)
     return free_flow, (cos_response, sin_response), (2.0 * cos_less_1 * (2.0 + cos_less_1), 2.0 * sin_angle * cosine)

@@ -1,14 +1,14 @@
-"""Compute the end of a flight of any duration and its derivative with respect to the initial state."""
+"""Compute flights of any duration and the derivatives of the final state with respect to the initial state."""
 
 import jax.numpy as jnp
 
 from . import flow
-from .coefficients import flow_coefficients
-from .flows import flow_of
+from .flight_coefficients import flow_coefficients
+from .flow_dispatch import flow_of
 
 
 def fly_with_matrix(scene, x, v, phase, time):
-    """Compute the end of a flight of a scene and its matrix, without walls.
+    """Compute the final state of a flight without walls and the matrix of the flight.
 
     Parameters
     ----------
@@ -28,7 +28,7 @@ def fly_with_matrix(scene, x, v, phase, time):
     state : tuple of array
         Final position and velocity.
     matrix : tuple of array
-        Derivative of the final state with respect to the initial one, see `apply_matrix`.
+        Derivative of the final state with respect to the initial state, see `apply_matrix`.
     """
     if scene.force is not None or scene.drive:
         coeffs = flow_coefficients(scene)
@@ -79,7 +79,7 @@ def matrix_by_rows(matrix):
 
 
 def determinant(matrix):
-    """Return the determinant of a matrix.
+    """Return the determinant of the matrix of a flight.
 
     Parameters
     ----------

@@ -8,42 +8,44 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Bool, Float
 
-from ..compiled.compiler_hints import choose, minimum, stage
+from ..compiled.lane_arithmetic import call_without_inlining, choose, minimum
 from ..scene.codes import Contact
-from . import force_law_flow, force_law_series, taylor
-from .flight_state import CAPPED, split_motion
-from .force_law_series import ContactState
-from .rigid_contact import extra_force as extra_force
-from .rigid_contact import max_step as max_step
-from .rigid_contact import prepare_step as prepare_step  # these four are as for rigid walls
-from .rigid_contact import target_wall as target_wall
-from .soft_contact import is_inside
-from .taylor_steps import as_derivatives
+from . import force_law_motion_series, force_law_passage, taylor_polynomials
+from .flight_state import CAPPED, make_slow_motion
+from .force_law_motion_series import ContactState
+from .motion_in_soft_wall import is_inside_soft_wall
+from .no_contact_phase import frame_force as frame_force
+from .no_contact_phase import max_step as max_step
+from .no_contact_phase import prepare_step as prepare_step  # these four are as for rigid walls
+from .no_contact_phase import target_wall as target_wall
+from .taylor_steps import derivatives_from_terms
 from .wall_motion import wall_jet_on_side
 
 INITIAL_PERIODS = 1e-9  # initial time, in drive periods, of a mass that is pressed into a wall from rest
 
 
-def active_path(path):
-    """Return the path of the lanes that take a step; lanes inside a wall wait there."""
-    return path._replace(time_remaining=choose(is_inside(path.contact), 0.0, path.time_remaining))
+def path_of_stepping_lanes(path):
+    """Return the path of the lanes that take a step; lanes inside a wall get no remaining time."""
+    return path._replace(time_remaining=choose(is_inside_soft_wall(path.contact), 0.0, path.time_remaining))
 
 
-def initial_wait(zero):
-    """Return the initial wait count, see `linear_contact.initial_wait`."""
-    return zero
+def initial_waiting_steps(zeros):
+    """Return the initial number of waiting steps, see `linear_contact.initial_waiting_steps`."""
+    return zeros
 
 
-def advance_waiting(coeffs, path, wait_count, is_due, is_idle):
-    """Return (path, wait count), see `rigid_contact.advance_waiting`.
+def advance_waiting_lanes(coeffs, path, n_waiting_steps, is_any_lane_due, is_loop_idle):
+    """Return (path, number of waiting steps), see `no_contact_phase.advance_waiting_lanes`.
 
-    The lanes complete their contact phase once one has waited long enough, or all lanes that can wait do.
+    If `is_any_lane_due` or `is_loop_idle` is True, all lanes inside a wall complete their contact phase.
     """
-    path = lax.cond(is_due | is_idle, partial(traverse_contacts, coeffs), lambda operand: operand, path)
-    return path, jnp.zeros_like(wait_count)
+    path = lax.cond(
+        is_any_lane_due | is_loop_idle, partial(complete_contact_phases, coeffs), lambda operand: operand, path
+    )
+    return path, jnp.zeros_like(n_waiting_steps)
 
 
-def traverse_contacts(coeffs, path):
+def complete_contact_phases(coeffs, path):
     """Advance lanes inside a soft wall to their exit or to the end of their time.
 
     Parameters
@@ -58,12 +60,18 @@ def traverse_contacts(coeffs, path):
     Path
         Path after the contact phases. Other lanes do not change.
     """
-    inside = is_inside(path.contact) & (path.time_remaining > 0)
-    side = stage(_contact_side, path.contact)
-    start, start_delay, exits_at_once = stage(_initial_state, coeffs, path, inside, side)
-    time_remaining = choose(inside & ~exits_at_once, path.time_remaining - start_delay, 0.0)
-    passage = force_law_flow.traverse_contact(coeffs, side, start, time_remaining, path.time_remaining_low)
-    return stage(_path_after_contact, coeffs, path, passage, inside, exits_at_once, side)
+    is_inside_wall = is_inside_soft_wall(path.contact) & (path.time_remaining > 0)
+    side = call_without_inlining(_contact_side, path.contact)
+    start_state, start_delay, exits_immediately = call_without_inlining(
+        _initial_contact_state, coeffs, path, is_inside_wall, side
+    )
+    time_remaining = choose(is_inside_wall & ~exits_immediately, path.time_remaining - start_delay, 0.0)
+    contact_passage = force_law_passage.traverse_contact(
+        coeffs, side, start_state, time_remaining, path.time_remaining_low_part
+    )
+    return call_without_inlining(
+        _path_after_contact, coeffs, path, contact_passage, is_inside_wall, exits_immediately, side
+    )
 
 
 def _contact_side(contact):
@@ -71,30 +79,33 @@ def _contact_side(contact):
     return choose(contact < 0, lax.full_like(contact, -1.0), 1.0)
 
 
-def _initial_state(coeffs, path, inside, side):
-    """Return (`ContactState`, elapsed time, exits at once), with finite placeholder values in lanes outside."""
+def _initial_contact_state(coeffs, path, is_inside_wall, side):
+    """Return (`ContactState`, delay of the start, mask of lanes that exit at once); lanes outside get placeholders."""
     depth, depth_rate = side * path.x, side * path.v
-    at_surface = (lax.abs(path.contact) == Contact.ENTERED) | (depth <= 0)
+    is_at_surface = (lax.abs(path.contact) == Contact.ENTERED) | (depth <= 0)
     inward_accel = inward_acceleration(coeffs, side, jnp.zeros_like(depth_rate), path.cosine, path.sine)
-    without_speed = at_surface & (depth_rate == 0)
-    starts_from_rest = without_speed & (inward_accel > 0)
+    has_zero_speed = is_at_surface & (depth_rate == 0)
+    starts_from_rest = has_zero_speed & (inward_accel > 0)
     start_delay = minimum(INITIAL_PERIODS * coeffs.period + 0.0 * inward_accel, 0.5 * path.time_remaining)
-    start_delay = choose(starts_from_rest & inside, start_delay, 0.0)
-    scale = choose(at_surface & ~starts_from_rest, depth_rate, 1.0)
-    scaled_root = choose(
+    start_delay = choose(starts_from_rest & is_inside_wall, start_delay, 0.0)
+    speed_scale = choose(is_at_surface & ~starts_from_rest, depth_rate, 1.0)
+    scaled_depth_root = choose(
         starts_from_rest,
         lax.sqrt(choose(starts_from_rest, 0.5 * inward_accel, 0.0)) * start_delay,
-        lax.sqrt(choose(at_surface, 0.0, depth)),
+        lax.sqrt(choose(is_at_surface, 0.0, depth)),
     )
-    scaled_rate = choose(starts_from_rest, inward_accel * start_delay, choose(at_surface, 1.0, depth_rate))
-    exits_at_once = inside & at_surface & ~starts_from_rest & (depth_rate <= 0)
-    active = inside & ~exits_at_once
-    start = ContactState(
-        *(choose(active, *pair) for pair in ((scaled_root, 1.0), (scaled_rate, 0.0), (scale, 1.0))),
+    scaled_depth_rate = choose(starts_from_rest, inward_accel * start_delay, choose(is_at_surface, 1.0, depth_rate))
+    exits_immediately = is_inside_wall & is_at_surface & ~starts_from_rest & (depth_rate <= 0)
+    is_active = is_inside_wall & ~exits_immediately
+    start_state = ContactState(
+        *(
+            choose(is_active, *pair)
+            for pair in ((scaled_depth_root, 1.0), (scaled_depth_rate, 0.0), (speed_scale, 1.0))
+        ),
         path.cosine,
         path.sine,
     )
-    return start, start_delay, exits_at_once
+    return start_state, start_delay, exits_immediately
 
 
 def inward_acceleration(coeffs, side, depth_rate, cosine, sine):
@@ -116,45 +127,50 @@ def inward_acceleration(coeffs, side, depth_rate, cosine, sine):
     Returns
     -------
     array
-        Acceleration into the wall, relative to the wall and including its force.
+        Acceleration into the wall, relative to the wall and including the contact force.
     """
     zero, ones = jnp.zeros_like(cosine), jnp.ones_like(cosine)
-    return force_law_series.contact_series(
+    return force_law_motion_series.contact_series(
         coeffs, side, ContactState(zero, ones, depth_rate, cosine, sine), 2
-    ).scaled_rate[2]
+    ).scaled_depth_rate[2]
 
 
-def _path_after_contact(coeffs, path, passage, inside, exits_at_once, side):
+def _path_after_contact(coeffs, path, contact_passage, is_inside_wall, exits_immediately, side):
     """Return the path with the lanes inside a wall at the end of their passage."""
-    state = passage.state
-    exits = passage.exits | exits_at_once
+    state = contact_passage.state
+    has_exited = contact_passage.has_exited | exits_immediately
     wall_position, wall_velocity = _wall_state(coeffs, side, state.cosine, state.sine)
-    depth_root = state.scale * state.scaled_root
-    relative_x, relative_v = (
+    depth_root = state.scale * state.scaled_depth_root
+    relative_position, relative_velocity = (
         side * (depth_root * depth_root),
-        side * choose(exits_at_once, side * path.v, state.scale * state.scaled_rate),
+        side * choose(exits_immediately, side * path.v, state.scale * state.scaled_depth_rate),
     )
-    x, v = choose(exits, wall_position, relative_x), choose(exits, wall_velocity + relative_v, relative_v)
-    next_motion = split_motion(coeffs, x, v, state.cosine, state.sine)
-    complete = (passage.time_remaining == 0) | exits
-    time_remaining = choose(exits_at_once, path.time_remaining, choose(complete, passage.time_remaining, CAPPED))
-    remaining_low = choose(
-        exits_at_once,
-        path.time_remaining_low,
-        choose(complete & (passage.time_remaining > 0), passage.time_remaining_low, 0.0),
+    x, v = (
+        choose(has_exited, wall_position, relative_position),
+        choose(has_exited, wall_velocity + relative_velocity, relative_velocity),
     )
-    contact = side * choose(exits, lax.full_like(side, float(Contact.LANDED)), float(Contact.WITHIN))
+    next_motion = make_slow_motion(coeffs, x, v, state.cosine, state.sine)
+    is_complete = (contact_passage.time_remaining == 0) | has_exited
+    time_remaining = choose(
+        exits_immediately, path.time_remaining, choose(is_complete, contact_passage.time_remaining, CAPPED)
+    )
+    time_remaining_low_part = choose(
+        exits_immediately,
+        path.time_remaining_low_part,
+        choose(is_complete & (contact_passage.time_remaining > 0), contact_passage.time_remaining_low_part, 0.0),
+    )
+    contact = side * choose(has_exited, lax.full_like(side, float(Contact.LANDED)), float(Contact.WITHIN))
     zero = lax.full_like(x, 0.0)
     next_path = path._replace(
         x=x,
-        x_low=zero,
+        x_low_part=zero,
         v=v,
         motion=next_motion,
         time_remaining=time_remaining,
-        time_remaining_low=remaining_low,
+        time_remaining_low_part=time_remaining_low_part,
         contact=contact,
     )
-    return force_law_series.select_lanes(inside, next_path, path)
+    return force_law_motion_series.select_lanes(is_inside_wall, next_path, path)
 
 
 def _wall_state(coeffs, side, cosine, sine):
@@ -163,56 +179,59 @@ def _wall_state(coeffs, side, cosine, sine):
     return wall_position, jnp.zeros_like(cosine) if wall_velocity is None else wall_velocity
 
 
-class ContactPhase(NamedTuple):
+class ContactResult(NamedTuple):
     """Result of a contact phase inside a soft wall.
 
     Attributes
     ----------
-    exits : array of bool
-        True if the mass leaves the wall in time.
+    has_exited : array of bool
+        True if the mass exits from the wall within the available time.
     duration : array
-        Contact duration, or the available time if the mass does not leave.
+        Contact duration, or the available time if the mass does not exit.
     depth : array
         Depth at the end.
     depth_rate : array
         Rate of the depth at the end.
     """
 
-    exits: Bool[jax.Array, "*lanes"]
+    has_exited: Bool[jax.Array, "*lanes"]
     duration: Float[jax.Array, "*lanes"]
     depth: Float[jax.Array, "*lanes"]
     depth_rate: Float[jax.Array, "*lanes"]
 
 
-def entry_state(speed, cosine, sine, mask=None):
+def entry_state(entry_speed, cosine, sine, enters_wall=None):
     """Build the state of lanes that enter a wall.
 
     Parameters
     ----------
-    speed : array
+    entry_speed : array
         Speed of entry relative to the wall.
     cosine : array
         Cosine of the drive angle.
     sine : array
         Sine of the drive angle.
-    mask : array of bool, optional
-        Lanes that enter. Other lanes get finite placeholder values. None selects all lanes.
+    enters_wall : array of bool, optional
+        Mask of the lanes that enter. Other lanes get finite placeholder values. None selects all lanes.
 
     Returns
     -------
     ContactState
-        State at the depth 0.
+        State at depth 0.
     """
-    zero = jnp.zeros_like(speed)
-    if mask is None:
-        return ContactState(zero, zero + 1.0, speed, cosine, sine)
-    return ContactState(*(choose(mask, *pair) for pair in ((zero, 1.0), (zero + 1.0, 0.0), (speed, 1.0))), cosine, sine)
+    zero = jnp.zeros_like(entry_speed)
+    if enters_wall is None:
+        return ContactState(zero, zero + 1.0, entry_speed, cosine, sine)
+    return ContactState(
+        *(choose(enters_wall, *pair) for pair in ((zero, 1.0), (zero + 1.0, 0.0), (entry_speed, 1.0))), cosine, sine
+    )
 
 
-def fly_contact_phase(coeffs, side, start, time_remaining, delay, order, passage=None):
+def fly_contact_phase(coeffs, side, start_state, time_remaining, start_delay, order, contact_passage=None):
     """Compute a contact phase with derivatives correct to an order.
 
-    The span of s is a constant. Taylor polynomials move the end of the phase.
+    The span of the scaled time s (`force_law_motion_series`) is constant under differentiation. Taylor polynomials
+    correct the end of the phase.
 
     Parameters
     ----------
@@ -220,48 +239,59 @@ def fly_contact_phase(coeffs, side, start, time_remaining, delay, order, passage
         Coefficients of the scene.
     side : array
         Side of the wall, -1 or 1.
-    start : ContactState
+    start_state : ContactState
         Initial state.
     time_remaining : array
         Available time, a constant.
-    delay : array
-        Delay of the start of the phase. Its value is 0; its derivatives count.
+    start_delay : array
+        Delay of the start of the phase. The value is 0; only the derivatives matter.
     order : int
         Order of the derivatives.
-    passage : ContactPassage, optional
-        Result of `force_law_flow.traverse_contact` if known.
+    contact_passage : ContactPassage, optional
+        Result of `force_law_passage.traverse_contact` if known.
 
     Returns
     -------
-    ContactPhase
-        Result of the phase. Duration and rate are nan if too many steps are needed.
+    ContactResult
+        Result of the phase. Duration and rate of the depth are nan if too many steps are needed.
     """
-    passage = passage or force_law_flow.traverse_contact(*lax.stop_gradient((coeffs, side, start, time_remaining)))
-    state, elapsed = force_law_flow.fly_s_span(coeffs, side, start, lax.stop_gradient(passage.s_span))
-    exit_rate, exit_time = _exit_rate_and_delay(coeffs, side, state, order)
-    depth_root = state.scale * state.scaled_root
+    contact_passage = contact_passage or force_law_passage.traverse_contact(
+        *lax.stop_gradient((coeffs, side, start_state, time_remaining))
+    )
+    state, elapsed_time = force_law_passage.fly_scaled_time_span(
+        coeffs, side, start_state, lax.stop_gradient(contact_passage.scaled_time_span)
+    )
+    exit_depth_rate, exit_time = _exit_rate_and_delay(coeffs, side, state, order)
+    depth_root = state.scale * state.scaled_depth_root
     depth, depth_rate = depth_after_delay(
         coeffs,
         side,
         state,
         depth_root * depth_root,
-        state.scale * state.scaled_rate,
-        time_remaining - elapsed - delay,
+        state.scale * state.scaled_depth_rate,
+        time_remaining - elapsed_time - start_delay,
         order,
     )
-    has_failed = ~(passage.exits | (passage.time_remaining == 0))
-    depth_rate = choose(has_failed, jnp.nan, choose(passage.exits, exit_rate, depth_rate))
-    exit_time = choose(has_failed, jnp.nan, choose(passage.exits, elapsed + exit_time, time_remaining - delay))
-    return ContactPhase(passage.exits, exit_time, choose(passage.exits, 0.0, depth), depth_rate)
+    has_failed = ~(contact_passage.has_exited | (contact_passage.time_remaining == 0))
+    depth_rate = choose(has_failed, jnp.nan, choose(contact_passage.has_exited, exit_depth_rate, depth_rate))
+    exit_time = choose(
+        has_failed, jnp.nan, choose(contact_passage.has_exited, elapsed_time + exit_time, time_remaining - start_delay)
+    )
+    return ContactResult(
+        contact_passage.has_exited, exit_time, choose(contact_passage.has_exited, 0.0, depth), depth_rate
+    )
 
 
 def _exit_rate_and_delay(coeffs, side, state, order):
-    """Return (rate of the depth, delay) at the exit; the delay is 0 up to derivatives and rounding."""
-    terms = force_law_series.contact_series(coeffs, side, state, order + 1)
-    root_derivs, rate, time = (as_derivatives(series) for series in terms)
-    exit_s = taylor.locate_root(root_derivs[: order + 1], order)
-    rate, time = (taylor.evaluate_taylor(series, exit_s, order) for series in (rate, time))
-    return state.scale * rate, time
+    """Return (rate of the depth, delay) at the exit; the value of the delay is 0 up to rounding."""
+    contact_series = force_law_motion_series.contact_series(coeffs, side, state, order + 1)
+    depth_root_derivs, depth_rate_derivs, time_derivs = (derivatives_from_terms(series) for series in contact_series)
+    exit_scaled_time = taylor_polynomials.locate_root_near_zero(depth_root_derivs[: order + 1], order)
+    depth_rate_derivs, time_derivs = (
+        taylor_polynomials.evaluate_taylor(series, exit_scaled_time, order)
+        for series in (depth_rate_derivs, time_derivs)
+    )
+    return state.scale * depth_rate_derivs, time_derivs
 
 
 def depth_after_delay(coeffs, side, state, depth, depth_rate, delay, order):
@@ -280,7 +310,7 @@ def depth_after_delay(coeffs, side, state, depth, depth_rate, delay, order):
     depth_rate : array
         Rate of the depth.
     delay : array
-        Delay. Its value is 0 up to rounding; its derivatives count.
+        Delay. The value is 0 up to rounding; only the derivatives matter.
     order : int
         Order of the derivatives.
 
@@ -289,5 +319,5 @@ def depth_after_delay(coeffs, side, state, depth, depth_rate, delay, order):
     tuple of array
         Depth and its rate.
     """
-    jets = force_law_series.depth_jets(coeffs, side, state, depth, depth_rate, order)
-    return tuple(taylor.evaluate_taylor(jet, delay, order) for jet in jets)
+    depth_and_rate_jets = force_law_motion_series.depth_jets(coeffs, side, state, depth, depth_rate, order)
+    return tuple(taylor_polynomials.evaluate_taylor(jet, delay, order) for jet in depth_and_rate_jets)

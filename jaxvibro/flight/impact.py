@@ -1,4 +1,8 @@
-"""Apply the impact law y+ - v_b = -R (y- - v_b) (paper, (4)) and the rules for a mass without rebound speed."""
+"""Apply the impact law v+ - v_b = -R (v- - v_b) (paper, (4)) and the rules for a rebound speed of zero.
+
+v- and v+ are the velocities of the mass before and after the impact, v_b is the velocity of the wall, and R is the
+restitution.
+"""
 
 from typing import NamedTuple
 
@@ -6,15 +10,15 @@ import jax
 from jax import lax
 from jaxtyping import Float
 
-from ..compiled.compiler_hints import choose, minimum, positive_part, two_sum
+from ..compiled.lane_arithmetic import choose, minimum, positive_part, two_sum
 from ..scene.codes import Contact
-from . import event, flow
-from .contact_laws import contact_law_of
-from .flight_state import CAPPED, Path, SlowMotion, split_motion
-from .flows import flow_of
-from .soft_contact import is_soft_side, restitution_of
-from .soft_wall_lanes import in_soft_wall, relative_wall_derivs
-from .wall_motion import select_lists_by_side, subtract, wall_jet_on_side
+from . import event_certificates, flow
+from .contact_law_dispatch import contact_law_of
+from .flight_state import CAPPED, Path, SlowMotion, make_slow_motion
+from .flow_dispatch import flow_of
+from .motion_in_soft_wall import is_soft_side, restitution_of
+from .soft_wall_lanes import inside_soft_wall_mask, wall_jet_in_lane_frame
+from .wall_motion import select_lists_by_side, subtract_optional, wall_jet_on_side
 
 CHATTER_SPEED = -1.0  # smallest speed that marks a complete chatter
 BOUNCE_TIME_FACTOR = 4.85  # 2 (1 + sqrt(2)), plus a margin for rounding
@@ -27,9 +31,11 @@ class EventOutcome(NamedTuple):
     Attributes
     ----------
     approach_speed : array
-        Speed relative to the wall before the event. Negative if the event is the exit from a soft wall.
+        Speed relative to the wall before the event. Negative if the event is the exit from a soft wall. 0 for a
+        release.
     least_speed : array
-        Smallest speed of the impacts that the event implies.
+        `CHATTER_SPEED` if the mass sticks although the rebound speed is positive, that is after a complete chatter.
+        Otherwise `approach_speed`.
     contact : array
         Contact after the event, times the sign of the wall.
     """
@@ -40,47 +46,55 @@ class EventOutcome(NamedTuple):
 
 
 def event_delay(coeffs, path, side):
-    """Return the time from the end of a step to its event by one Halley step, from within `event.landing_tolerance`.
+    """Return the time from the end of a step to its event by one Halley step.
 
-    The residual of a slow impact may be rounding error. It is not divided by the speed; the delay is then 0.
-    """
+    The magnitude of this time is less than `event_certificates.landing_time_tolerance` longest steps. The residual of a
+    slow impact may be rounding error. In this case the result is 0, because a division by the speed would amplify the
+    error."""
     phasor = path.cosine, path.sine
     wall_position, wall_velocity, wall_acceleration = wall_jet_on_side(coeffs, side, *phasor, 2)
-    force_lists = [flow_of(coeffs).contact_force(coeffs, wall, *phasor, 1) for wall in coeffs.walls]
-    contact_force, force_rate = select_lists_by_side(side, coeffs.walls, force_lists)
+    contact_force_derivs = [flow_of(coeffs).contact_force(coeffs, wall, *phasor, 1) for wall in coeffs.walls]
+    contact_force, force_rate = select_lists_by_side(side, coeffs.walls, contact_force_derivs)
     acceleration, _ = _acceleration_and_jerk(coeffs, path)
-    wall_position, wall_velocity, wall_acceleration = relative_wall_derivs(
-        in_soft_wall(coeffs, path.contact), side, (wall_position, wall_velocity, wall_acceleration)
+    wall_position, wall_velocity, wall_acceleration = wall_jet_in_lane_frame(
+        inside_soft_wall_mask(coeffs, path.contact), side, (wall_position, wall_velocity, wall_acceleration)
     )
-    relative_velocity, relative_accel = subtract(path.v, wall_velocity), subtract(acceleration, wall_acceleration)
+    relative_velocity, relative_accel = (
+        subtract_optional(path.v, wall_velocity),
+        subtract_optional(acceleration, wall_acceleration),
+    )
     is_sticking = lax.abs(path.contact) == Contact.STUCK
-    time = choose(is_sticking, -contact_force, (wall_position - path.x) - path.x_low) / choose(
+    delay_to_event = choose(is_sticking, -contact_force, (wall_position - path.x) - path.x_low_part) / choose(
         is_sticking, force_rate, relative_velocity
     )
-    relative_change = choose(is_sticking, time * coeffs.inverse_max_step, relative_accel * time / relative_velocity)
-    time = time * choose(is_sticking, 1.0, 1.0 - 0.5 * relative_change)
-    return choose((side != 0) & (lax.abs(relative_change) < MAX_RELATIVE_CHANGE), time, 0.0)
+    relative_speed_change = choose(
+        is_sticking, delay_to_event * coeffs.inverse_max_step, relative_accel * delay_to_event / relative_velocity
+    )
+    delay_to_event = delay_to_event * choose(is_sticking, 1.0, 1.0 - 0.5 * relative_speed_change)
+    return choose((side != 0) & (lax.abs(relative_speed_change) < MAX_RELATIVE_CHANGE), delay_to_event, 0.0)
 
 
 def resolve_event(coeffs, path, side, delay):
-    """Return the `EventOutcome` of an event: rebound, sticking or release.
+    """Return the `EventOutcome` of an event: rebound, sticking, release, or entry into or exit from a soft wall.
 
     Lanes without an event keep their contact.
     """
     is_sticking = lax.abs(path.contact) == Contact.STUCK
-    cosine, sine = _rotate_drive(coeffs, path, delay)
-    _, wall_velocity, contact_force, force_rate = wall_surface(
+    cosine, sine = _drive_phasor_at_event(coeffs, path, delay)
+    _, wall_velocity, contact_force, force_rate = wall_state_and_force(
         coeffs, choose(is_sticking, path.contact, side), cosine, sine
     )
     acceleration, jerk = _acceleration_and_jerk(coeffs, path)
-    is_inside_wall = in_soft_wall(coeffs, path.contact)
-    (wall_velocity,) = relative_wall_derivs(is_inside_wall, side, (wall_velocity,))
+    is_inside_wall = inside_soft_wall_mask(coeffs, path.contact)
+    (wall_velocity,) = wall_jet_in_lane_frame(is_inside_wall, side, (wall_velocity,))
     approach_speed = side * (path.v + delay * (acceleration + 0.5 * delay * jerk) - wall_velocity)
     restitution = restitution_of(coeffs, side)
     rebound_speed = restitution * approach_speed
-    rebound_speed = choose(lax.abs(rebound_speed) > event.smallest_length(rebound_speed.dtype), rebound_speed, 0.0)
-    new_contact = next_contact(coeffs, rebound_speed, side * contact_force, side * force_rate)
-    force_rate_bound, damping, force_growth = flow_of(coeffs).chatter_bounds(
+    rebound_speed = choose(
+        lax.abs(rebound_speed) > event_certificates.min_squarable_length(rebound_speed.dtype), rebound_speed, 0.0
+    )
+    new_contact = contact_after_event(coeffs, rebound_speed, side * contact_force, side * force_rate)
+    force_rate_bound, damping, force_gradient_bound = flow_of(coeffs).chatter_bounds(
         coeffs, side, acceleration, approach_speed, cosine, sine
     )
     chatter_completes = is_complete_chatter(
@@ -90,7 +104,7 @@ def resolve_event(coeffs, path, side, delay):
         restitution,
         force_rate_bound,
         path.time_remaining,
-        force_growth,
+        force_gradient_bound,
     )
     new_contact = choose(is_sticking, Contact.RELEASED, choose(chatter_completes, Contact.STUCK, new_contact))
     if is_inside_wall is not None:
@@ -104,55 +118,59 @@ def resolve_event(coeffs, path, side, delay):
 
 
 def _acceleration_and_jerk(coeffs, path):
-    """Return the acceleration of the mass and its rate."""
-    extra_force = contact_law_of(coeffs).extra_force(coeffs, path)
-    return flow_of(coeffs).acceleration_and_jerk(coeffs, path.x, path.v, path.cosine, path.sine, extra_force)
+    """Return acceleration and jerk of the mass."""
+    frame_force = contact_law_of(coeffs).frame_force(coeffs, path)
+    return flow_of(coeffs).acceleration_and_jerk(coeffs, path.x, path.v, path.cosine, path.sine, frame_force)
 
 
-def apply_event(coeffs, path, side, delay, outcome, step_time):
+def apply_event(coeffs, path, side, delay, event_outcome, step_time):
     """Return the path after the event.
 
-    Lanes without an event continue. A sticking mass stays on its wall. For a mass that enters a soft wall, x and v
-    become relative to the wall.
+    Lanes without an event continue their flight. A sticking mass remains on its wall. For a mass that enters a soft
+    wall, x and v become relative to the wall.
     """
-    cosine, sine = _rotate_drive(coeffs, path, delay)
+    cosine, sine = _drive_phasor_at_event(coeffs, path, delay)
     is_sticking = lax.abs(path.contact) == Contact.STUCK
-    wall_position, wall_velocity, _, _ = wall_surface(coeffs, choose(is_sticking, path.contact, side), cosine, sine)
-    at_wall = (side != 0) | is_sticking
-    rebound_speed = restitution_of(coeffs, side) * outcome.approach_speed
-    rebounds = lax.abs(outcome.contact) == Contact.LANDED
-    is_inside_wall = in_soft_wall(coeffs, path.contact)
+    wall_position, wall_velocity, _, _ = wall_state_and_force(
+        coeffs, choose(is_sticking, path.contact, side), cosine, sine
+    )
+    is_at_wall = (side != 0) | is_sticking
+    rebound_speed = restitution_of(coeffs, side) * event_outcome.approach_speed
+    leaves_with_speed = lax.abs(event_outcome.contact) == Contact.LANDED
+    is_inside_wall = inside_soft_wall_mask(coeffs, path.contact)
     if is_inside_wall is not None:
-        enters_wall = (side != 0) & (lax.abs(outcome.contact) == Contact.ENTERED)
-        rebounds |= enters_wall
-        rebound_speed = choose(enters_wall | is_inside_wall, -outcome.approach_speed, rebound_speed)
-        wall_position, wall_velocity = relative_wall_derivs(enters_wall, side, (wall_position, wall_velocity))
-        coeffs = coeffs._replace(swift_amplitude=choose(enters_wall, 0.0, coeffs.swift_amplitude))
-    new_velocity = wall_velocity - side * choose(rebounds, rebound_speed, 0.0)
-    x, v = choose(at_wall, wall_position, path.x), choose(at_wall, new_velocity, path.v)
-    new_motion = split_motion(coeffs, wall_position, new_velocity, cosine, sine)
+        enters_wall = (side != 0) & (lax.abs(event_outcome.contact) == Contact.ENTERED)
+        leaves_with_speed |= enters_wall
+        rebound_speed = choose(enters_wall | is_inside_wall, -event_outcome.approach_speed, rebound_speed)
+        wall_position, wall_velocity = wall_jet_in_lane_frame(enters_wall, side, (wall_position, wall_velocity))
+        coeffs = coeffs._replace(in_phase_amplitude=choose(enters_wall, 0.0, coeffs.in_phase_amplitude))
+    new_velocity = wall_velocity - side * choose(leaves_with_speed, rebound_speed, 0.0)
+    x, v = choose(is_at_wall, wall_position, path.x), choose(is_at_wall, new_velocity, path.v)
+    new_motion = make_slow_motion(coeffs, wall_position, new_velocity, cosine, sine)
     slow_parts = (
-        choose(at_wall, new_value, old_value)
+        choose(is_at_wall, new_value, old_value)
         for new_value, old_value in zip(new_motion[:4], path.motion[:4], strict=True)
     )
     new_motion = SlowMotion(*slow_parts, cosine, sine)
-    time_remaining, time_remaining_low = two_sum(path.time_remaining, path.time_remaining_low - delay)
-    is_free_flight = (step_time > 0) & ~at_wall
-    contact = choose(is_free_flight, 0.0, outcome.contact)
+    time_remaining, time_remaining_low_part = two_sum(path.time_remaining, path.time_remaining_low_part - delay)
+    is_free_flight = (step_time > 0) & ~is_at_wall
+    contact = choose(is_free_flight, 0.0, event_outcome.contact)
     if is_inside_wall is not None:
         is_inside_wall &= side == 0
         contact = choose(is_inside_wall & (step_time > 0), lax.sign(path.contact) * Contact.WITHIN, contact)
     time_remaining = choose(path.time_remaining == CAPPED, CAPPED, positive_part(time_remaining))
-    return Path(x, choose(at_wall, 0.0, path.x_low), v, new_motion, time_remaining, time_remaining_low, contact)
+    return Path(
+        x, choose(is_at_wall, 0.0, path.x_low_part), v, new_motion, time_remaining, time_remaining_low_part, contact
+    )
 
 
-def _rotate_drive(coeffs, path, delay):
+def _drive_phasor_at_event(coeffs, path, delay):
     """Return the phasor of the drive after a delay."""
     angle = coeffs.frequency * delay
-    return flow.rotate(path.cosine, path.sine, -0.5 * angle * angle, angle)
+    return flow.rotate_phasor(path.cosine, path.sine, -0.5 * angle * angle, angle)
 
 
-def wall_surface(coeffs, side, cosine, sine):
+def wall_state_and_force(coeffs, side, cosine, sine):
     """Compute the motion of a wall and the contact force on a mass that sticks to it.
 
     Parameters
@@ -173,61 +191,74 @@ def wall_surface(coeffs, side, cosine, sine):
     velocity : array
         Velocity of the wall.
     contact_force : array
-        Force along x on the sticking mass relative to the wall. It presses the mass on the wall if it has the sign of
-        the wall.
+        Force along x on the sticking mass relative to the wall. If the force has the sign of the wall, it presses the
+        mass on the wall.
     force_rate : array
-        Rate of the contact force.
+        Time derivative of the contact force.
     """
     wall_position, wall_velocity = wall_jet_on_side(coeffs, side, cosine, sine, 1)
-    force_lists = [flow_of(coeffs).contact_force(coeffs, wall, cosine, sine, 1) for wall in coeffs.walls]
+    contact_force_derivs = [flow_of(coeffs).contact_force(coeffs, wall, cosine, sine, 1) for wall in coeffs.walls]
     return (
         wall_position,
         0.0 if wall_velocity is None else wall_velocity,
-        *select_lists_by_side(side, coeffs.walls, force_lists),
+        *select_lists_by_side(side, coeffs.walls, contact_force_derivs),
     )
 
 
-def next_contact(coeffs, rebound_speed, contact_force, force_rate):
+def contact_after_event(coeffs, rebound_speed, contact_force, force_rate):
     """Return the contact that follows on a wall: `LANDED`, `STUCK` or `RELEASED`.
 
-    A bounce of a height below rounding, speed^2 / (2 force), does not count: the mass sticks. Without rebound speed the
-    contact force decides, then its rate.
+    The mass sticks if the height of its bounce, speed^2 / (2 force), is below rounding. At zero rebound speed the
+    contact force decides, and if this force is also zero, its time derivative.
     """
-    has_no_speed = rebound_speed == 0
-    hop_is_negligible = (contact_force > 0) & (
+    has_zero_speed = rebound_speed == 0
+    is_bounce_negligible = (contact_force > 0) & (
         rebound_speed * (rebound_speed / coeffs.length_scale)
-        <= 4.0 * event.unit_roundoff(contact_force.dtype) * contact_force
+        <= 4.0 * event_certificates.unit_roundoff(contact_force.dtype) * contact_force
     )
-    sticks = hop_is_negligible | (has_no_speed & (contact_force == 0) & (force_rate >= 0))
-    other_contact = choose(
-        has_no_speed & (contact_force == 0), Contact.RELEASED, lax.full_like(contact_force, Contact.LANDED)
+    is_sticking = is_bounce_negligible | (has_zero_speed & (contact_force == 0) & (force_rate >= 0))
+    contact_unless_sticking = choose(
+        has_zero_speed & (contact_force == 0), Contact.RELEASED, lax.full_like(contact_force, Contact.LANDED)
     )
-    return choose(sticks, Contact.STUCK, other_contact)
+    return choose(is_sticking, Contact.STUCK, contact_unless_sticking)
 
 
-def is_complete_chatter(coeffs, rebound_speed, contact_force, restitution, force_rate_bound, time, force_growth=None):
-    """Return True if the following infinitely many bounces certainly end within a time: complete chatter.
+def is_complete_chatter(
+    coeffs, rebound_speed, contact_force, restitution, force_rate_bound, available_time, force_gradient_bound=None
+):
+    """Return True if the following infinitely many bounces certainly end within the available time: complete chatter.
 
-    Let the contact force stay within force (1 +- e). A bounce with rebound speed u rises for at most u / (force (1 -
-    e)) to the height h = u^2 / (2 force (1 - e)). It falls for at most sqrt(2) times as long, provided that damping is
-    less than half of the force. It ends with a speed of at most k u, where k^2 = (force (1 + e) + h) / (force (1 - e)).
-    The speeds decrease at least like ((1 + R) / 2)^n if R k <= (1 + R) / 2. This condition determines e, and the total
-    time is bounded by a geometric series.
+    Let the contact force remain within F (1 +- e), where F is its present value. A bounce with rebound speed u rises
+    for at most u / (F (1 - e)) to the height h = u^2 / (2 F (1 - e)). The mass falls for at most sqrt(2) times as long,
+    if the damping force is less than half of the contact force. The bounce ends with a speed of at most k u, where
+    k^2 = (F (1 + e) + h) / (F (1 - e)). For the restitution R the speeds decrease at least like ((1 + R) / 2)^n if
+    R k <= (1 + R) / 2. This condition determines e. A geometric series bounds the total time. The product of this time
+    and `force_rate_bound` and the product of h and `force_gradient_bound` must not exceed F e, and no bounce may reach
+    the other wall.
 
-    `force_growth` is the growth of the acceleration away from the wall per unit of distance, at least 1. None stands
-    for 1.
+    `force_gradient_bound` bounds the derivative of the force with respect to x: the rate at which the force towards the
+    wall may decrease with the distance from the wall. The bound is at least 1; None stands for 1.
     """
-    decay_squared = 0.25 * (1.0 + restitution) * (1.0 + restitution)
+    decay_ratio_squared = 0.25 * (1.0 + restitution) * (1.0 + restitution)
     restitution_squared = restitution * restitution
-    max_variation = minimum((decay_squared - restitution_squared) / (decay_squared + 2.0 * restitution_squared), 0.5)
-    min_force = contact_force * (1.0 - max_variation)
-    chatter_time, speed_squared = BOUNCE_TIME_FACTOR * rebound_speed, rebound_speed * rebound_speed
-    scaled_height = speed_squared if force_growth is None else speed_squared * force_growth
-    time = time * min_force * (1.0 - restitution)
-    variation_small = (
-        force_rate_bound * chatter_time <= max_variation * contact_force * min_force * (1.0 - restitution)
-    ) & (scaled_height <= 2.0 * max_variation * contact_force * min_force)
-    clears_other_wall = (speed_squared < min_force * coeffs.min_wall_gap) & (
-        8.0 * coeffs.damping * rebound_speed <= min_force
+    max_force_variation = minimum(
+        (decay_ratio_squared - restitution_squared) / (decay_ratio_squared + 2.0 * restitution_squared), 0.5
     )
-    return (contact_force > 0) & (rebound_speed > 0) & (chatter_time <= time) & variation_small & clears_other_wall
+    min_contact_force = contact_force * (1.0 - max_force_variation)
+    chatter_time_times_force, speed_squared = BOUNCE_TIME_FACTOR * rebound_speed, rebound_speed * rebound_speed
+    height_times_gradient = speed_squared if force_gradient_bound is None else speed_squared * force_gradient_bound
+    available_time = available_time * min_contact_force * (1.0 - restitution)
+    is_variation_small = (
+        force_rate_bound * chatter_time_times_force
+        <= max_force_variation * contact_force * min_contact_force * (1.0 - restitution)
+    ) & (height_times_gradient <= 2.0 * max_force_variation * contact_force * min_contact_force)
+    misses_other_wall = (speed_squared < min_contact_force * coeffs.min_wall_gap) & (
+        8.0 * coeffs.damping * rebound_speed <= min_contact_force
+    )
+    return (
+        (contact_force > 0)
+        & (rebound_speed > 0)
+        & (chatter_time_times_force <= available_time)
+        & is_variation_small
+        & misses_other_wall
+    )

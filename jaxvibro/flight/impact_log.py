@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Float
 
-from ..compiled.compiler_hints import bit_mask, choose, merge_bits, minimum, stage
+from ..compiled.lane_arithmetic import bit_mask, call_without_inlining, choose, merge_bits, minimum
 
 MAX_RECENT = 4  # recent impacts of a lane; they move to the slots when there are more, and at the end
 
@@ -15,7 +15,8 @@ MAX_RECENT = 4  # recent impacts of a lane; they move to the slots when there ar
 class ImpactLog(NamedTuple):
     """Log of the impacts of lanes.
 
-    All fields are floats, because mixed types are slow.
+    Recent impacts are impacts that are not yet in the `ImpactSlots`. All arrays are of floating-point type, because
+    mixed types are slow.
 
     Attributes
     ----------
@@ -28,12 +29,13 @@ class ImpactLog(NamedTuple):
     count : array
         Number of all impacts.
     least_speed : array
-        Smallest speed of all impacts.
+        Smallest speed of all impacts. `impact.CHATTER_SPEED` after a complete chatter.
     end_time : array
-        Time at which no time remains.
+        Time at the end of the integration.
     release_times : tuple of array
-        Time of the last release before each recent impact, -1 if there is none. Empty unless a replay follows.
-    count_at_release : array or None
+        Time of the last release from sticking before each recent impact; -1 without a release. Empty unless a replay
+        follows.
+    n_impacts_at_release : array or None
         Number of impacts up to the last release. None unless a replay follows.
     """
 
@@ -44,7 +46,7 @@ class ImpactLog(NamedTuple):
     least_speed: Float[jax.Array, "*lanes"]
     end_time: Float[jax.Array, "..."]
     release_times: tuple[Float[jax.Array, "*lanes"], ...] = ()
-    count_at_release: Float[jax.Array, "*lanes"] | None = None
+    n_impacts_at_release: Float[jax.Array, "*lanes"] | None = None
 
 
 class ImpactSlots(NamedTuple):
@@ -58,29 +60,29 @@ class ImpactSlots(NamedTuple):
         Speeds of the impacts, times the sign of the wall.
     release_times : array or None
         Time of the last release before each impact. None unless a replay follows.
-    since_release : tuple of array or None
-        Times and speeds of the first impacts since the last release. Rows beyond their number hold other impacts. None
-        unless a replay follows.
+    slots_since_release : tuple of array or None
+        Times and speeds of the first impacts since the last release. Rows beyond the number of these impacts are
+        arbitrary. None unless a replay follows.
     """
 
     times: Float[jax.Array, "slots ..."]
     speeds: Float[jax.Array, "slots ..."]
     release_times: Float[jax.Array, "slots ..."] | None = None
-    since_release: tuple[Float[jax.Array, "recent ..."], Float[jax.Array, "recent ..."]] | None = None
+    slots_since_release: tuple[Float[jax.Array, "recent ..."], Float[jax.Array, "recent ..."]] | None = None
 
 
-def empty_log(template, n_slots, end_time, n_since_release=0):
+def empty_log(lanes_template, n_impact_slots, end_time, n_slots_since_release=0):
     """Create a log and slots without impacts.
 
     Parameters
     ----------
-    template : array
+    lanes_template : array
         Array with the shape and type of the lanes.
-    n_slots : int
+    n_impact_slots : int
         Number of slots.
     end_time : array
-        Time at which no time remains.
-    n_since_release : int, optional
+        Time at the end of the integration.
+    n_slots_since_release : int, optional
         Number of slots for the impacts since the last release. 0 if no replay follows.
 
     Returns
@@ -90,43 +92,44 @@ def empty_log(template, n_slots, end_time, n_since_release=0):
     impact_slots : ImpactSlots
         Empty slots.
     """
-    zero, infinity = jnp.zeros_like(template), jnp.full_like(template, jnp.inf)
-    n_recent = min(MAX_RECENT, max(n_slots, n_since_release))
-    log = ImpactLog((infinity,) * n_recent, (zero,) * n_recent, zero, zero, infinity, end_time)
+    zero, infinity = jnp.zeros_like(lanes_template), jnp.full_like(lanes_template, jnp.inf)
+    n_recent_slots = min(MAX_RECENT, max(n_impact_slots, n_slots_since_release))
+    log = ImpactLog((infinity,) * n_recent_slots, (zero,) * n_recent_slots, zero, zero, infinity, end_time)
 
-    def filled_rows(n_rows, value):
-        return jnp.full((n_rows, *template.shape), value, template.dtype)
+    def constant_rows(n_rows, fill_value):
+        return jnp.full((n_rows, *lanes_template.shape), fill_value, lanes_template.dtype)
 
-    impact_slots = ImpactSlots(filled_rows(n_slots, jnp.inf), filled_rows(n_slots, 0.0))
-    if not n_since_release:
+    impact_slots = ImpactSlots(constant_rows(n_impact_slots, jnp.inf), constant_rows(n_impact_slots, 0.0))
+    if not n_slots_since_release:
         return log, impact_slots
-    log = log._replace(release_times=(zero - 1.0,) * n_recent, count_at_release=zero)
+    log = log._replace(release_times=(zero - 1.0,) * n_recent_slots, n_impacts_at_release=zero)
     return log, impact_slots._replace(
-        release_times=filled_rows(n_slots, -1.0),
-        since_release=(filled_rows(n_since_release, jnp.inf), filled_rows(n_since_release, 0.0)),
+        release_times=constant_rows(n_impact_slots, -1.0),
+        slots_since_release=(constant_rows(n_slots_since_release, jnp.inf), constant_rows(n_slots_since_release, 0.0)),
     )
 
 
-def record_impact(log, side, speed, resulting_speed, time_remaining, release_time=None):
+def record_impact(log, side, approach_speed, least_implied_speed, time_remaining, release_time=None):
     """Return the log after a step, with an impact in each lane whose side is not 0.
 
-    `resulting_speed` is the smallest speed that the impact implies. `release_time` is the time of the last release.
+    `least_implied_speed` is the `least_speed` of the `impact.EventOutcome`, or the approach speed on the fast path.
+    `release_time` is the time of the last release.
     """
-    impact_time, signed_speed, least_speed, *slot_masks = stage(
-        _new_entry, log, side, speed, resulting_speed, time_remaining
+    impact_time, signed_speed, least_speed, *recent_slot_masks = call_without_inlining(
+        _new_impact_entry, log, side, approach_speed, least_implied_speed, time_remaining
     )
     return log._replace(
         times=tuple(
-            merge_bits(*merge_operands)
-            for merge_operands in zip(slot_masks, [impact_time] * MAX_RECENT, log.times, strict=False)
+            merge_bits(*mask_new_and_old)
+            for mask_new_and_old in zip(recent_slot_masks, [impact_time] * MAX_RECENT, log.times, strict=False)
         ),
         speeds=tuple(
-            merge_bits(*merge_operands)
-            for merge_operands in zip(slot_masks, [signed_speed] * MAX_RECENT, log.speeds, strict=False)
+            merge_bits(*mask_new_and_old)
+            for mask_new_and_old in zip(recent_slot_masks, [signed_speed] * MAX_RECENT, log.speeds, strict=False)
         ),
         release_times=tuple(
-            merge_bits(*merge_operands)
-            for merge_operands in zip(slot_masks, [release_time] * MAX_RECENT, log.release_times, strict=False)
+            merge_bits(*mask_new_and_old)
+            for mask_new_and_old in zip(recent_slot_masks, [release_time] * MAX_RECENT, log.release_times, strict=False)
         ),
         n_recent=log.n_recent + lax.abs(side),
         count=log.count + lax.abs(side),
@@ -134,46 +137,50 @@ def record_impact(log, side, speed, resulting_speed, time_remaining, release_tim
     )
 
 
-def _new_entry(log, side, speed, resulting_speed, time_remaining):
-    """Return (time, signed speed, smallest speed, masks of the recent impacts) of a new impact."""
+def _new_impact_entry(log, side, approach_speed, least_implied_speed, time_remaining):
+    """Return (time, signed speed, smallest speed, bit masks) of a new impact; the masks select its recent slot."""
     is_impact = side != 0
-    slot_masks = [bit_mask(is_impact & (log.n_recent == k), time_remaining) for k in range(len(log.times))]
-    least_speed = choose(is_impact, minimum(resulting_speed, log.least_speed), log.least_speed)
-    return log.end_time - time_remaining, side * speed, least_speed, *slot_masks
+    recent_slot_masks = [bit_mask(is_impact & (log.n_recent == k), time_remaining) for k in range(len(log.times))]
+    least_speed = choose(is_impact, minimum(least_implied_speed, log.least_speed), log.least_speed)
+    return log.end_time - time_remaining, side * approach_speed, least_speed, *recent_slot_masks
 
 
-def is_full(log):
-    """Return the lanes with the largest number of recent impacts, for which `flush` is due."""
+def is_recent_log_full(log):
+    """Return the lanes with `MAX_RECENT` recent impacts, for which `flush_recent_impacts` is due."""
     return log.n_recent >= MAX_RECENT
 
 
-def flush(log, impact_slots):
+def flush_recent_impacts(log, impact_slots):
     """Return (log, slots) with the recent impacts moved into the slots."""
-    first_index = log.count - log.n_recent
+    first_recent_index = log.count - log.n_recent
 
-    def insert_recent(recent_values, fill_value, slot_rows, first_index):
+    def insert_recent_values(recent_values, fill_value, slot_rows, first_recent_index):
         if not len(slot_rows):
             return slot_rows
-        slot_index = lax.broadcasted_iota(first_index.dtype, slot_rows.shape, 0) - lax.expand_dims(first_index, [0])
+        slot_index = lax.broadcasted_iota(first_recent_index.dtype, slot_rows.shape, 0) - lax.expand_dims(
+            first_recent_index, [0]
+        )
         for k, value in enumerate(recent_values):
             slot_rows = choose(
                 slot_index == k, lax.expand_dims(choose(log.n_recent > k, value, fill_value), [0]), slot_rows
             )
         return slot_rows
 
-    def insert_pair(slot_rows, first_index):
-        return insert_recent(log.times, jnp.inf, slot_rows[0], first_index), insert_recent(
-            log.speeds, 0.0, slot_rows[1], first_index
+    def insert_times_and_speeds(slot_rows, first_recent_index):
+        return insert_recent_values(log.times, jnp.inf, slot_rows[0], first_recent_index), insert_recent_values(
+            log.speeds, 0.0, slot_rows[1], first_recent_index
         )
 
-    new_slots = ImpactSlots(*insert_pair(impact_slots[:2], first_index))
-    if impact_slots.since_release is not None:
-        since_release = insert_pair(impact_slots.since_release, first_index - log.count_at_release)
-        new_slots = new_slots._replace(
-            release_times=insert_recent(log.release_times, -1.0, impact_slots.release_times, first_index),
-            since_release=since_release,
+    new_impact_slots = ImpactSlots(*insert_times_and_speeds(impact_slots[:2], first_recent_index))
+    if impact_slots.slots_since_release is not None:
+        rows_since_release = insert_times_and_speeds(
+            impact_slots.slots_since_release, first_recent_index - log.n_impacts_at_release
         )
-    return log._replace(n_recent=jnp.zeros_like(log.n_recent)), new_slots
+        new_impact_slots = new_impact_slots._replace(
+            release_times=insert_recent_values(log.release_times, -1.0, impact_slots.release_times, first_recent_index),
+            slots_since_release=rows_since_release,
+        )
+    return log._replace(n_recent=jnp.zeros_like(log.n_recent)), new_impact_slots
 
 
 def impacts_since_release(log, impact_slots):
@@ -195,16 +202,16 @@ def impacts_since_release(log, impact_slots):
     count : array
         Number of impacts.
     """
-    count = log.count - log.count_at_release
+    n_impacts = log.count - log.n_impacts_at_release
     (times, speeds), slot_index = (
-        impact_slots.since_release,
-        lax.broadcasted_iota(log.count.dtype, impact_slots.since_release[0].shape, 0),
+        impact_slots.slots_since_release,
+        lax.broadcasted_iota(log.count.dtype, impact_slots.slots_since_release[0].shape, 0),
     )
-    is_recorded = slot_index < lax.expand_dims(count, [0])
-    return choose(is_recorded, times, jnp.inf), choose(is_recorded, speeds, 0.0), count
+    is_recorded = slot_index < lax.expand_dims(n_impacts, [0])
+    return choose(is_recorded, times, jnp.inf), choose(is_recorded, speeds, 0.0), n_impacts
 
 
-def impact_rows(impact_slots):
+def impact_arrays(impact_slots):
     """Return the recorded impacts with the lanes as the first axes, as in `Impacts`.
 
     Parameters
@@ -217,6 +224,9 @@ def impact_rows(impact_slots):
     list of array
         Times, sides (-1, 0 or 1) and speeds.
     """
-    axes = (*range(1, impact_slots.times.ndim), 0)
+    axis_order = (*range(1, impact_slots.times.ndim), 0)
     sides = (impact_slots.speeds > 0).astype(jnp.int8) - (impact_slots.speeds < 0).astype(jnp.int8)
-    return [lax.transpose(array, axes) for array in (impact_slots.times, sides, lax.abs(impact_slots.speeds))]
+    return [
+        lax.transpose(slot_array, axis_order)
+        for slot_array in (impact_slots.times, sides, lax.abs(impact_slots.speeds))
+    ]

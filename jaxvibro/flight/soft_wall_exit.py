@@ -1,9 +1,9 @@
 """Locate the first exit of a mass from a soft wall, from the polynomial of its motion over successive steps.
 
-In Bernstein form the number of sign changes of the coefficients is the number of roots plus 0 or an even number
-(Descartes). Without sign change the mass stays inside over the whole step. With one sign change it leaves once. With
-more the step is halved. A step is a few operations on arrays, so that the equations of orbits are cheap to evaluate at
-each point of a branch.
+In Bernstein form the number of sign changes of the coefficients is the number of roots within the step plus 0 or an
+even number (Descartes). Without sign changes the mass remains inside over the whole step. With one sign change the mass
+exits exactly once. With more sign changes the step is halved. A step is a few operations on arrays, so that the
+equations of orbits are cheap to evaluate at each point of a branch.
 """
 
 import math
@@ -12,11 +12,11 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from ..compiled.compiler_hints import choose
-from . import flow, soft_contact, soft_long_step, soft_polynomial
-from .flight_state import Path, SlowMotion, subtract_time
-from .soft_contact import is_inside
-from .soft_polynomial import DEGREE
+from ..compiled.lane_arithmetic import choose
+from . import flow, motion_in_soft_wall, soft_wall_long_step, soft_wall_polynomial
+from .flight_state import Path, SlowMotion, reduce_time_remaining
+from .motion_in_soft_wall import is_inside_soft_wall
+from .soft_wall_polynomial import DEGREE
 
 MIN_STEP_FRACTION = 2.0**-26  # least step, in longest steps; signs below it are due to rounding
 ROOT_TOLERANCE = 2.0**-50  # relative tolerance of the root
@@ -24,10 +24,10 @@ BERNSTEIN = np.array([[math.comb(j, k) / math.comb(DEGREE, k) for k in range(DEG
 CUMULATIVE_SUM = np.tri(DEGREE + 1)
 
 
-def first_exit_time(coeffs, contact, v, cosine, sine, max_time, y=None):
+def first_exit_time(coeffs, contact, entry_velocity, cosine, sine, max_time, displacement=None):
     """Compute the time from the entry into a wall to the exit.
 
-    The result is correct up to some rounding errors of the motion and has no derivatives.
+    The result is accurate to a few rounding errors of the motion. Derivatives are not supported.
 
     Parameters
     ----------
@@ -35,7 +35,7 @@ def first_exit_time(coeffs, contact, v, cosine, sine, max_time, y=None):
         Coefficients of the scene.
     contact : array
         Contact code times the sign of the wall, 0 in lanes that enter no wall.
-    v : array
+    entry_velocity : array
         Velocity of entry relative to the wall.
     cosine : array
         Cosine of the drive angle at the entry.
@@ -43,95 +43,119 @@ def first_exit_time(coeffs, contact, v, cosine, sine, max_time, y=None):
         Sine of the drive angle at the entry.
     max_time : array
         Largest time.
-    y : array, optional
+    displacement : array, optional
         Initial displacement past the wall. None stands for 0.
 
     Returns
     -------
     array
-        Time to the exit, at most `max_time`.
+        Time to the exit. `max_time` if the mass does not exit up to this time, and in lanes that enter no wall.
     """
-    zero = lax.full_like(v, 0.0)
-    time_remaining = choose(is_inside(contact), max_time, 0.0)
-    y = zero if y is None else y
-    path = Path(y, zero, v, SlowMotion(y, zero, v, zero, cosine, sine), time_remaining, zero, contact)
-    lane_coeffs = soft_contact.coeffs_by_lane(coeffs, contact)
-    basis, side = soft_polynomial.polynomial_basis(lane_coeffs, contact), lax.sign(contact)
+    zero = lax.full_like(entry_velocity, 0.0)
+    time_remaining = choose(is_inside_soft_wall(contact), max_time, 0.0)
+    displacement = zero if displacement is None else displacement
+    path = Path(
+        displacement,
+        zero,
+        entry_velocity,
+        SlowMotion(displacement, zero, entry_velocity, zero, cosine, sine),
+        time_remaining,
+        zero,
+        contact,
+    )
+    lane_coeffs = motion_in_soft_wall.coeffs_by_lane(coeffs, contact)
+    polynomial_basis, side = soft_wall_polynomial.polynomial_basis(lane_coeffs, contact), lax.sign(contact)
 
     def depth_polynomial(path):
         state = path.x, path.v, path.cosine, path.sine
-        return side * soft_polynomial.coefficients(lane_coeffs, contact, basis, *state)
+        return side * soft_wall_polynomial.displacement_polynomial(lane_coeffs, contact, polynomial_basis, *state)
 
     def advance_lanes(lane_coeffs, path, time):
-        response = soft_polynomial.contact_response(lane_coeffs, path.contact, basis, time)
-        return soft_contact.apply_response(
-            lane_coeffs, path.contact, response, (path.x, path.v), path.cosine, path.sine
+        contact_response = soft_wall_polynomial.contact_response(lane_coeffs, path.contact, polynomial_basis, time)
+        return motion_in_soft_wall.apply_response(
+            lane_coeffs, path.contact, contact_response, (path.x, path.v), path.cosine, path.sine
         )
 
-    def iterate(carry):
-        path, step_fraction, wait_count, has_exited = carry
-        due = jnp.any(soft_long_step.is_due(path, wait_count) & (has_exited == 0))
-        path, wait_count = lax.cond(
-            due,
-            lambda path, wait_count: soft_long_step.take_long_step(coeffs, path, wait_count, advance_lanes),
+    def advance_iteration(carry):
+        path, step_fraction, n_waiting_steps, has_exited = carry
+        is_long_step_due = jnp.any(soft_wall_long_step.is_long_step_due(path, n_waiting_steps) & (has_exited == 0))
+        path, n_waiting_steps = lax.cond(
+            is_long_step_due,
+            lambda path, n_waiting_steps: soft_wall_long_step.take_long_step(
+                coeffs, path, n_waiting_steps, advance_lanes
+            ),
             lambda *operands: operands,
             path,
-            wait_count,
+            n_waiting_steps,
         )
         trial_fraction = jnp.minimum(step_fraction, path.time_remaining / lane_coeffs.max_step)
-        coefficients = depth_polynomial(path) * soft_polynomial.powers(trial_fraction)
-        bernstein = _multiply(BERNSTEIN, coefficients)
-        n_negative = _multiply(CUMULATIVE_SUM, (bernstein < 0).astype(coefficients.dtype))
-        stays_inside, ends_outside = n_negative[-1] == 0, bernstein[-1] < 0
-        exits_once, is_minimal = ~jnp.any((n_negative > 0) & (bernstein > 0), 0), trial_fraction < MIN_STEP_FRACTION
-        active = (path.time_remaining > 0) & (has_exited == 0)
-        exits, full_step = (
-            active & ends_outside & (exits_once | is_minimal),
-            active & (stays_inside | (is_minimal & ~ends_outside)),
+        polynomial_terms = depth_polynomial(path) * soft_wall_polynomial.scaled_time_powers(trial_fraction)
+        bernstein_coefficients = _multiply_first_axis(BERNSTEIN, polynomial_terms)
+        cumulative_negatives = _multiply_first_axis(
+            CUMULATIVE_SUM, (bernstein_coefficients < 0).astype(polynomial_terms.dtype)
         )
-        time = choose(full_step, jnp.minimum(trial_fraction * lane_coeffs.max_step, path.time_remaining), 0.0)
-        next_x = side * soft_polynomial.sum_along_axis(coefficients)
+        stays_inside, ends_outside = cumulative_negatives[-1] == 0, bernstein_coefficients[-1] < 0
+        has_single_sign_change, is_step_minimal = (
+            ~jnp.any((cumulative_negatives > 0) & (bernstein_coefficients > 0), 0),
+            trial_fraction < MIN_STEP_FRACTION,
+        )
+        is_active = (path.time_remaining > 0) & (has_exited == 0)
+        exits_in_step, takes_full_step = (
+            is_active & ends_outside & (has_single_sign_change | is_step_minimal),
+            is_active & (stays_inside | (is_step_minimal & ~ends_outside)),
+        )
+        time = choose(takes_full_step, jnp.minimum(trial_fraction * lane_coeffs.max_step, path.time_remaining), 0.0)
+        next_x = side * soft_wall_polynomial.sum_along_axis(polynomial_terms)
         next_v = (
             side
-            * soft_polynomial.sum_along_axis(soft_polynomial.differentiate(coefficients))
-            / choose(full_step, trial_fraction * lane_coeffs.max_step, 1.0)
+            * soft_wall_polynomial.sum_along_axis(soft_wall_polynomial.differentiate_polynomial(polynomial_terms))
+            / choose(takes_full_step, trial_fraction * lane_coeffs.max_step, 1.0)
         )
-        phasor = flow.rotate_by_angle(path.cosine, path.sine, coeffs.frequency * time)
-        time_remaining, time_remaining_low = subtract_time(path, time)
-        next_state = choose(full_step, next_x, path.x), choose(full_step, next_v, path.v)
+        phasor = flow.rotate_phasor_by_angle(path.cosine, path.sine, coeffs.frequency * time)
+        time_remaining, time_remaining_low_part = reduce_time_remaining(path, time)
+        next_state = choose(takes_full_step, next_x, path.x), choose(takes_full_step, next_v, path.v)
         motion = path.motion._replace(slow_x=next_state[0], slow_v=next_state[1], cosine=phasor[0], sine=phasor[1])
         next_path = path._replace(
             x=next_state[0],
             v=next_state[1],
             motion=motion,
             time_remaining=time_remaining,
-            time_remaining_low=time_remaining_low,
+            time_remaining_low_part=time_remaining_low_part,
         )
         next_fraction = choose(
-            full_step, jnp.minimum(2.0 * trial_fraction, 1.0), choose(exits, trial_fraction, 0.5 * trial_fraction)
+            takes_full_step,
+            jnp.minimum(2.0 * trial_fraction, 1.0),
+            choose(exits_in_step, trial_fraction, 0.5 * trial_fraction),
         )
-        return next_path, choose(active, next_fraction, step_fraction), wait_count + 1.0, choose(exits, 1.0, has_exited)
+        return (
+            next_path,
+            choose(is_active, next_fraction, step_fraction),
+            n_waiting_steps + 1.0,
+            choose(exits_in_step, 1.0, has_exited),
+        )
 
     def is_unfinished(carry):
         path, _, _, has_exited = carry
         return jnp.any((path.time_remaining > 0) & (has_exited == 0))
 
-    start = path, zero + 1.0, zero, zero
-    path, step_fraction, _, has_exited = lax.while_loop(is_unfinished, iterate, start)
-    coefficients = depth_polynomial(path) * soft_polynomial.powers(step_fraction)
-    delay = step_fraction * lane_coeffs.max_step * choose(has_exited != 0, _first_root(coefficients, has_exited), 0.0)
-    return (max_time - path.time_remaining) - path.time_remaining_low + delay
+    initial_carry = path, zero + 1.0, zero, zero
+    path, step_fraction, _, has_exited = lax.while_loop(is_unfinished, advance_iteration, initial_carry)
+    polynomial_terms = depth_polynomial(path) * soft_wall_polynomial.scaled_time_powers(step_fraction)
+    exit_time_in_step = (
+        step_fraction * lane_coeffs.max_step * choose(has_exited != 0, _first_root(polynomial_terms, has_exited), 0.0)
+    )
+    return (max_time - path.time_remaining) - path.time_remaining_low_part + exit_time_in_step
 
 
-def _multiply(matrix, values):
-    """Multiply a constant matrix by the first axis of some values."""
-    weights = jnp.asarray(matrix, values.dtype).reshape(*matrix.shape, *[1] * (values.ndim - 1))
-    return soft_polynomial.sum_along_axis(weights * values, 1)
+def _multiply_first_axis(constant_matrix, values):
+    """Multiply a constant matrix by an array along the first axis of the array."""
+    weights = jnp.asarray(constant_matrix, values.dtype).reshape(*constant_matrix.shape, *[1] * (values.ndim - 1))
+    return soft_wall_polynomial.sum_along_axis(weights * values, 1)
 
 
-def _first_root(coefficients, has_exited):
-    """Return the first sign change before 1 of polynomials that are positive at first, by safeguarded Newton steps."""
-    derivative, zero = soft_polynomial.differentiate(coefficients), jnp.zeros_like(has_exited)
+def _first_root(polynomial_terms, has_exited):
+    """Return the first root between 0 and 1 of polynomials that are positive at 0, by safeguarded Newton steps."""
+    derivative, zero = soft_wall_polynomial.differentiate_polynomial(polynomial_terms), jnp.zeros_like(has_exited)
 
     def is_unfinished(carry):
         lower, upper, guess, step, n_iterations = carry
@@ -141,12 +165,15 @@ def _first_root(coefficients, has_exited):
 
     def refine(carry):
         lower, upper, guess, _, n_iterations = carry
-        powers = soft_polynomial.powers(guess)
-        value, slope = (soft_polynomial.evaluate(polynomial, powers) for polynomial in (coefficients, derivative))
+        guess_powers = soft_wall_polynomial.scaled_time_powers(guess)
+        value, slope = (
+            soft_wall_polynomial.evaluate_polynomial(polynomial, guess_powers)
+            for polynomial in (polynomial_terms, derivative)
+        )
         lower, upper = jnp.where(value > 0, guess, lower), jnp.where(value > 0, upper, guess)
         next_guess = guess - value / slope
         next_guess = jnp.where((next_guess > lower) & (next_guess < upper), next_guess, 0.5 * (lower + upper))
         return lower, upper, next_guess, abs(next_guess - guess), n_iterations + 1
 
-    start = zero, zero + 1.0, zero + 1.0, zero + 1.0, 0
-    return lax.while_loop(is_unfinished, refine, start)[2]
+    initial_carry = zero, zero + 1.0, zero + 1.0, zero + 1.0, 0
+    return lax.while_loop(is_unfinished, refine, initial_carry)[2]

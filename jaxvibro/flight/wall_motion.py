@@ -6,11 +6,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Float
 
-from ..compiled.compiler_hints import choose
+from ..compiled.lane_arithmetic import choose
 from ..scene.push import Push
 from ..scene.scene import harden_wall
-from . import drive
-from .drive import harmonic_phasor
+from . import further_drive_terms
+from .further_drive_terms import harmonic_phasor
 
 
 @jax.tree_util.register_dataclass
@@ -56,7 +56,7 @@ class WallCoefficients:
     law: Push | None = None
 
 
-def wall_coefficients(wall, scene, sign, dtype):
+def wall_coefficients(wall, scene, wall_sign, dtype):
     """Return the `WallCoefficients` of a scene's wall."""
 
     def as_array(value):
@@ -64,25 +64,27 @@ def wall_coefficients(wall, scene, sign, dtype):
 
     position, motion = as_array(wall.position), wall.motion
     if wall.law is not None:
-        contact_fields = {"restitution": None, "law": jax.tree.map(as_array, wall.law)}
+        contact_law_fields = {"restitution": None, "law": jax.tree.map(as_array, wall.law)}
     elif wall.soft:
         stiffness = as_array(wall.stiffness)
         damping = as_array(scene.damping if wall.damping is None else wall.damping)
         if scene.harder is not None:
             stiffness, damping = harden_wall(stiffness, damping, as_array(scene.harder))
-        contact_fields = {"restitution": None, "stiffness": stiffness, "damping": damping}
+        contact_law_fields = {"restitution": None, "stiffness": stiffness, "damping": damping}
     else:
-        contact_fields = {"restitution": as_array(scene.restitution if wall.restitution is None else wall.restitution)}
+        contact_law_fields = {
+            "restitution": as_array(scene.restitution if wall.restitution is None else wall.restitution)
+        }
     motion_fields = {"amplitude": None, "cosine": None, "sine": None}
     if motion is not None:
         phase = as_array(motion.phase)
         motion_fields = {"amplitude": as_array(motion.amplitude), "cosine": jnp.cos(phase), "sine": jnp.sin(phase)}
         motion_fields["harmonic"] = motion.harmonic
-    return WallCoefficients(position, sign=sign, **contact_fields, **motion_fields)
+    return WallCoefficients(position, sign=wall_sign, **contact_law_fields, **motion_fields)
 
 
-def wall_extent(wall):
-    """Return a bound on the distance of the wall from the origin."""
+def max_wall_distance(wall):
+    """Return an upper bound on the distance of the wall from the origin."""
     return abs(wall.position) if wall.amplitude is None else abs(wall.position) + abs(wall.amplitude)
 
 
@@ -110,21 +112,21 @@ def wall_jet(wall, frequency, cosine, sine, order):
     if wall.amplitude is None:
         return [wall.position] + [None] * order
     wall_cosine, wall_sine = harmonic_phasor(wall, cosine, sine)
-    wall_rate = frequency * float(wall.harmonic)
-    derivs = [wall.amplitude * wall_cosine, -(wall.amplitude * wall_sine) * wall_rate]
+    wall_frequency = frequency * float(wall.harmonic)
+    wall_derivs = [wall.amplitude * wall_cosine, -(wall.amplitude * wall_sine) * wall_frequency]
     for k in range(2, order + 1):
-        derivs.append(derivs[k - 2] * -(wall_rate * wall_rate))
-    return [wall.position + derivs[0], *derivs[1:]]
+        wall_derivs.append(wall_derivs[k - 2] * -(wall_frequency * wall_frequency))
+    return [wall.position + wall_derivs[0], *wall_derivs[1:]]
 
 
-def subtract(a, b):
-    """Return a - b, where None for `b` stands for zero.
+def subtract_optional(minuend, subtrahend):
+    """Return a - b, where None for `subtrahend` stands for zero.
 
     Parameters
     ----------
-    a : array
+    minuend : array
         Minuend.
-    b : array or None
+    subtrahend : array or None
         Subtrahend.
 
     Returns
@@ -132,14 +134,14 @@ def subtract(a, b):
     array
         Difference.
     """
-    return a if b is None else a - b
+    return minuend if subtrahend is None else minuend - subtrahend
 
 
 def contact_force(wall, amplitude, frequency, damping, cosine, sine, order):
     """Return the force x'' - x_b'' on a sticking mass relative to the wall, and its derivatives.
 
-    The mass is driven by amplitude cos(omega t). Times the sign of the wall the force is positive while the mass is
-    pressed on the wall.
+    The drive is amplitude cos(omega t). The force times the sign of the wall is positive while the mass is pressed on
+    the wall.
     """
     wall_derivs = wall_jet(wall, frequency, cosine, sine, order + 2)
     force_derivs = [amplitude * cosine, -(amplitude * sine) * frequency]
@@ -148,26 +150,32 @@ def contact_force(wall, amplitude, frequency, damping, cosine, sine, order):
     force_derivs = force_derivs[: order + 1]
     for k in range(order + 1):
         drag_term = None if wall_derivs[k + 1] is None else 2.0 * damping * wall_derivs[k + 1]
-        force_derivs[k] = subtract(subtract(subtract(force_derivs[k], wall_derivs[k]), drag_term), wall_derivs[k + 2])
+        force_derivs[k] = subtract_optional(
+            subtract_optional(subtract_optional(force_derivs[k], wall_derivs[k]), drag_term), wall_derivs[k + 2]
+        )
     return force_derivs
 
 
-def remainder_bounds(wall, amplitude, frequency, damping, order, drive_terms=()):
-    """Return bounds on a derivative of `contact_force` and of the position of the wall: (bound, bound).
+def wall_derivative_bounds(wall, amplitude, frequency, damping, order, drive_terms=()):
+    """Return bounds on the derivatives of given order of `contact_force` and of the position of the wall.
 
     `drive_terms` are the further terms of the drive.
     """
-    force_bound = abs(amplitude) * frequency**order
+    force_deriv_bound = abs(amplitude) * frequency**order
     if drive_terms:
-        force_bound = force_bound + drive.derivative_bound(drive_terms, frequency, order)
+        force_deriv_bound = force_deriv_bound + further_drive_terms.terms_derivative_bound(
+            drive_terms, frequency, order
+        )
     if wall.amplitude is None:
-        return force_bound, jnp.zeros_like(force_bound)
-    wall_rate = frequency * float(wall.harmonic)
-    wall_bound = abs(wall.amplitude) * wall_rate**order
-    return force_bound + wall_bound * (1.0 + 2.0 * damping * wall_rate + wall_rate * wall_rate), wall_bound
+        return force_deriv_bound, jnp.zeros_like(force_deriv_bound)
+    wall_frequency = frequency * float(wall.harmonic)
+    position_deriv_bound = abs(wall.amplitude) * wall_frequency**order
+    return force_deriv_bound + position_deriv_bound * (
+        1.0 + 2.0 * damping * wall_frequency + wall_frequency * wall_frequency
+    ), position_deriv_bound
 
 
-def select_by_side(side, walls, values):
+def select_by_side(side, walls, values_by_wall):
     """Select the value of the wall on a side.
 
     Parameters
@@ -176,7 +184,7 @@ def select_by_side(side, walls, values):
         Side of the wall, -1 or 1.
     walls : sequence of WallCoefficients
         Walls, left first.
-    values : sequence of array or None
+    values_by_wall : sequence of array or None
         Value of each wall. None stands for zero.
 
     Returns
@@ -184,12 +192,12 @@ def select_by_side(side, walls, values):
     array or None
         Value of the wall on the side of each lane. None if all values are None.
     """
-    if len(walls) == 1 or all(value is None for value in values):
-        return values[0]
-    return choose(side < 0, *(0.0 if value is None else value for value in values))
+    if len(walls) == 1 or all(wall_value is None for wall_value in values_by_wall):
+        return values_by_wall[0]
+    return choose(side < 0, *(0.0 if wall_value is None else wall_value for wall_value in values_by_wall))
 
 
-def select_lists_by_side(side, walls, value_lists):
+def select_lists_by_side(side, walls, lists_by_wall):
     """Select the list of the wall on a side, entry by entry.
 
     Parameters
@@ -198,7 +206,7 @@ def select_lists_by_side(side, walls, value_lists):
         Side of the wall, -1 or 1.
     walls : sequence of WallCoefficients
         Walls, left first.
-    value_lists : sequence of list
+    lists_by_wall : sequence of list
         List of each wall.
 
     Returns
@@ -206,7 +214,7 @@ def select_lists_by_side(side, walls, value_lists):
     list of array or None
         Entries selected by `select_by_side`.
     """
-    return [select_by_side(side, walls, values) for values in zip(*value_lists, strict=True)]
+    return [select_by_side(side, walls, values_by_wall) for values_by_wall in zip(*lists_by_wall, strict=True)]
 
 
 def wall_jet_on_side(coeffs, side, cosine, sine, order):

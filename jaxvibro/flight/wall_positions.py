@@ -1,4 +1,4 @@
-"""Compute wall positions at a phase of the drive, and adapt states to moved walls."""
+"""Compute wall positions at a phase of the drive, and adapt states to walls that have moved."""
 
 import jax.numpy as jnp
 
@@ -32,10 +32,10 @@ def wall_states(scene, phase):
     )
 
 
-def _wall_state(wall, sign, scene, phase):
+def _wall_state(wall, wall_sign, scene, phase):
     """Return position and velocity of one wall."""
     if wall is None:
-        return jnp.full_like(scene.amplitude, sign * jnp.inf), jnp.zeros_like(scene.amplitude)
+        return jnp.full_like(scene.amplitude, wall_sign * jnp.inf), jnp.zeros_like(scene.amplitude)
     if wall.motion is None:
         return wall.position, jnp.zeros_like(wall.position)
     harmonic, angle = float(wall.motion.harmonic), wall.motion.harmonic * phase + wall.motion.phase
@@ -45,7 +45,7 @@ def _wall_state(wall, sign, scene, phase):
     )
 
 
-def clamp_to_walls(scene, state):
+def adapt_to_moved_walls(scene, state):
     """Move a state between the walls of a scene if it is outside.
 
     Parameters
@@ -58,28 +58,30 @@ def clamp_to_walls(scene, state):
     Returns
     -------
     State
-        Closest state between the walls. If the walls have not moved it equals `state`.
+        Closest state between the walls, equal to `state` if the walls have not moved.
 
     Notes
-    ----- A mass beyond a rigid wall moves onto the wall and keeps its velocity. A mass in contact moves with its wall.
-    If it sticks it takes the velocity of the wall. If it has landed and the wall catches up with it, it becomes free
-    and rebounds. A mass inside a soft wall does not move, and becomes free if the wall has receded from it.
+    -----
+    A mass beyond a rigid wall moves onto the wall and keeps its velocity. A mass in contact moves with its wall. A
+    sticking mass takes the velocity of the wall. A mass that has landed becomes free and rebounds if the wall moves
+    faster towards the mass than the mass moves away. A mass beyond the position of a soft wall keeps its position. A
+    mass inside a soft wall becomes free if the wall has receded beyond the mass.
     """
     x, v, contact = state.x, state.v, state.contact
     is_sticking = abs(contact) == Contact.STUCK
     walls = (getattr(scene, side) for side in SIDES)
-    for sign, wall, (wall_position, wall_velocity) in zip(
+    for wall_sign, wall, (wall_position, wall_velocity) in zip(
         WALL_SIGNS, walls, wall_states(scene, state.phase), strict=True
     ):
         if wall is not None and wall.soft:
-            is_within = contact * sign == Contact.WITHIN
-            contact = jnp.where(is_within & (sign * (x - wall_position) < 0), 0.0, contact)
-            is_landed = contact * sign == Contact.LANDED
-            x = jnp.where(is_landed, wall_position, x)
-            contact = jnp.where(is_landed & (sign * (v - wall_velocity) > 0), 0.0, contact)
+            has_within_code = contact * wall_sign == Contact.WITHIN
+            contact = jnp.where(has_within_code & (wall_sign * (x - wall_position) < 0), 0.0, contact)
+            has_landed = contact * wall_sign == Contact.LANDED
+            x = jnp.where(has_landed, wall_position, x)
+            contact = jnp.where(has_landed & (wall_sign * (v - wall_velocity) > 0), 0.0, contact)
             continue
-        is_touching = contact * sign > 0
-        x = jnp.where(is_touching | (sign * (x - wall_position) > 0), wall_position, x)
-        v = jnp.where(is_touching & is_sticking, wall_velocity, v)
-        contact = jnp.where(is_touching & ~is_sticking & (sign * (v - wall_velocity) > 0), 0.0, contact)
+        has_contact_code = contact * wall_sign > 0
+        x = jnp.where(has_contact_code | (wall_sign * (x - wall_position) > 0), wall_position, x)
+        v = jnp.where(has_contact_code & is_sticking, wall_velocity, v)
+        contact = jnp.where(has_contact_code & ~is_sticking & (wall_sign * (v - wall_velocity) > 0), 0.0, contact)
     return State(x, v, state.phase, contact)

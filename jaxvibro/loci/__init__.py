@@ -1,6 +1,7 @@
 """Continue special points of branches in two parameters.
 
-In: a special point of a branch and two parameters. Out: `Locus` with its points of codimension two, derivatives of the
-value of the point, families along a third parameter, and the loci that emanate from a point of codimension two. Start
-reading at `locus`. The equations are in `extended_system`, the loop in `track`, and `switch` in `locus_switching`.
+Input: a special point of a branch and two parameters. Output: a `Locus` with its points of codimension two, the
+derivatives of the value of the point, families of loci for values of a third parameter, and the loci that emanate from
+a point of codimension two. Start reading at `locus`. The equations are in `locus_equations`, the continuation loop is
+in `locus_tracking`, and the loci that emanate from a point are in `locus_switching`.
 """

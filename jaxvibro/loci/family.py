@@ -6,19 +6,19 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import ArrayLike, Real
 
+from continuation.computation_limits import EXPIRED_REASON, Results, make_limits, partial_result_reason
 from continuation.intermediate_points import truncate_at_value
-from continuation.limits import EXPIRED_REASON, Results, limits_of, partial_reason
 
 from ..branches.branch import Special
 from ..problem.end import End
 from ..problem.orbit_point import OrbitPoint
 from ..scene import check
-from ..scene.parameters import check_values
+from ..scene.scene_parameters import check_parameter_values
 from ..scene.symmetry import stays_symmetric
-from .grazing_switchover import both_directions, track_across_walls
+from .grazing_switchover import opposite_directions, track_across_walls
 from .locus import Locus, build_locus
 from .locus_start import KINDS, STICKING_KINDS, LocusStart, check_parameter_pair, make_locus_start, whole_orbit_impacts
-from .track import track_together
+from .locus_tracking import track_loci_together
 
 
 @check.host_only("use strobe or monodromy")
@@ -70,7 +70,7 @@ def family(
     Raises
     ------
     ArgumentError
-        If `special` is of another kind, or if another argument is invalid.
+        If `special` is not of kind SN, PD, SB, GR, CH or RL, or if another argument is invalid.
 
     See Also
     --------
@@ -78,16 +78,17 @@ def family(
 
     Notes
     -----
-    The point is continued to each value along its locus in the third parameter and one of `names`: the parameter of its
-    branch if it is one of them, else the first. The remaining parameter is fixed. If this locus passes a value several
-    times, the crossing with the smallest arclength is used. The point does not reach a value if this locus ends before:
-    at a bound, at a grazing, or where the point ceases to exist.
+    The point is continued to each value along a locus in the third parameter and one of `names`: the parameter of the
+    branch of the point if `names` contains this parameter, otherwise the first of `names`. The remaining parameter is
+    fixed.
+    If this locus passes a value several times, the crossing with the smallest arclength is used. The point does not
+    reach a value if this locus ends before the value: at a bound, at a grazing, or where the point ceases to exist.
 
-    The loci of all values are then tracked as lanes of one compiled call. Each is the locus that `locus` gives from its
-    point.
+    The loci of all values are then tracked as lanes of one compiled call. Each locus is the one that `locus` computes
+    from the point at that value.
 
-    If the time expires, the `reasons` of a locus state that it is incomplete, and an entry may also be None because the
-    point was not continued to its value in time.
+    If the time expires, the `reasons` of a locus state that the locus is incomplete. An entry may then also be None
+    because the point was not continued to its value in time.
 
     Examples
     --------
@@ -97,102 +98,130 @@ def family(
     >>> [curve.kind for curve in curves]
     ['SN', 'SN']
     """
-    limits = limits_of(max_points, max_seconds, None, check.ArgumentError)
-    start, step_settings = (
+    limits = make_limits(max_points, max_seconds, None, check.ArgumentError)
+    locus_start, step_settings = (
         make_locus_start(special, (*KINDS, *STICKING_KINDS)),
         (first_step, largest_step, tolerance, limits),
     )
-    names, values = check_parameter_pair(start.scene, names), check_values(start.scene, third, values)
+    names, values = (
+        check_parameter_pair(locus_start.scene, names),
+        check_parameter_values(locus_start.scene, third, values),
+    )
     if third in names:
         raise check.ArgumentError("third", "must not be one of names", third)
-    if start.kind == "SB" and not stays_symmetric(start.scene, third):
+    if locus_start.kind == "SB" and not stays_symmetric(locus_start.scene, third):
         raise check.ArgumentError("third", "must keep the scene symmetric, as an SB requires", third)
-    both_directions(start, names, bounds, *step_settings)  # raises ArgumentError for invalid arguments
-    value_starts = transport_start(
-        start, names, bounds, third, values, *step_settings[:-1], replace(limits, points=None)
+    opposite_directions(locus_start, names, bounds, *step_settings)  # raises ArgumentError for invalid arguments
+    starts_by_value = continue_start_to_values(
+        locus_start, names, bounds, third, values, *step_settings[:-1], replace(limits, points=None)
     )
-    is_expired = limits.expired
-    starts = [entry for entry in value_starts if entry is not None]
-    direction_pairs = [_limit_points(both_directions(entry, names, bounds, *step_settings), limits) for entry in starts]
-    segments = track_together([element for pair in direction_pairs for element in pair])
-    locus_inputs = zip(starts, direction_pairs, zip(segments[::2], segments[1::2], strict=True), strict=True)
-    locus_iterator = iter(
+    is_time_expired = limits.expired
+    reached_starts = [entry for entry in starts_by_value if entry is not None]
+    direction_pairs = [
+        _split_point_limit(opposite_directions(entry, names, bounds, *step_settings), limits)
+        for entry in reached_starts
+    ]
+    segments = track_loci_together([element for direction_pair in direction_pairs for element in direction_pair])
+    locus_inputs = zip(reached_starts, direction_pairs, zip(segments[::2], segments[1::2], strict=True), strict=True)
+    computed_loci = iter(
         [
             _build_locus(entry, forward_direction, backward_direction, forward_segment, backward_segment, step_settings)
             for entry, (forward_direction, backward_direction), (forward_segment, backward_segment) in locus_inputs
         ]
     )
-    results = [None if entry is None else next(locus_iterator) for entry in value_starts]
+    results = [None if entry is None else next(computed_loci) for entry in starts_by_value]
     n_complete = sum(
-        not is_expired if entry is None else not any(EXPIRED_REASON in element for element in entry.reasons)
+        not is_time_expired if entry is None else not any(EXPIRED_REASON in element for element in entry.reasons)
         for entry in results
     )
-    return Results(results, "" if n_complete == len(results) else partial_reason(n_complete, len(results), "values"))
-
-
-def _limit_points(directions, limits):
-    """Return the forward and backward directions, each limited to half of the points."""
-    forward_direction, backward_direction = directions
-    half_limits = limits.halved()
-    remaining_points = None if limits.points is None else max(limits.points - half_limits.points + 1, 1)
-    return forward_direction.with_limits(half_limits), backward_direction.with_limits(
-        replace(limits, points=remaining_points)
+    return Results(
+        results, "" if n_complete == len(results) else partial_result_reason(n_complete, len(results), "values")
     )
 
 
-def _build_locus(start, forward_direction, backward_direction, forward_segment, backward_segment, step_settings):
-    """Build the `Locus` from both directions and the first segment along each."""
+def _split_point_limit(direction_pair, limits):
+    """Divide the largest number of points between the forward and the backward direction; return both directions."""
+    forward_direction, backward_direction = direction_pair
+    half_limits = limits.half_points()
+    max_backward_points = None if limits.points is None else max(limits.points - half_limits.points + 1, 1)
+    return forward_direction.with_limits(half_limits), backward_direction.with_limits(
+        replace(limits, points=max_backward_points)
+    )
+
+
+def _build_locus(locus_start, forward_direction, backward_direction, forward_segment, backward_segment, step_settings):
+    """Build the `Locus` from its two directions and the first segment along each direction."""
     is_closed = forward_segment.end is End.CLOSED
     return build_locus(
-        start,
-        track_across_walls(start, forward_direction, step_settings, forward_segment),
-        () if is_closed else track_across_walls(start, backward_direction, step_settings, backward_segment),
+        locus_start,
+        track_across_walls(locus_start, forward_direction, step_settings, forward_segment),
+        () if is_closed else track_across_walls(locus_start, backward_direction, step_settings, backward_segment),
     )
 
 
-def transport_start(start, names, bounds, third_name, values, *step_settings):
+def continue_start_to_values(locus_start, names, bounds, third_name, values, *step_settings):
     """Return the `LocusStart` at each value of a third parameter, or None for values that the point does not reach."""
-    free_name = start.name if start.name in names else names[0]
-    own_value = float(start.scene.parameter(third_name))
+    free_name = locus_start.name if locus_start.name in names else names[0]
+    start_value = float(locus_start.scene.parameter(third_name))
     # A wall then has its own restitution.
-    start = start._replace(scene=start.scene.replace(**{third_name: own_value}))
-    lower, upper = min(own_value, *values), max(own_value, *values)
+    locus_start = locus_start._replace(scene=locus_start.scene.replace(**{third_name: start_value}))
+    lower, upper = min(start_value, *values), max(start_value, *values)
     if lower == upper:
-        return [start] * len(values)
-    directions = both_directions(
-        start, (free_name, third_name), {free_name: bounds[free_name], third_name: (lower, upper)}, *step_settings
+        return [locus_start] * len(values)
+    directions = opposite_directions(
+        locus_start, (free_name, third_name), {free_name: bounds[free_name], third_name: (lower, upper)}, *step_settings
     )
-    tracks = [track_across_walls(start, direction, step_settings) for direction in directions]
+    direction_parts = [
+        track_across_walls(locus_start, locus_direction, step_settings) for locus_direction in directions
+    ]
     return [
-        start if value == own_value else _start_at_value(start, tracks, (free_name, third_name), value)
+        locus_start
+        if value == start_value
+        else _start_at_value(locus_start, direction_parts, (free_name, third_name), value)
         for value in values
     ]
 
 
-def _start_at_value(start, tracks, names, value):
-    """Return the `LocusStart` at the first crossing of a value of the second parameter, or None."""
+def _start_at_value(locus_start, direction_parts, names, value):
+    """Return the `LocusStart` at the first crossing of a value of the second parameter, or None if there is none.
+
+    The first crossing is the one with the smallest arclength from the start.
+    """
     crossings = []
-    for track in tracks:
+    for locus_parts in direction_parts:
         length_before = 0.0
-        for direction, segment in track:
+        for locus_direction, segment in locus_parts:
             points = segment.points
-            arclengths, value_offsets = length_before + np.cumsum(points.step), points.z[:, -1] - value
-            for index in np.flatnonzero(value_offsets[:-1] * value_offsets[1:] <= 0):
-                fraction = value_offsets[index] / ((value_offsets[index] - value_offsets[index + 1]) or 1.0)
-                crossings.append((arclengths[index] + fraction * points.step[index + 1], int(index), points, direction))
+            arclengths, distances_to_value = length_before + np.cumsum(points.step), points.z[:, -1] - value
+            for row_index in np.flatnonzero(distances_to_value[:-1] * distances_to_value[1:] <= 0):
+                fraction = distances_to_value[row_index] / (
+                    (distances_to_value[row_index] - distances_to_value[row_index + 1]) or 1.0
+                )
+                crossings.append(
+                    (
+                        arclengths[row_index] + fraction * points.step[row_index + 1],
+                        int(row_index),
+                        points,
+                        locus_direction,
+                    )
+                )
             length_before = arclengths[-1]
-    for _, index, points, direction in sorted(crossings, key=lambda crossing: crossing[0]):
-        truncated_points, is_reached = truncate_at_value(direction.task, points, index + 1, -1, value)
+    for _, row_index, points, locus_direction in sorted(crossings, key=lambda crossing: crossing[0]):
+        truncated_points, is_reached = truncate_at_value(locus_direction.task, points, row_index + 1, -1, value)
         if is_reached:
             return _locus_start_at(
-                start, direction.problem, names, truncated_points.z[-1], float(truncated_points.residual[-1])
+                locus_start,
+                locus_direction.problem,
+                names,
+                truncated_points.z[-1],
+                float(truncated_points.residual[-1]),
             )
     return None
 
 
-def _locus_start_at(start, problem, names, z, residual):
+def _locus_start_at(locus_start, problem, names, z, residual):
     """Return the `LocusStart` at a point of a locus."""
     times, speeds, sides, periods = whole_orbit_impacts(problem, z[None])
-    scene = start.scene.replace(**dict(zip(names, z[-2:].tolist(), strict=True)))
+    scene = locus_start.scene.replace(**dict(zip(names, z[-2:].tolist(), strict=True)))
     orbit_row = OrbitPoint(float(z[-2]), times[0], speeds[0], sides, periods, np.nan, np.nan, residual)
-    return LocusStart(start.kind, names[0], scene, orbit_row)
+    return LocusStart(locus_start.kind, names[0], scene, orbit_row)

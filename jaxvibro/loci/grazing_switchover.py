@@ -1,40 +1,44 @@
-"""Continue loci through grazing switchovers, at which several walls are grazed at once.
+"""Continue loci through grazing switchovers, at which an orbit has several grazing contacts.
 
-Each contact has a locus of its own, with the contact as an impact with zero speed. This locus is valid on the side on
-which the other contacts open. If all contacts persist for any change of the parameters, as for P100 between walls at
-equal distances, one of them is continued. Otherwise each is valid on one side, the boundary has a corner, and its
-derivatives are one-sided.
+Each grazing contact defines a locus, along which this contact is an impact with zero speed. The locus is admissible on
+the side of the switchover on which the other contacts open. If the orbit keeps all contacts along a locus, as P100
+between walls at equal distances does, this locus is continued in both directions. Otherwise each locus is admissible on
+one side only. The boundary then has a corner with one-sided derivatives.
 """
 
 import jax.numpy as jnp
 import numpy as np
 
 from ..problem.end import RESUMABLE_ENDS, End
-from ..problem.equations import scene_at as at
+from ..problem.orbit_equations import scene_at as at
 from ..problem.orbit_point import OrbitPoint
 from ..scene import check
 from ..scene.scene import replace_unchecked
+from .bounce_row_reselection import reselect_bounce_rows
 from .degenerate_grazing import locate_degenerate_end
-from .extended_system import GrazingEquations
-from .locus_start import LocusStart, locus_directions, reverse_direction
-from .repartition_impacts import repartition_impacts
-from .track import track_locus
+from .locus_equations import GrazingEquations
+from .locus_start import LocusStart, forward_locus_directions, reverse_direction
+from .locus_tracking import track_locus
 
 MAX_PARTS = 64  # largest number of parts of a locus
 SAME_GRAZING_TOLERANCE = 1e-6  # in periods: contacts closer than this coincide
 
 
-def both_directions(start, names, bounds, *step_settings):
-    """Return the two `LocusDirection` records of a locus from a `LocusStart`. Raises ArgumentError."""
-    directions = locus_directions(start, names, bounds, *step_settings)
+def opposite_directions(locus_start, names, bounds, *step_settings):
+    """Return the two opposite `LocusDirection` records of a locus at its `LocusStart`.
+
+    Raises ArgumentError if an argument is invalid, or if the contacts of a grazing do not define two directions.
+    """
+    directions = forward_locus_directions(locus_start, names, bounds, *step_settings)
     if len(directions) == 1:
         return directions[0], reverse_direction(directions[0])
-    open_directions = _open_directions(directions)
-    for pair in open_directions:
-        if len(pair) == 2:
-            return tuple(pair)
+    admissible_by_contact = _admissible_by_contact(directions)
+    for both_ways in admissible_by_contact:
+        if len(both_ways) == 2:
+            return tuple(both_ways)
     one_sided_directions = sorted(
-        (pair[0] for pair in open_directions if pair), key=lambda direction: direction.start.tangent[-1]
+        (both_ways[0] for both_ways in admissible_by_contact if both_ways),
+        key=lambda direction: direction.start.tangent[-1],
     )
     if len(one_sided_directions) < 2:
         rule = "must be a grazing whose simultaneous contacts can be continued separately"
@@ -42,45 +46,48 @@ def both_directions(start, names, bounds, *step_settings):
     return one_sided_directions[-1], one_sided_directions[0]
 
 
-def track_across_walls(start, direction, step_settings, segment=None):
-    """Track a locus along a `LocusDirection` and across walls; return a list of (`LocusDirection`, segment).
+def track_across_walls(locus_start, locus_direction, step_settings, segment=None):
+    """Track a locus along a `LocusDirection` and through grazing switchovers.
 
-    `segment` is the first segment if it is known, `step_settings` the arguments of `both_directions`.
-    """
-    parts, limits = [], None if direction is None else direction.settings.limits
-    while direction is not None and len(parts) < MAX_PARTS:
-        direction = direction.with_limits(limits)
-        segment = segment or track_locus(direction)
-        limits = limits.after(len(segment.points.z) - 1)
-        if segment.end in RESUMABLE_ENDS or limits.reached(1):
-            parts.append((direction, segment))
+    `segment` is the first segment, if it is already known. `step_settings` are the last arguments of
+    `opposite_directions`. Returns a list of (`LocusDirection`, segment)."""
+    locus_parts, limits = [], None if locus_direction is None else locus_direction.settings.limits
+    while locus_direction is not None and len(locus_parts) < MAX_PARTS:
+        locus_direction = locus_direction.with_limits(limits)
+        segment = segment or track_locus(locus_direction)
+        limits = limits.after_points(len(segment.points.z) - 1)
+        if segment.end in RESUMABLE_ENDS or limits.is_reached(1):
+            locus_parts.append((locus_direction, segment))
             break
-        degenerate_segment = locate_degenerate_end(direction, segment)
-        replacement = (
+        degenerate_segment = locate_degenerate_end(locus_direction, segment)
+        segment_and_direction = (
             (degenerate_segment, None)
             if degenerate_segment
-            else repartition_impacts(start, direction, segment, step_settings)
+            else reselect_bounce_rows(locus_start, locus_direction, segment, step_settings)
         )
-        final_segment, next_direction = replacement or (
+        final_segment, next_direction = segment_and_direction or (
             segment,
-            _direction_beyond(start, direction, segment, step_settings),
+            _direction_beyond_touch(locus_start, locus_direction, segment, step_settings),
         )
-        parts.append((direction, final_segment))
-        direction, segment = next_direction, None
-    return parts
+        locus_parts.append((locus_direction, final_segment))
+        locus_direction, segment = next_direction, None
+    return locus_parts
 
 
-def _open_directions(directions):
-    """Return, for each direction, those of its two senses in which the other contacts open or persist."""
+def _admissible_by_contact(directions):
+    """Return one list per direction, with the admissible directions among this direction and its reverse."""
     return [
-        [sense for sense in (direction, reverse_direction(direction)) if sense.is_admissible]
-        for direction in directions
+        [candidate for candidate in (locus_direction, reverse_direction(locus_direction)) if candidate.is_admissible]
+        for locus_direction in directions
     ]
 
 
-def _direction_beyond(start, direction, segment, step_settings):
-    """Return the `LocusDirection` beyond the point at which a motion without impacts touches another wall, or None."""
-    problem, names = direction.problem, direction.settings.names
+def _direction_beyond_touch(locus_start, locus_direction, segment, step_settings):
+    """Return the `LocusDirection` of a GR of a motion without impacts, along the other wall beyond a GG.
+
+    Returns None if the segment does not end at such a GG, or if no admissible direction along the other wall exists.
+    """
+    problem, names = locus_direction.problem, locus_direction.settings.names
     if (
         segment.end is not End.GRAZE
         or not isinstance(problem, GrazingEquations)
@@ -88,23 +95,27 @@ def _direction_beyond(start, direction, segment, step_settings):
         or float(problem.sequence.closure_sign) < 0
     ):
         return None
-    z, no_impacts = segment.points.z[-1], np.zeros(0)
-    values = zip(names, z[-2:], strict=True)
-    scene = replace_unchecked(start.scene, {name: jnp.asarray(value, start.scene.dtype) for name, value in values})
+    z, empty_column = segment.points.z[-1], np.zeros(0)
+    names_and_values = zip(names, z[-2:], strict=True)
+    scene = replace_unchecked(
+        locus_start.scene, {name: jnp.asarray(value, locus_start.scene.dtype) for name, value in names_and_values}
+    )
     orbit_row = OrbitPoint(
         float(z[-2]),
-        no_impacts,
-        no_impacts,
-        no_impacts,
+        empty_column,
+        empty_column,
+        empty_column,
         int(problem.sequence.periods),
         np.nan,
         np.nan,
         float(segment.points.residual[-1]),
     )
-    open_directions = _open_directions(
-        locus_directions(LocusStart("GR", names[0], scene, orbit_row), names, direction.settings.bounds, *step_settings)
+    admissible_by_contact = _admissible_by_contact(
+        forward_locus_directions(
+            LocusStart("GR", names[0], scene, orbit_row), names, locus_direction.settings.bounds, *step_settings
+        )
     )
-    candidates = (pair[0] for pair in open_directions if len(pair) == 1)
+    candidates = (both_ways[0] for both_ways in admissible_by_contact if len(both_ways) == 1)
     return next(
         (
             candidate

@@ -12,26 +12,26 @@ import xarray as xr
 from jaxtyping import Complex, Float
 
 from continuation.branch_segment import join_segments, reverse_segment
-from continuation.limits import limits_of
+from continuation.computation_limits import make_limits
 
 from .. import __version__
 from ..branches.branch import Special
 from ..orbits.orbit import eigenvalue_pairs
 from ..output.checksums import netcdf_bytes
-from ..output.dataframes import make_dataframe, minimum_columns, multiplier_columns, special_kinds
-from ..output.labels import translate_label
+from ..output.dataframes import make_dataframe, multiplier_columns, special_kind_per_point, speed_clearance_columns
+from ..output.label_translation import translate_label
 from ..output.table_text import align_columns, column_header
 from ..output.units import LENGTH, SPEED, TIME, scales_attributes, unit_in_system, unit_of
 from ..problem import plane_curve_end
 from ..problem.end import End
-from ..problem.orbit_point import OrbitPoint, itinerary
-from ..problem.orbit_rows import OrbitRows, SpecialOrbit, dataset_row
+from ..problem.orbit_curve import OrbitCurve, SpecialOrbit, dataset_row
+from ..problem.orbit_point import OrbitPoint, itinerary_of_point
 from ..scene import check
 from ..scene.scene import Scene, replace_unchecked
 from ..scene.scene_table import make_scene_table
-from .grazing_switchover import both_directions, track_across_walls
+from .grazing_switchover import opposite_directions, track_across_walls
 from .locus_start import KINDS, STICKING_KINDS, make_locus_start, whole_orbit_impacts
-from .track import termination_reason
+from .locus_tracking import termination_reason
 
 MEANINGS = {
     "CP": "cusp",
@@ -55,9 +55,9 @@ class Codim2(SpecialOrbit):
     ----------
     kind : str
         ``"CP"`` (cusp), ``"GPD"`` (generalized period doubling), ``"DSB"`` (degenerate symmetry breaking), ``"GR"`` (an
-        SN, PD or SB ends on a grazing), ``"GG"`` (two grazings), ``"RG"`` (resonant grazing), ``"DG"`` (degenerate
-        grazing), ``"SN"``, ``"PD"`` or ``"SB"`` (a grazing meets such a locus), ``"CH"`` or ``"RL"`` (limit of a
-        sticking phase), or ``"EP"`` (end).
+        SN, PD, SB, CH or RL ends on a grazing), ``"GG"`` (two grazings), ``"RG"`` (resonant grazing), ``"DG"``
+        (degenerate grazing), ``"SN"``, ``"PD"`` or ``"SB"`` (a locus of GR meets a locus of this kind), ``"CH"`` or
+        ``"RL"`` (limit of a sticking phase), or ``"EP"`` (end).
     on : str
         Kind of the locus.
     values : dict of str to float
@@ -95,10 +95,10 @@ class Codim2(SpecialOrbit):
 
 
 @dataclass(frozen=True, eq=False)
-class Locus(OrbitRows[Codim2]):
+class Locus(OrbitCurve[Codim2]):
     """Two-parameter bifurcation curve.
 
-    Made by `locus` and read from a file by `load_locus`.
+    `locus` computes a curve, and `load_locus` reads a curve from a file.
 
     Attributes
     ----------
@@ -213,13 +213,13 @@ class Locus(OrbitRows[Codim2]):
         for special_point in self.special:
             itinerary_text = " ".join(word or "." for word in special_point.itinerary)
             values = [
-                f"{value * unit_size:.12g}"
-                for value, (_, unit_size) in zip(special_point.values.values(), column_units, strict=True)
+                f"{value * unit_factor:.12g}"
+                for value, (_, unit_factor) in zip(special_point.values.values(), column_units, strict=True)
             ]
             rows.append((translate_label(special_point.kind, labels), *values, special_point.label, itinerary_text))
-        unit_sizes = {name: unit_size for name, (_, unit_size) in zip(self.names, column_units, strict=True)}
+        unit_factors = {name: unit_factor for name, (_, unit_factor) in zip(self.names, column_units, strict=True)}
         end_lines = [
-            f"{end_name} point: {plane_curve_end.rescale_end_text(reason_text, unit_sizes)}"
+            f"{end_name} point: {plane_curve_end.rescale_end_text(reason_text, unit_factors)}"
             for end_name, reason_text in self.reason.items()
         ]
         return "\n".join([align_columns(rows), *end_lines])
@@ -235,8 +235,8 @@ class Locus(OrbitRows[Codim2]):
         Returns
         -------
         pandas.DataFrame
-            One row per point: kind of the point of codimension two at that point, if any, the two parameters, the label
-            of the orbit, the smallest speed before an impact, the smallest clearance, and the multipliers.
+            One row per point: kind of the entry of `special` at that point, if any, the two parameters, the label of
+            the orbit, the smallest speed before an impact, the smallest clearance, and the multipliers.
 
         Raises
         ------
@@ -246,10 +246,10 @@ class Locus(OrbitRows[Codim2]):
         return make_dataframe(
             self.scene,
             {
-                "kind": ("", special_kinds(self.special, len(self))),
+                "kind": ("", special_kind_per_point(self.special, len(self))),
                 **{name: (unit_of(name), self.data[name].values) for name in self.names},
                 "label": ("", np.repeat(self.label, len(self))),
-                **minimum_columns(self.data),
+                **speed_clearance_columns(self.data),
                 **multiplier_columns(self.multipliers),
             },
             units,
@@ -311,21 +311,22 @@ def locus(
 
     Notes
     -----
-    Unknowns are the times and speeds of the impacts, and both parameters. A symmetric orbit is represented by one half.
-    The admissibility of every point is checked. The locus ends where the orbit becomes inadmissible.
+    The unknowns are the times and speeds of the impacts, and both parameters. A symmetric orbit is represented by one
+    half. The admissibility of every point is checked. The locus ends where the orbit becomes inadmissible.
 
     The following points are located:
 
     - cusps (CP), generalized period doublings (GPD) and degenerate symmetry breakings (DSB);
     - ends on a grazing (GR);
-    - grazings of two impacts or walls at once (GG);
-    - on a GR, limits of a sticking phase (CH, RL), and degenerate grazings (DG), where the acceleration of the contact
-      vanishes;
+    - on a GR, ends at a second simultaneous grazing contact (GG);
+    - ends at a limit of a sticking phase (CH, RL);
+    - on a GR, degenerate grazings (DG), where the relative acceleration at the contact vanishes;
     - on a GR, resonant grazings (RG), at which loci of SN and PD end, and points at which the orbit without the grazing
       contact is an SN, PD or SB.
 
-    `switch` continues the loci that emanate from RG, GPD, DSB, SN, PD, SB and GR. The GR of a motion without impacts
-    continues from a GG along the other wall, which is the nearer one beyond this point.
+    `switch` continues the loci that emanate from RG, GPD, DSB, SN, PD, SB and GR. The locus of GR of a motion without
+    impacts does not end at a GG. Beyond the GG the motion grazes the other wall, and the locus continues along this
+    grazing.
 
     The columns of `data` are the parameters, ``time``, ``speed`` and ``side`` of each impact, ``multiplier_real`` and
     ``multiplier_imag``, ``least_speed``, ``least_clearance`` and ``residual``. There is one row per point.
@@ -337,74 +338,78 @@ def locus(
     >>> print(curve.reason["last"])
     frequency reached its bound 2.15
     """
-    limits = limits_of(max_points, max_seconds, progress, check.ArgumentError)
-    start, step_settings = (
+    limits = make_limits(max_points, max_seconds, progress, check.ArgumentError)
+    locus_start, step_settings = (
         make_locus_start(special, (*KINDS, *STICKING_KINDS)),
         (first_step, largest_step, tolerance, limits),
     )
-    forward_direction, backward_direction = both_directions(start, names, bounds, *step_settings)
-    forward_parts = track_across_walls(start, forward_direction.with_limits(limits.halved()), step_settings)
+    forward_direction, backward_direction = opposite_directions(locus_start, names, bounds, *step_settings)
+    forward_parts = track_across_walls(locus_start, forward_direction.with_limits(limits.half_points()), step_settings)
     backward_direction = backward_direction.with_limits(
-        limits.after(sum(len(segment.points.z) - 1 for _, segment in forward_parts))
+        limits.after_points(sum(len(segment.points.z) - 1 for _, segment in forward_parts))
     )
     return build_locus(
         special,
         forward_parts,
-        () if forward_parts[0][1].end is End.CLOSED else track_across_walls(start, backward_direction, step_settings),
+        ()
+        if forward_parts[0][1].end is End.CLOSED
+        else track_across_walls(locus_start, backward_direction, step_settings),
     )
 
 
-def build_locus(special, forward_parts, backward_parts, start_reason="the start"):
-    """Build the `Locus` of the parts that `track_across_walls` tracked in both directions.
+def build_locus(locus_start, forward_parts, backward_parts, start_reason="the start"):
+    """Build a `Locus` from the parts that `track_across_walls` returns for both directions.
 
-    `backward_parts` is empty if the first part closes, or if the locus begins at a point that `start_reason` describes.
-    """
-    settings, parts = (
+    `locus_start` provides the scene and the kind at the start. `backward_parts` is empty if the curve is closed or
+    begins at its start. `start_reason` is then the termination reason at the first point."""
+    settings, segments = (
         forward_parts[0][0].settings,
         [reverse_segment(segment) for _, segment in reversed(backward_parts)]
         + [segment for _, segment in forward_parts],
     )
     if backward_parts and backward_parts[0][0].problem is forward_parts[0][0].problem:
-        parts[len(backward_parts) - 1 : len(backward_parts) + 1] = [
-            join_segments(parts[len(backward_parts) - 1 : len(backward_parts) + 1])
+        segments[len(backward_parts) - 1 : len(backward_parts) + 1] = [
+            join_segments(segments[len(backward_parts) - 1 : len(backward_parts) + 1])
         ]
-    data, special_rows, row_offset = [], {}, 0
-    n_impact_columns = max(whole_orbit_impacts(part.args, part.points.z[:1])[0].shape[1] for part in parts)
-    for part in parts:
-        data.append(_dataset(settings.names, part, n_impact_columns).isel(point=slice(1 if data else 0, None)))
-        special_rows |= {
-            row_offset + special_index.row: (special_index.kind, special_index.residual)
-            for special_index in part.specials
+    data, special_by_row, row_offset = [], {}, 0
+    n_impact_columns = max(whole_orbit_impacts(segment.args, segment.points.z[:1])[0].shape[1] for segment in segments)
+    for segment in segments:
+        data.append(
+            _segment_dataset(settings.names, segment, n_impact_columns).isel(point=slice(1 if data else 0, None))
+        )
+        special_by_row |= {
+            row_offset + special_record.row: (special_record.kind, special_record.residual)
+            for special_record in segment.specials
         }
-        last_row = row_offset + len(part.points.z) - 1
-        if part is not parts[-1] and part.args.sequence.releases is None:  # corner of the boundary
-            special_rows.setdefault(last_row, ("GG", float(part.points.residual[-1])))
+        last_row = row_offset + len(segment.points.z) - 1
+        if segment is not segments[-1] and segment.args.sequence.releases is None:  # corner of the boundary
+            special_by_row.setdefault(last_row, ("GG", float(segment.points.residual[-1])))
         row_offset = last_row
-    data = xr.concat(data, "point", combine_attrs="override").assign_attrs(scales_attributes(special.scene))
+    data = xr.concat(data, "point", combine_attrs="override").assign_attrs(scales_attributes(locus_start.scene))
     for row_index in (0, row_offset):
-        special_rows.setdefault(row_index, ("EP", float(data["residual"].values[row_index])))
-    common_fields = special.scene, special.kind, settings.bounds, data
-    points = tuple(
-        build_codim2(*common_fields, row_index, *special_rows[row_index]) for row_index in sorted(special_rows)
+        special_by_row.setdefault(row_index, ("EP", float(data["residual"].values[row_index])))
+    common_fields = locus_start.scene, locus_start.kind, settings.bounds, data
+    codim2_points = tuple(
+        build_codim2(*common_fields, row_index, *special_by_row[row_index]) for row_index in sorted(special_by_row)
     )
     reasons = (
         termination_reason(*backward_parts[-1]) if backward_parts else start_reason,
         termination_reason(*forward_parts[-1]),
     )
-    return Locus(special.kind, settings.names, settings.bounds, special.scene, data, points, reasons)
+    return Locus(locus_start.kind, settings.names, settings.bounds, locus_start.scene, data, codim2_points, reasons)
 
 
-def _dataset(names, segment, n_impact_columns):
-    """Build the rows of a segment with a given number of impact columns."""
+def _segment_dataset(names, segment, n_impact_columns):
+    """Build the dataset of the points of a segment, padded to a number of impact columns."""
     problem, z, diagnostics = segment.args, segment.points.z, segment.diagnostics
     n_rows = len(problem.sequence.sides)
     times, speeds, sides, periods = whole_orbit_impacts(problem, z)
-    result = eigenvalue_pairs(diagnostics.trace, diagnostics.determinant)
+    multipliers = eigenvalue_pairs(diagnostics.trace, diagnostics.determinant)
     if float(problem.sequence.closure_sign) < 0:  # the multipliers are those of one half of the orbit
         with np.errstate(invalid="ignore"):
-            result = result * result
-    impact_indices = np.arange(times.shape[1]) % int(np.sum(problem.sequence.sides != 0))
-    min_speeds = np.where(np.isin(impact_indices, problem.impact_rows), speeds, np.inf).min(axis=1)
+            multipliers = multipliers * multipliers
+    row_of_impact = np.arange(times.shape[1]) % int(np.sum(problem.sequence.sides != 0))
+    min_speeds = np.where(np.isin(row_of_impact, problem.impact_rows), speeds, np.inf).min(axis=1)
     impact_variables = {"time": (times, "since phase 0", TIME), "speed": (speeds, "abs(y- - v_b)", SPEED)}
     point_variables = {
         "least_speed": (min_speeds, "of the impacts but for that which grazes", SPEED),
@@ -415,29 +420,33 @@ def _dataset(names, segment, n_impact_columns):
         ),
         "residual": (segment.points.residual, "largest error left in the equations", LENGTH),
     }
-    variables = {
-        name: ("point", z[:, 2 * n_rows + k], _attributes("a parameter", unit_of(name))) for k, name in enumerate(names)
+    data_variables = {
+        name: ("point", z[:, 2 * n_rows + parameter_index], _variable_attributes("a parameter", unit_of(name)))
+        for parameter_index, name in enumerate(names)
     }
-    variables |= {
-        key: (("point", "impact"), variable[0], _attributes(*variable[1:]))
-        for key, variable in impact_variables.items()
+    data_variables |= {
+        key: (("point", "impact"), values_name_unit[0], _variable_attributes(*values_name_unit[1:]))
+        for key, values_name_unit in impact_variables.items()
     }
     sides = np.broadcast_to(sides.astype(np.int8), times.shape)
-    variables["side"] = (("point", "impact"), sides, _attributes("-1 left, 1 right", "1"))
-    for key, component in (("real", result.real), ("imag", result.imag)):
-        variables[f"multiplier_{key}"] = (
+    data_variables["side"] = (("point", "impact"), sides, _variable_attributes("-1 left, 1 right", "1"))
+    for key, component in (("real", multipliers.real), ("imag", multipliers.imag)):
+        data_variables[f"multiplier_{key}"] = (
             ("point", "multiplier"),
             component,
-            _attributes("Floquet's, the larger first", "1"),
+            _variable_attributes("Floquet's, the larger first", "1"),
         )
-    variables |= {key: ("point", variable[0], _attributes(*variable[1:])) for key, variable in point_variables.items()}
-    result = xr.Dataset(variables, attrs={"periods": periods})
+    data_variables |= {
+        key: ("point", values_name_unit[0], _variable_attributes(*values_name_unit[1:]))
+        for key, values_name_unit in point_variables.items()
+    }
+    dataset = xr.Dataset(data_variables, attrs={"periods": periods})
     n_missing_columns = n_impact_columns - times.shape[1]
-    return result.pad(impact=(0, n_missing_columns), constant_values={"side": 0}) if n_missing_columns else result
+    return dataset.pad(impact=(0, n_missing_columns), constant_values={"side": 0}) if n_missing_columns else dataset
 
 
-def _attributes(meaning, units):
-    return {"long_name": meaning, "units": units}
+def _variable_attributes(long_name, units):
+    return {"long_name": long_name, "units": units}
 
 
 def _orbit_row_at(data, row_index, names):
@@ -451,10 +460,13 @@ def _orbit_row_at(data, row_index, names):
 
 
 def build_codim2(scene, locus_kind, bounds, data, row_index, kind, residual):
-    """Build the `Codim2` at a row of the data of a locus of kind `locus_kind` that starts at `scene`."""
+    """Build the `Codim2` at a row of the data of a locus.
+
+    `scene` is the scene at the start of the locus, and `locus_kind` is the kind of the locus.
+    """
     row, (orbit_row, values) = dataset_row(data, row_index), _orbit_row_at(data, row_index, tuple(bounds))
     parameter_values = {name: jnp.asarray(value, scene.dtype) for name, value in values.items()}
     scene = replace_unchecked(scene, parameter_values)  # the values are within the domains: no check
     multipliers = row["multiplier_real"] + 1j * row["multiplier_imag"]
-    itinerary_words = itinerary(orbit_row, float(scene.frequency))
-    return Codim2(kind, locus_kind, values, bounds, multipliers, row_index, residual, itinerary_words, scene, orbit_row)
+    itinerary = itinerary_of_point(orbit_row, float(scene.frequency))
+    return Codim2(kind, locus_kind, values, bounds, multipliers, row_index, residual, itinerary, scene, orbit_row)

@@ -1,15 +1,15 @@
-"""Read loci from files and check every field against the format of `Locus.save`."""
+"""Read a `Locus` from a file and check every field of the file: `load_locus`."""
 
 from os import PathLike
 
-from ..output.checksums import read_checked
-from ..output.saved_fields import (
+from ..output.checksums import parse_checked_file
+from ..output.saved_curve_checks import (
     decode_field,
     decode_scene,
-    read_record,
-    require_bounds,
-    require_columns,
-    require_valid,
+    parse_saved_curve,
+    require_valid_bounds,
+    require_valid_columns,
+    require_valid_field,
 )
 from ..output.units import scales_attributes
 from ..scene import check
@@ -52,7 +52,7 @@ def load_locus(path: str | PathLike[str]) -> Locus:
     ...     print(jv.load_locus(f"{folder}/curve.nc").kind)
     SN
     """
-    return read_checked(path, lambda content, path: read_record(content, path, "Locus", _parse_locus))
+    return parse_checked_file(path, lambda content, path: parse_saved_curve(content, path, "Locus", _parse_locus))
 
 
 def _parse_locus(data):
@@ -60,26 +60,26 @@ def _parse_locus(data):
     attrs = data.attrs
     kind, bounds = str(attrs["kind"]), decode_field(attrs, "bounds", dict[str, tuple[float, float]])
     names = tuple(bounds)
-    require_valid("kind", kind in (*KINDS, *STICKING_KINDS))
-    require_valid("parameters", len(names) == 2)
+    require_valid_field("kind", kind in (*KINDS, *STICKING_KINDS))
+    require_valid_field("parameters", len(names) == 2)
     for entry in bounds.values():
-        require_bounds(entry)
+        require_valid_bounds(entry)
     scene = decode_scene(attrs, *names)
-    require_columns(data, dict.fromkeys(names, ("point",)) | DIMENSIONS, (*names, "residual"))
+    require_valid_columns(data, dict.fromkeys(names, ("point",)) | DIMENSIONS, (*names, "residual"))
     periods = int(attrs["periods"])
-    require_valid("periods", periods > 0)
-    special_entries, reasons = (
+    require_valid_field("periods", periods > 0)
+    codim2_entries, reasons = (
         decode_field(attrs, "special", list[tuple[str, int, float]]),
         decode_field(attrs, "reasons", tuple[str, str]),
     )
-    require_valid(
+    require_valid_field(
         "special",
-        special_entries
-        and all(entry and 0 <= row_index < data.sizes["point"] for entry, row_index, _ in special_entries),
+        codim2_entries
+        and all(entry and 0 <= row_index < data.sizes["point"] for entry, row_index, _ in codim2_entries),
     )
     data.attrs = {"periods": periods, **scales_attributes(scene)}
     special = tuple(
         build_codim2(scene, kind, bounds, data, row_index, entry, residual)
-        for entry, row_index, residual in special_entries
+        for entry, row_index, residual in codim2_entries
     )
     return Locus(kind, names, bounds, scene, data, special, reasons)

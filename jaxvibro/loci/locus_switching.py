@@ -1,16 +1,20 @@
 """Find the loci that emanate from a point of codimension two, and the start of each.
 
 - RG: with the grazing contact as an impact of speed s, the equations of the orbit reduce to ``g = mu + phi s + kappa
-  s^2 / 2 = 0``. mu vanishes on the GR, phi at the RG. They are singular at ``s = -phi / kappa`` (SN) and, for the orbit
-  traversed twice, with another kappa (PD; SB of a symmetric orbit). These curves are regular in s and quadratically
-  tangent to the GR. Only ``s > 0`` is admissible (Simpson and Ghosh, arXiv 2602.22797).
-- GPD, DSB: the two halves of the orbit differ by s along the null vector, and ``nu + c s^2 + d s^4 = 0`` with c = 0 at
-  the point. nu vanishes on the PD or SB, and the pair of orbits folds at ``nu = c^2 / 4 d``. This is one SN,
-  quadratically tangent. The multipliers of the pair are near 1 and det M^2 < 1, so that no other bifurcation is near.
-- SN, PD, SB on a GR: an orbit without the grazing contact is singular. It lies on the locus of its kind on the side on
-  which the contact opens. The other orbits of that point, the second orbit of the SN or the pair of the PD or SB, graze
-  the wall along a curve that is quadratically tangent to that locus (Colombo and Dercole, SIAM J. Appl. Dyn. Syst. 9,
-  62, 2010). At SN this curve is the GR itself, on both sides of the point; at PD and SB it is another GR.
+  s^2 / 2 = 0``. mu vanishes on the GR, phi vanishes at the RG, and kappa is not zero. This equation is singular at ``s
+  = -phi / kappa`` (SN). For the orbit traversed twice, it is singular with another value of kappa (PD; SB of a
+  symmetric orbit). The loci of SN and PD are smooth curves with the parameter s, and are quadratically tangent to the
+  GR. Orbits with ``s < 0`` are inadmissible (Simpson and Ghosh, arXiv 2602.22797).
+- GPD, DSB: the two halves of the orbit differ by s along the null vector, with ``nu + c s^2 + d s^4 = 0``. nu vanishes
+  on the PD or SB, and c vanishes at the GPD or DSB. The pair of orbits folds at ``nu = c^2 / 4 d``. This fold is a
+  single SN, quadratically tangent to the PD or SB. Let M be the monodromy matrix of the orbit, or of one half at a DSB.
+  One multiplier of the pair is near 1. The other is near the square of det M, which is less than 1 in a damped scene.
+  Therefore no other bifurcation is near.
+- SN, PD, SB on a GR: the orbit without the grazing contact is singular. The locus of this kind is admissible on the
+  side on which the contact opens. The other orbits that meet there (the second orbit of the SN, or the pair of the PD
+  or SB) graze the wall along a curve that is quadratically tangent to this locus (Colombo and Dercole, SIAM J. Appl.
+  Dyn. Syst. 9, 62, 2010). At an SN this curve is the GR itself, on both sides of the point. At a PD or SB this curve is
+  another GR.
 """
 
 from typing import NamedTuple
@@ -19,30 +23,30 @@ import numpy as np
 from jaxtyping import Float
 
 from continuation import augmented_systems, event_search
-from continuation import branch_switching as crossing
+from continuation import branch_point_tangents as crossing
 from continuation.branch_segment import SpecialIndex
-from continuation.intermediate_points import start_point
+from continuation.intermediate_points import make_start_point
 from continuation.point_rows import map_fields
 
-from ..problem.diagnostics import diagnose
+from ..problem.branches_from_grazing import SINGULAR_RATIO
 from ..problem.end import End
-from ..problem.equations import continuation_problem
-from ..problem.grazing import SINGULAR_RATIO
-from ..problem.grazing_contact import admissible
+from ..problem.grazing_contact import are_admissible
+from ..problem.orbit_diagnostics import diagnose
+from ..problem.orbit_equations import continuation_problem
 from ..problem.orbit_point import OrbitPoint
-from ..problem.soft_grazing import is_smooth_wall
+from ..problem.soft_wall_grazing import is_smooth_soft_wall
 from ..scene import check
-from .grazing_switchover import both_directions, track_across_walls
+from .grazing_switchover import opposite_directions, track_across_walls
 from .locus_start import (
     LocusStart,
-    keeps_symmetry,
-    locus_directions,
-    locus_problems,
-    locus_settings,
+    forward_locus_directions,
+    make_locus_settings,
+    orbit_stays_symmetric,
+    problems_at_locus_start,
     reverse_direction,
-    weight_settings,
+    with_arclength_weights,
 )
-from .track import LocusDirection, track_locus
+from .locus_tracking import LocusDirection, track_locus
 
 NULL_VECTOR_STEPS = (0.1, 0.05, 0.02, 0.01, 0.005)  # distances along the null vector at which the SN of a pair starts
 STEP_FRACTIONS = (1.0, 0.1, 0.01)  # fractions of the first step at which another locus starts
@@ -52,50 +56,64 @@ DIFFERENCE_STEP = 1e-4  # along the unit null vector: step of central difference
 class LocusSeed(NamedTuple):
     """Start of a locus that emanates from a point.
 
-    `start`, its `LocusStart`; `special_index`, the point as a special point of this locus; `forward_direction` and
-    `backward_direction`, the latter None if the locus begins at the point; `origin`, z of the point if the direction
-    begins at a small distance from it, else None.
+    Attributes
+    ----------
+    start : LocusStart
+        Special point at which the locus starts.
+    special_index : SpecialIndex
+        Point of codimension two as a special point of this locus.
+    forward_direction : LocusDirection
+        Direction in which the locus leaves the point.
+    backward_direction : LocusDirection or None
+        Opposite direction. None if the locus begins at the point.
+    origin_z : numpy.ndarray or None
+        z of the point if `forward_direction` begins at a small distance from the point, else None.
     """
 
     start: LocusStart
     special_index: SpecialIndex
     forward_direction: LocusDirection
     backward_direction: LocusDirection | None = None
-    origin: Float[np.ndarray, " unknowns"] | None = None
+    origin_z: Float[np.ndarray, " unknowns"] | None = None
 
 
-def locus_seeds(point, bounds, *step_settings):
-    """Return the `LocusSeed` of each locus that emanates from a `Codim2`, except its own. Raises ArgumentError."""
-    arguments = tuple(point.values), bounds, *step_settings
-    if point.kind in ("GPD", "DSB"):
-        return [_pair_fold_seed(point, *arguments)]
-    contacts = LocusStart("GR", *_start_fields(point)).grazing_contacts
-    impact_contacts = [contact for contact in contacts if contact.is_impact]
-    if point.on == "GR":
-        seeds, is_resonant, kind = [], point.kind == "RG", point.kind
+def find_locus_seeds(codim2_point, bounds, *step_settings):
+    """Return the `LocusSeed` of each locus that emanates from a `Codim2`, except the locus on which it was located.
+
+    Raises ArgumentError if a start cannot be located.
+    """
+    locus_arguments = tuple(codim2_point.values), bounds, *step_settings
+    if codim2_point.kind in ("GPD", "DSB"):
+        return [_pair_fold_seed(codim2_point, *locus_arguments)]
+    grazing_contacts = LocusStart("GR", *_locus_start_fields(codim2_point)).grazing_contacts
+    impact_contacts = [contact for contact in grazing_contacts if contact.is_impact]
+    if codim2_point.on == "GR":
+        seeds, is_resonant_grazing, kind = [], codim2_point.kind == "RG", codim2_point.kind
     else:
-        seeds, is_resonant, kind = (
+        seeds, is_resonant_grazing, kind = (
             [],
-            any(not is_smooth_wall(point.scene, contact.side) for contact in impact_contacts),
-            point.on,
+            any(not is_smooth_soft_wall(codim2_point.scene, contact.side) for contact in impact_contacts),
+            codim2_point.on,
         )
-        seeds.append(_grazing_seed(point, "RG" if is_resonant else kind, *arguments))
-    if is_resonant:
-        is_symmetric = keeps_symmetry(LocusStart("SN", *_start_fields(point)), arguments[0])
-        kinds = (kind for kind in ("SN", "SB" if is_symmetric else "PD") if kind != point.on)
-        return seeds + [_opening_seed(point, kind, point.spot, *arguments) for kind in kinds]
-    if point.on == "GR":
-        reduced_row = _drop_impacts(point.spot, [contact.row for contact in impact_contacts])
-        seeds.append(_opening_seed(point, kind, reduced_row, *arguments))
-    return seeds if kind == "SN" else [*seeds, _pair_grazing_seed(point, kind, *arguments)]
+        seeds.append(_grazing_seed(codim2_point, "RG" if is_resonant_grazing else kind, *locus_arguments))
+    if is_resonant_grazing:
+        is_symmetric = orbit_stays_symmetric(LocusStart("SN", *_locus_start_fields(codim2_point)), locus_arguments[0])
+        kinds = (kind for kind in ("SN", "SB" if is_symmetric else "PD") if kind != codim2_point.on)
+        return seeds + [
+            _contact_opening_seed(codim2_point, kind, codim2_point.spot, *locus_arguments) for kind in kinds
+        ]
+    if codim2_point.on == "GR":
+        orbit_without_contact = _orbit_without_impacts(codim2_point.spot, [contact.row for contact in impact_contacts])
+        seeds.append(_contact_opening_seed(codim2_point, kind, orbit_without_contact, *locus_arguments))
+    return seeds if kind == "SN" else [*seeds, _pair_grazing_seed(codim2_point, kind, *locus_arguments)]
 
 
-def _start_fields(point, orbit_row=None):
+def _locus_start_fields(codim2_point, orbit_row=None):
     """Return the fields of a `LocusStart` other than its kind."""
-    return next(iter(point.values)), point.scene, orbit_row or point.spot
+    return next(iter(codim2_point.values)), codim2_point.scene, orbit_row or codim2_point.spot
 
 
-def _drop_impacts(orbit_row, rows):
+def _orbit_without_impacts(orbit_row, rows):
     """Return an `OrbitPoint` without its impacts in the given rows."""
     remaining_indices = np.delete(np.arange(len(orbit_row.times)), rows)
     return orbit_row._replace(
@@ -105,36 +123,47 @@ def _drop_impacts(orbit_row, rows):
     )
 
 
-def _grazing_seed(point, kind, names, bounds, *step_settings):
-    """Return the GR through a point at which a locus of another kind ends; `kind` is that of the point on the GR."""
-    start = LocusStart("GR", *_start_fields(point))
-    return LocusSeed(start, _special_index(point, kind), *both_directions(start, names, bounds, *step_settings))
+def _grazing_seed(codim2_point, kind, names, bounds, *step_settings):
+    """Return the `LocusSeed` of the GR on which another locus ends; `kind` is the kind of the point on the GR."""
+    locus_start = LocusStart("GR", *_locus_start_fields(codim2_point))
+    return LocusSeed(
+        locus_start,
+        _special_record_of(codim2_point, kind),
+        *opposite_directions(locus_start, names, bounds, *step_settings),
+    )
 
 
-def _special_index(point, kind):
-    return SpecialIndex(0, kind, point.residual)
+def _special_record_of(codim2_point, kind):
+    return SpecialIndex(0, kind, codim2_point.residual)
 
 
-def _opening_seed(point, kind, orbit_row, names, bounds, *step_settings):
-    """Return the locus of a kind along which the contacts of a point open, or gain speed."""
-    start = LocusStart(kind, *_start_fields(point, orbit_row))
-    (direction,) = locus_directions(start, names, bounds, *step_settings)
-    return _seed_from_direction(start, _special_index(point, "GR"), _admissible_direction(direction))
+def _contact_opening_seed(codim2_point, kind, orbit_row, names, bounds, *step_settings):
+    """Return the `LocusSeed` of the locus of a kind along which the contacts of a point open or gain speed."""
+    locus_start = LocusStart(kind, *_locus_start_fields(codim2_point, orbit_row))
+    (locus_direction,) = forward_locus_directions(locus_start, names, bounds, *step_settings)
+    return _seed_from_direction(
+        locus_start, _special_record_of(codim2_point, "GR"), _admissible_direction(locus_direction)
+    )
 
 
-def _admissible_direction(direction):
-    candidates = [candidate for candidate in (direction, reverse_direction(direction)) if candidate.is_admissible]
+def _admissible_direction(locus_direction):
+    candidates = [
+        candidate for candidate in (locus_direction, reverse_direction(locus_direction)) if candidate.is_admissible
+    ]
     if len(candidates) != 1:
         rule = "must be a point from which the locus emanates in exactly one admissible direction"
         raise check.ArgumentError("special", rule, len(candidates))
     return candidates[0]
 
 
-def _doubled_orbit_row(point, kind, orbit_row):
-    """Return the `OrbitPoint` of an orbit whose two halves may differ."""
+def _doubled_orbit_row(codim2_point, kind, orbit_row):
+    """Return the `OrbitPoint` of the orbit traversed twice, or at an SB the orbit itself.
+
+    On the locus that emanates, the two halves of this orbit may differ.
+    """
     if kind == "SB":
         return orbit_row
-    duration = orbit_row.periods * 2.0 * np.pi / float(point.scene.frequency)
+    duration = orbit_row.periods * 2.0 * np.pi / float(codim2_point.scene.frequency)
     doubled_columns = (np.tile(column, 2) for column in (orbit_row.speeds, orbit_row.sides))
     return OrbitPoint(
         orbit_row.value,
@@ -147,122 +176,145 @@ def _doubled_orbit_row(point, kind, orbit_row):
     )
 
 
-def _pair_grazing_seed(point, kind, names, bounds, *step_settings):
-    """Return the GR of the pair of orbits that emanates from a PD or SB on a grazing.
+def _pair_grazing_seed(codim2_point, kind, names, bounds, *step_settings):
+    """Return the `LocusSeed` of the GR of the pair of orbits that emanates from a PD or SB on a grazing.
 
-    Two curves of its equations cross. The GR of the pair is the curve along which the two halves of the orbit differ.
+    Two solution curves of the equations of the GR cross at the point. The GR of the pair is the curve along which the
+    two halves of the orbit differ.
     """
-    start = LocusStart("GR", *_start_fields(point, _doubled_orbit_row(point, kind, point.spot)))
-    problem, z = locus_problems(start, names, whole_orbit=True)[0]
-    settings = weight_settings(problem, z, locus_settings(point.scene, names, bounds, *step_settings))
-    scale, n_rows = settings.control.scale, len(problem.sequence.sides)
+    locus_start = LocusStart(
+        "GR", *_locus_start_fields(codim2_point, _doubled_orbit_row(codim2_point, kind, codim2_point.spot))
+    )
+    problem, z = problems_at_locus_start(locus_start, names, use_whole_orbit=True)[0]
+    settings = with_arclength_weights(
+        problem, z, make_locus_settings(codim2_point.scene, names, bounds, *step_settings)
+    )
+    arclength_weights, n_rows = settings.control.scale, len(problem.sequence.sides)
     try:
-        tangents = crossing.branch_tangents(continuation_problem(problem), z, scale, problem)
+        crossing_tangents = crossing.branch_tangents(continuation_problem(problem), z, arclength_weights, problem)
     except ValueError:
         raise check.ArgumentError("special", "must be a point at which loci of GR cross", kind) from None
-    speeds = tangents[:, n_rows + problem.impact_rows]
-    half_differences = abs(speeds - np.roll(speeds, len(problem.impact_rows) // 2, axis=1)).max(axis=1)
+    speed_slopes = crossing_tangents[:, n_rows + problem.impact_rows]
+    half_speed_differences = abs(speed_slopes - np.roll(speed_slopes, len(problem.impact_rows) // 2, axis=1)).max(
+        axis=1
+    )
     return _seed_from_direction(
-        start,
-        _special_index(point, kind),
-        _admissible_direction(LocusDirection(problem, start_point(z, tangents[np.argmax(half_differences)]), settings)),
+        locus_start,
+        _special_record_of(codim2_point, kind),
+        _admissible_direction(
+            LocusDirection(problem, make_start_point(z, crossing_tangents[np.argmax(half_speed_differences)]), settings)
+        ),
     )
 
 
-def _pair_fold_seed(point, names, bounds, *step_settings):
-    """Return the SN of the pair of orbits that emanates from a GPD or DSB."""
-    orbit_row = _doubled_orbit_row(point, {"GPD": "PD", "DSB": "SB"}[point.kind], point.spot)
-    start = LocusStart("SN", *_start_fields(point, orbit_row))
-    ((problem, z),) = locus_problems(start, names, whole_orbit=True)
-    settings = weight_settings(problem, z, locus_settings(point.scene, names, bounds, *step_settings))
-    for nearby_point in _fold_guesses(problem, z, settings.control):
-        if _is_admissible(problem, nearby_point, settings):
-            direction = LocusDirection(problem, start_point(nearby_point.z, nearby_point.tangent), settings)
-            return LocusSeed(start, _special_index(point, point.kind), direction, origin=z)
-    raise check.ArgumentError("special", "must be a point near which the SN of the pair can be located", point.kind)
+def _pair_fold_seed(codim2_point, names, bounds, *step_settings):
+    """Return the `LocusSeed` of the SN of the pair of orbits that emanates from a GPD or DSB."""
+    orbit_row = _doubled_orbit_row(codim2_point, {"GPD": "PD", "DSB": "SB"}[codim2_point.kind], codim2_point.spot)
+    locus_start = LocusStart("SN", *_locus_start_fields(codim2_point, orbit_row))
+    ((problem, z),) = problems_at_locus_start(locus_start, names, use_whole_orbit=True)
+    settings = with_arclength_weights(
+        problem, z, make_locus_settings(codim2_point.scene, names, bounds, *step_settings)
+    )
+    for nearby_point in _pair_fold_guesses(problem, z, settings.control):
+        if _is_admissible_point(problem, nearby_point, settings):
+            locus_direction = LocusDirection(problem, make_start_point(nearby_point.z, nearby_point.tangent), settings)
+            return LocusSeed(
+                locus_start, _special_record_of(codim2_point, codim2_point.kind), locus_direction, origin_z=z
+            )
+    raise check.ArgumentError(
+        "special", "must be a point near which the SN of the pair can be located", codim2_point.kind
+    )
 
 
-def _is_admissible(problem, nearby_point, settings):
-    """Check that a `Point` is an admissible point of a locus within its bounds."""
-    is_inside = all(
-        lower <= value <= upper for value, (lower, upper) in zip(nearby_point.z[-2:], settings.box, strict=True)
+def _is_admissible_point(problem, nearby_point, settings):
+    """Check that a `Point` has converged, is within the bounds and has an admissible orbit."""
+    is_within_bounds = all(
+        lower <= value <= upper
+        for value, (lower, upper) in zip(nearby_point.z[-2:], settings.bounds_in_domains, strict=True)
     )
     return bool(
         nearby_point.converged
-        and is_inside
-        and admissible(problem, nearby_point.z, diagnose(problem, nearby_point.z[None]))[0]
+        and is_within_bounds
+        and are_admissible(problem, nearby_point.z, diagnose(problem, nearby_point.z[None]))[0]
     )
 
 
-def _seed_from_direction(start, special_index, direction):
+def _seed_from_direction(locus_start, special_record, locus_direction):
     """Return the `LocusSeed` of a direction from a point.
 
-    The seed begins at a small distance if possible. At the point itself the determinant of its equations may have no
-    sign, because an impact has zero speed or because another curve crosses, and a step from it is mistaken for a jump.
+    If possible, the seed begins at a small distance from the point. At the point itself the determinant of the
+    equations may vanish, because an impact has zero speed or because another curve crosses. The continuation would then
+    mistake a step from the point for a jump.
     """
-    problem, settings = direction.problem, direction.settings
+    problem, settings = locus_direction.problem, locus_direction.settings
     for fraction in STEP_FRACTIONS:
         nearby_point = event_search.take_step(
-            continuation_problem(problem), direction.start, fraction * settings.initial_step, settings.control, problem
+            continuation_problem(problem),
+            locus_direction.start,
+            fraction * settings.initial_step,
+            settings.control,
+            problem,
         )
-        if _is_admissible(problem, nearby_point, settings):
-            nearby_direction = LocusDirection(problem, start_point(nearby_point.z, nearby_point.tangent), settings)
-            return LocusSeed(start, special_index, nearby_direction, origin=direction.start.z)
-    return LocusSeed(start, special_index, direction)
+        if _is_admissible_point(problem, nearby_point, settings):
+            nearby_direction = LocusDirection(problem, make_start_point(nearby_point.z, nearby_point.tangent), settings)
+            return LocusSeed(locus_start, special_record, nearby_direction, origin_z=locus_direction.start.z)
+    return LocusSeed(locus_start, special_record, locus_direction)
 
 
-def _fold_guesses(problem, z, control):
-    """Yield `Point` guesses of the SN of a pair of orbits at small distances along the null vector v of its equations.
+def _pair_fold_guesses(problem, z, step_control):
+    """Yield candidates for a `Point` on the SN of a pair of orbits, at small distances s along the null vector v.
 
     Newton's method starts from the second-order expansion ``u + s v + s^2 h`` of the pair at the parameters of the
-    point. Its matrix is of order s^3, its error of order s^5.
+    point. The Newton matrix is of order s^3, and the error of the expansion is of order s^5.
     """
     n_unknowns = 2 * len(problem.sequence.sides)
-    scale = control.scale[:n_unknowns]
+    arclength_weights = step_control.scale[:n_unknowns]
     jacobian = augmented_systems.jacobian_at(continuation_problem(problem), z, problem)[:n_unknowns, :n_unknowns]
     null_vector = augmented_systems.null_vector(jacobian)
-    null_vector = null_vector / np.linalg.norm(scale * null_vector)
+    null_vector = null_vector / np.linalg.norm(arclength_weights * null_vector)
     null_vector = null_vector * np.sign(null_vector[np.flatnonzero(abs(null_vector) > 0.5 * abs(null_vector).max())[0]])
-    null_direction = np.append(null_vector, [0.0, 0.0])
-    end_jacobians = augmented_systems.jacobians_at(
-        continuation_problem(problem), z + DIFFERENCE_STEP * np.stack([null_direction, -null_direction]), problem
+    null_z_direction = np.append(null_vector, [0.0, 0.0])
+    shifted_jacobians = augmented_systems.jacobians_at(
+        continuation_problem(problem), z + DIFFERENCE_STEP * np.stack([null_z_direction, -null_z_direction]), problem
     )[:, :n_unknowns, :n_unknowns]
     second_order_shift = np.linalg.lstsq(
-        jacobian, -0.25 / DIFFERENCE_STEP * (end_jacobians[0] - end_jacobians[1]) @ null_vector, SINGULAR_RATIO
+        jacobian, -0.25 / DIFFERENCE_STEP * (shifted_jacobians[0] - shifted_jacobians[1]) @ null_vector, SINGULAR_RATIO
     )[0]
-    for step_length in NULL_VECTOR_STEPS:
-        guess = z + step_length * null_direction + step_length**2 * np.append(second_order_shift, [0.0, 0.0])
+    for null_step in NULL_VECTOR_STEPS:
+        guess = z + null_step * null_z_direction + null_step**2 * np.append(second_order_shift, [0.0, 0.0])
         yield event_search.take_step(
-            continuation_problem(problem), start_point(guess, null_direction), 0.0, control, problem
+            continuation_problem(problem), make_start_point(guess, null_z_direction), 0.0, step_control, problem
         )
 
 
-def track_seed(seed, step_settings):
-    """Track a `LocusSeed`; return the arguments of `build_locus`: start, forward parts, backward parts."""
-    segment = track_locus(seed.forward_direction) if seed.origin is None else _track_from_origin(seed)
+def track_locus_seed(locus_seed, step_settings):
+    """Track a `LocusSeed`; return (start, forward parts, backward parts), the arguments of `build_locus`."""
+    segment = (
+        track_locus(locus_seed.forward_direction) if locus_seed.origin_z is None else _track_from_origin(locus_seed)
+    )
     forward_parts = track_across_walls(
-        seed.start,
-        seed.forward_direction,
+        locus_seed.start,
+        locus_seed.forward_direction,
         step_settings,
-        segment._replace(specials=(seed.special_index, *segment.specials)),
+        segment._replace(specials=(locus_seed.special_index, *segment.specials)),
     )
-    is_closed = seed.backward_direction is None or forward_parts[0][1].end is End.CLOSED
+    is_closed = locus_seed.backward_direction is None or forward_parts[0][1].end is End.CLOSED
     return (
-        seed.start,
+        locus_seed.start,
         forward_parts,
-        () if is_closed else track_across_walls(seed.start, seed.backward_direction, step_settings),
+        () if is_closed else track_across_walls(locus_seed.start, locus_seed.backward_direction, step_settings),
     )
 
 
-def _track_from_origin(seed):
-    """Return the segment of a direction that begins at a small distance from its point, with this point prepended."""
-    segment, z = track_locus(seed.forward_direction), seed.origin
-    length = np.linalg.norm(seed.forward_direction.settings.control.scale * (segment.points.z[0] - z))
-    first_row = start_point(z, (segment.points.z[0] - z) / length)
+def _track_from_origin(locus_seed):
+    """Track a seed that begins at a small distance from its point; return the segment with the point prepended."""
+    segment, z = track_locus(locus_seed.forward_direction), locus_seed.origin_z
+    origin_distance = np.linalg.norm(locus_seed.forward_direction.settings.control.scale * (segment.points.z[0] - z))
+    origin_point = make_start_point(z, (segment.points.z[0] - z) / origin_distance)
     points = map_fields(
-        lambda leaf, first_entry: np.concatenate([np.asarray(first_entry)[None], leaf]), segment.points, first_row
+        lambda leaf, first_entry: np.concatenate([np.asarray(first_entry)[None], leaf]), segment.points, origin_point
     )
-    points.step[1] = length
+    points.step[1] = origin_distance
     diagnostics = map_fields(
         lambda leaf, first_entry: np.concatenate([first_entry, leaf]),
         segment.diagnostics,
@@ -271,5 +323,5 @@ def _track_from_origin(seed):
     return segment._replace(
         points=points,
         diagnostics=diagnostics,
-        specials=tuple(special_index._replace(row=special_index.row + 1) for special_index in segment.specials),
+        specials=tuple(special_record._replace(row=special_record.row + 1) for special_record in segment.specials),
     )

@@ -1,9 +1,9 @@
-"""Continue a fold or grazing to other numbers of its scene, and compute the gradient of its value.
+"""Continue a fold or grazing to other values of scene parameters, and compute the gradient of its value.
 
-F(u, p, q) = 0 are the equations of an orbit, p the value of the point, q the other numbers. At a fold F_u is singular,
-with left null vector w, and ``dp/dq = -(w F_q) / (w F_p)``. At a grazing one speed is zero and is not an unknown. The
-remaining matrix of (F_u, F_p) is regular, and dp/dq is the last row of ``-(F_u, F_p)^-1 F_q``. No second derivative is
-required.
+F(u, p, q) = 0 are the equations of an orbit with unknowns u, the value p of the special point, and the other scene
+parameters q. At a fold, F_u is singular with left null vector w, and ``dp/dq = -(w F_q) / (w F_p)``. At a grazing, one
+speed is zero and is not an unknown. The remaining matrix (F_u, F_p) is regular, and dp/dq is the last row of
+``-(F_u, F_p)^-1 F_q``. No second derivatives are required.
 """
 
 from contextlib import suppress
@@ -15,19 +15,19 @@ from jaxtyping import Float, Int
 
 from continuation import augmented_systems
 
-from ..problem.equations import OrbitEquations, continuation_problem
+from ..problem.orbit_equations import OrbitEquations, continuation_problem
 from ..scene import check
-from ..scene.parameters import mark_parameters
 from ..scene.scene import Scene
-from .extended_system import GrazingEquations
-from .locus_start import locus_problems, make_locus_start
+from ..scene.scene_parameters import mark_parameters
+from .locus_equations import GrazingEquations
+from .locus_start import make_locus_start, problems_at_locus_start
 
 MIN_FRACTION = 1.0 / 256.0  # of the path: the continuation ends if a shorter step fails
 MAX_CHANGE = 0.3  # relative to 1 + the largest unknown: largest change in a step
 
 
 class ContinuedPoint(NamedTuple):
-    """Fold or grazing with the numbers of its scene that can be changed.
+    """Fold or grazing with the scene parameters that can be changed.
 
     Attributes
     ----------
@@ -38,9 +38,9 @@ class ContinuedPoint(NamedTuple):
     zero_speed_indices : numpy.ndarray
         Indices in `z` of speeds that are zero.
     parameter_values : numpy.ndarray
-        Values of the numbers that can be changed. Array of shape (count,).
+        Values of the parameters that can be changed. Array of shape (count,).
     parameter_marks : tuple of Scene
-        For each of these numbers the tree of the scene with 1 at its position.
+        One `Scene` for each of these parameters, with 1 at the position of the parameter and 0 elsewhere.
     residual : float
         Largest residual of the equations.
     """
@@ -58,7 +58,7 @@ class ContinuedPoint(NamedTuple):
         return float(self.z[-1])
 
 
-def prepare_point(special, names):
+def make_continued_point(special, names):
     """Make the `ContinuedPoint` of a special point.
 
     Parameters
@@ -66,49 +66,49 @@ def prepare_point(special, names):
     special : Special
         Special point of kind SN or GR.
     names : sequence of str
-        Names of the numbers that can be changed.
+        Names of the scene parameters that can be changed.
 
     Returns
     -------
     ContinuedPoint
-        The point; at a GR that of the first contact that determines its value.
+        The point. At a GR with several contacts, the first contact that determines the value of the point is used.
 
     Raises
     ------
     ArgumentError
-        If the point is of another kind, or if its parameter does not move it.
+        If the equations of the point do not determine its parameter value.
     """
     start = make_locus_start(special)
-    for problem_and_z in locus_problems(start, (special.name, *names)):
-        point = _make_point(*problem_and_z, special.name, names)
+    for problem_and_z in problems_at_locus_start(start, (special.name, *names)):
+        point = _continued_point_of(*problem_and_z, special.name, names)
         with suppress(np.linalg.LinAlgError):
-            parameter_gradient(point)
+            value_gradient(point)
             return point
     raise check.ArgumentError("special", f"must depend on {special.name}", start.kind)
 
 
-def _make_point(problem, z, name, names):
-    """Make the `ContinuedPoint` of a point of a curve along one parameter and others."""
-    n_rows, unknowns = len(problem.sequence.sides), z[: len(z) - len(names)]
-    scene, value_marks = mark_parameters(problem.scene, name)
+def _continued_point_of(problem, z, value_name, names):
+    """Make the `ContinuedPoint` from equations and z whose parameters are `value_name`, then `names`."""
+    n_rows, orbit_z = len(problem.sequence.sides), z[: len(z) - len(names)]
+    scene, value_marks = mark_parameters(problem.scene, value_name)
     zero_speed_indices = (
-        n_rows + np.flatnonzero(problem.row_mask) if isinstance(problem, GrazingEquations) else np.zeros(0, int)
+        n_rows + np.flatnonzero(problem.special_row_mask) if isinstance(problem, GrazingEquations) else np.zeros(0, int)
     )
     parameter_marks = tuple(mark_parameters(scene, parameter_name)[1] for parameter_name in names)
     point = ContinuedPoint(
         OrbitEquations(scene, value_marks, problem.sequence._replace(grazing=None)),
-        unknowns,
+        orbit_z,
         zero_speed_indices,
-        z[len(unknowns) :],
+        z[len(orbit_z) :],
         parameter_marks,
         np.nan,
     )
-    point = _with_parameters(point, point.parameter_values)  # `mark_parameters` sets the hardness to zero
-    return _solve_point(point) or point
+    point = _with_parameter_values(point, point.parameter_values)  # `mark_parameters` sets the hardness to zero
+    return _correct_point(point) or point
 
 
-def parameter_gradient(point):
-    """Compute the gradient of the value of a point with respect to its numbers.
+def value_gradient(point):
+    """Compute the gradient of the value of a point with respect to its changeable parameters.
 
     Parameters
     ----------
@@ -120,24 +120,26 @@ def parameter_gradient(point):
     numpy.ndarray
         Gradient dp/dq. Array of shape (count,).
     """
-    jacobian, parameter_columns = _jacobian(point.problem, point.z), _parameter_columns(point)
+    jacobian, parameter_jacobian = _orbit_jacobian(point.problem, point.z), _parameter_jacobian(point)
     if len(point.zero_speed_indices):
-        return -np.linalg.solve(np.delete(jacobian, point.zero_speed_indices, 1), parameter_columns)[-1]
+        return -np.linalg.solve(np.delete(jacobian, point.zero_speed_indices, 1), parameter_jacobian)[-1]
     left_null = augmented_systems.null_vector(jacobian[:, :-1].T)
-    return -(left_null @ parameter_columns) / (left_null @ jacobian[:, -1])
+    return -(left_null @ parameter_jacobian) / (left_null @ jacobian[:, -1])
 
 
-def continue_point(point, target_values, n_steps=1):
-    """Continue a point to other values of its numbers.
+def continue_to_values(point, target_values, n_steps=1):
+    """Continue a point to other values of its changeable parameters.
 
-    The straight path is divided into steps, which are halved where Newton's method fails.
+    The straight path to the target values is divided into steps. A step is halved if Newton's method fails or if the
+    unknowns change too much, and doubled after a success. The continuation ends before the target if a step becomes
+    shorter than `MIN_FRACTION` of the path.
 
     Parameters
     ----------
     point : ContinuedPoint
         The point.
     target_values : array_like
-        Values of the numbers at the end. Array of shape (count,).
+        Values of the parameters at the end of the path. Array of shape (count,).
     n_steps : int, optional
         Initial number of steps.
 
@@ -148,57 +150,64 @@ def continue_point(point, target_values, n_steps=1):
     fraction : float
         Fraction of the path that was followed, 1 if the target is reached.
     """
-    start_values, displacement = point.parameter_values, np.asarray(target_values) - point.parameter_values
-    fraction, fraction_step, previous = 0.0, 1.0 / n_steps, None
+    start_values, value_changes = point.parameter_values, np.asarray(target_values) - point.parameter_values
+    fraction, fraction_step, previous_step = 0.0, 1.0 / n_steps, None
     while fraction < 1.0 and fraction_step >= MIN_FRACTION:
         next_fraction = min(1.0, fraction + fraction_step)
         z = np.array(point.z)
-        if previous is not None:  # secant predictor
-            z += (point.z - previous[0].z) * (next_fraction - fraction) / (fraction - previous[1])
+        if previous_step is not None:  # secant predictor
+            z += (point.z - previous_step[0].z) * (next_fraction - fraction) / (fraction - previous_step[1])
         else:
-            z[-1] += parameter_gradient(point) @ displacement * (next_fraction - fraction)
-        next_point = _solve_point(_with_parameters(point, start_values + next_fraction * displacement)._replace(z=z))
+            z[-1] += value_gradient(point) @ value_changes * (next_fraction - fraction)
+        next_point = _correct_point(
+            _with_parameter_values(point, start_values + next_fraction * value_changes)._replace(z=z)
+        )
         if next_point is None or abs(next_point.z - point.z).max() > MAX_CHANGE * (1.0 + abs(point.z).max()):
             fraction_step *= 0.5
         else:
-            previous, point, fraction, fraction_step = (point, fraction), next_point, next_fraction, 2.0 * fraction_step
+            previous_step, point, fraction, fraction_step = (
+                (point, fraction),
+                next_point,
+                next_fraction,
+                2.0 * fraction_step,
+            )
     return point, fraction
 
 
-def _with_parameters(point, parameter_values):
-    """Return the `ContinuedPoint` with other values, without correcting its orbit."""
+def _with_parameter_values(point, parameter_values):
+    """Return the `ContinuedPoint` with other parameter values and an unchanged orbit."""
     scene = point.problem.scene
-    for mask, value in zip(point.parameter_marks, parameter_values, strict=True):
-        scene = _set_marked(scene, mask, value)
+    for parameter_mark, value in zip(point.parameter_marks, parameter_values, strict=True):
+        scene = _set_marked_numbers(scene, parameter_mark, value)
     return point._replace(problem=point.problem._replace(scene=scene), parameter_values=parameter_values)
 
 
-def _set_marked(scene, mask, value):
-    return jax.tree.map(lambda leaf, is_marked: np.where(is_marked, value, leaf), scene, mask)
+def _set_marked_numbers(scene, parameter_mark, value):
+    return jax.tree.map(lambda leaf, is_marked: np.where(is_marked, value, leaf), scene, parameter_mark)
 
 
-def _parameter_columns(point):
-    """Return F_q, one column per number."""
-    scene_at_value = _set_marked(point.problem.scene, point.problem.parameter_marks, point.z[-1])
-    columns = [
-        _jacobian(point.problem._replace(scene=scene_at_value, parameter_marks=mask), np.append(point.z[:-1], value))[
-            :, -1
-        ]
-        for mask, value in zip(point.parameter_marks, point.parameter_values, strict=True)
+def _parameter_jacobian(point):
+    """Return F_q, with one column per parameter."""
+    scene_at_value = _set_marked_numbers(point.problem.scene, point.problem.parameter_marks, point.z[-1])
+    jacobian_columns = [
+        _orbit_jacobian(
+            point.problem._replace(scene=scene_at_value, parameter_marks=parameter_mark), np.append(point.z[:-1], value)
+        )[:, -1]
+        for parameter_mark, value in zip(point.parameter_marks, point.parameter_values, strict=True)
     ]
-    return np.stack(columns, 1)
+    return np.stack(jacobian_columns, 1)
 
 
-def _jacobian(problem, z):
+def _orbit_jacobian(problem, z):
     return augmented_systems.jacobian_at(continuation_problem(problem), z, problem)
 
 
-def _solve_point(point):
-    """Correct a `ContinuedPoint` by Newton's method, or return None if there is none with positive impact speeds."""
+def _correct_point(point):
+    """Correct a `ContinuedPoint` by Newton's method; return None if it fails or an impact speed is not positive."""
     try:
         with np.errstate(all="ignore"):
             solution = (
-                _solve_grazing(point)
+                _correct_grazing(point)
                 if len(point.zero_speed_indices)
                 else augmented_systems.locate_fold(continuation_problem(point.problem), point.z, point.problem)
             )
@@ -208,24 +217,28 @@ def _solve_point(point):
         return None
     sequence = point.problem.sequence
     n_rows = len(sequence.sides)
-    speed_indices = np.setdiff1d(n_rows + np.flatnonzero(sequence.sides != 0), point.zero_speed_indices)
-    return point._replace(z=solution.z, residual=solution.residual) if np.all(solution.z[speed_indices] > 0.0) else None
+    positive_speed_indices = np.setdiff1d(n_rows + np.flatnonzero(sequence.sides != 0), point.zero_speed_indices)
+    return (
+        point._replace(z=solution.z, residual=solution.residual)
+        if np.all(solution.z[positive_speed_indices] > 0.0)
+        else None
+    )
 
 
-def _solve_grazing(point):
-    """Solve with the zero speeds held; return a `PointSolution`."""
-    free_indices = np.delete(np.arange(len(point.z)), point.zero_speed_indices)
+def _correct_grazing(point):
+    """Solve the equations with the zero speeds fixed; return a `RootAndResidual`."""
+    unknown_indices = np.delete(np.arange(len(point.z)), point.zero_speed_indices)
 
-    def expand_unknowns(free_unknowns):
+    def expand_unknowns(reduced_unknowns):
         z = np.zeros(len(point.z))
-        z[free_indices] = free_unknowns
+        z[unknown_indices] = reduced_unknowns
         return z
 
-    def system(free_unknowns):
-        residual, jacobian = augmented_systems.evaluate(
-            continuation_problem(point.problem), expand_unknowns(free_unknowns), point.problem
+    def reduced_system(reduced_unknowns):
+        residual, jacobian = augmented_systems.evaluate_problem(
+            continuation_problem(point.problem), expand_unknowns(reduced_unknowns), point.problem
         )
-        return np.asarray(residual), np.asarray(jacobian)[:, free_indices]
+        return np.asarray(residual), np.asarray(jacobian)[:, unknown_indices]
 
-    solution = augmented_systems.solve_newton(system, point.z[free_indices])
+    solution = augmented_systems.solve_newton(reduced_system, point.z[unknown_indices])
     return solution if solution.z is None else solution._replace(z=expand_unknowns(solution.z))

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from typing import overload
 
-from continuation.limits import limits_of
+from continuation.computation_limits import make_limits
 
 from ..branches import switch as of_branches
 from ..branches.branch import Branch, Special
@@ -11,7 +11,7 @@ from ..branches.follow import Monitors
 from ..branches.switch import FIRST_STEP
 from ..scene import check
 from .locus import Codim2, Locus, build_locus
-from .locus_switching import locus_seeds, track_seed
+from .locus_switching import find_locus_seeds, track_locus_seed
 
 DEPARTURE_LOCI = {  # kind of point: kinds of locus on which other loci emanate from it
     "RG": ("GR",),
@@ -76,7 +76,7 @@ def switch(
         Special point of a branch, of kind SB, BP, PD or GR, or point of codimension two of a locus.
     bounds : tuple of float or dict of str to tuple of float, optional
         Lower and upper bound of the parameter of a branch, or of each parameter of a locus by name. By default the
-        bounds of the curve of the point.
+        bounds of the curve on which the point was located.
     first_step : float, optional
         First arclength step, as in `follow` or `locus`.
     largest_step : float, optional
@@ -97,8 +97,9 @@ def switch(
     Returns
     -------
     tuple of Branch or tuple of Locus
-        The curves that emanate from the point, except the curve on which the point was located. Each starts at the
-        point. Branches emanate from a `Special`, loci from a `Codim2`.
+        The curves that emanate from the point, except the curve on which the point was located. Each curve starts at
+        the point. The exception is the GR on which an SN, PD or SB ends: this locus passes through the point. Branches
+        emanate from a `Special`, loci from a `Codim2`.
 
     Raises
     ------
@@ -122,9 +123,9 @@ def switch(
 
     - RG: the SN and the PD (for a symmetric orbit the SB) of the orbit with the grazing contact as an impact.
     - GPD: the SN of the period-doubled orbit.
-    - DSB: the SN of an asymmetric orbit. The mirror image of the orbit lies on the same curve.
-    - SN, PD and SB on a GR: the locus of that kind of the orbit without the grazing contact. At PD and SB also the GR
-      of the period-doubled or of an asymmetric orbit.
+    - DSB: the SN of an asymmetric orbit. The SN of its mirror image is the same curve in the parameter plane.
+    - SN, PD and SB on a GR: the locus of that kind of the orbit without the grazing contact. From a PD or SB also
+      emanates the GR of the period-doubled orbit or of an asymmetric orbit.
     - GR at which an SN, PD or SB ends: the GR through the point, and the other loci that emanate from that GR.
 
     Examples
@@ -134,9 +135,9 @@ def switch(
     >>> [half.segments[0].label for half in halves]
     ['P111', 'P111']
     """
-    limits = limits_of(max_points, max_seconds, progress, check.ArgumentError)
-    switch_function = _switch_loci if isinstance(special, Codim2) else _switch_branches
-    return switch_function(special, bounds, first_step, largest_step, tolerance, monitors, stop, limits)
+    limits = make_limits(max_points, max_seconds, progress, check.ArgumentError)
+    switch_curves = _switch_loci if isinstance(special, Codim2) else _switch_branches
+    return switch_curves(special, bounds, first_step, largest_step, tolerance, monitors, stop, limits)
 
 
 def _switch_branches(special, *arguments):
@@ -146,24 +147,24 @@ def _switch_branches(special, *arguments):
 
 def _switch_loci(special, bounds, first_step, largest_step, tolerance, monitors, stop, limits):
     """Continue the loci that emanate from a `Codim2`."""
-    _check_codim2(special, monitors, stop)
+    _require_switchable(special, monitors, stop)
     bounds, step_settings = special.bounds if bounds is None else bounds, (first_step, largest_step, tolerance, limits)
     values_text = ", ".join(f"{name} {value:.12g}" for name, value in special.values.items())
     start_reason = f"it left {special.kind} at {values_text}"
     return tuple(
-        build_locus(*track_seed(seed, step_settings), start_reason)
-        for seed in locus_seeds(special, bounds, *step_settings)
+        build_locus(*track_locus_seed(locus_seed, step_settings), start_reason)
+        for locus_seed in find_locus_seeds(special, bounds, *step_settings)
     )
 
 
-def _check_codim2(special, monitors, stop):
-    """Refuse a point from which no loci emanate, and arguments that only branches have."""
+def _require_switchable(special, monitors, stop):
+    """Raise ArgumentError if no loci emanate from a point, or if an argument applies to branches only."""
     if special.on not in DEPARTURE_LOCI.get(special.kind, ()):
         kinds = ", ".join(
             f"{kind} of a locus of {' or '.join(locus_kinds)}" for kind, locus_kinds in DEPARTURE_LOCI.items()
         )
         actual_value = f"{special.kind} of a locus of {special.on}"
         raise check.ArgumentError("special", f"must be a point from which other loci emanate: {kinds}", actual_value)
-    for key, actual_value in (("monitors", monitors), ("stop", stop)):
+    for argument_name, actual_value in (("monitors", monitors), ("stop", stop)):
         if actual_value:
-            raise check.ArgumentError(key, "must be omitted for loci", actual_value)
+            raise check.ArgumentError(argument_name, "must be omitted for loci", actual_value)

@@ -1,6 +1,6 @@
-"""Duration and end of a contact phase within a soft wall: found by certified flight, then made differentiable.
+"""Duration, end and matrix of a contact phase within a soft wall.
 
-The duration is found without derivatives and then corrected by Newton steps that are differentiated.
+Certified flight gives the duration without derivatives. Newton steps then correct the duration and are differentiated.
 """
 
 import math
@@ -11,14 +11,14 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Float
 
-from ..compiled.compiler_hints import choose, stage
-from ..flight import flow, force_law_contact, soft_contact, soft_long_step, taylor
-from ..flight.coefficients import ContactLaw
+from ..compiled.lane_arithmetic import call_without_inlining, choose
+from ..flight import flow, force_law_contact, motion_in_soft_wall, soft_wall_long_step, taylor_polynomials
+from ..flight.flight_coefficients import ContactLaw
 from ..flight.flight_state import CAPPED, Path, SlowMotion
-from ..flight.flows import flow_of
-from ..flight.soft_contact import is_inside
-from ..flight.step import certified_step
-from ..flight.taylor import ExpansionPoint
+from ..flight.flight_step import certified_step
+from ..flight.flow_dispatch import flow_of
+from ..flight.motion_in_soft_wall import is_inside_soft_wall
+from ..flight.taylor_polynomials import ExpansionPoint
 from ..scene.codes import Contact
 
 NEWTON_STEPS = 6  # from the guess of a parabola to the duration of a short contact phase
@@ -26,7 +26,17 @@ MEMORY_STEPS = 8.0  # contact phases up to this many longest steps depend on the
 
 
 class ContactEnd(NamedTuple):
-    """End of a contact phase: duration, velocity relative to the wall, and cosine and sine of the drive."""
+    """End of a contact phase.
+
+    Attributes
+    ----------
+    time : array
+        Duration of the contact phase.
+    v : array
+        Velocity relative to the wall at the exit.
+    cosine, sine : array
+        Cosine and sine of the drive phase at the exit.
+    """
 
     time: Float[jax.Array, "*lanes"]
     v: Float[jax.Array, "*lanes"]
@@ -34,132 +44,154 @@ class ContactEnd(NamedTuple):
     sine: Float[jax.Array, "*lanes"]
 
 
-def contact_time_of(coeffs, contact, y, v, cosine, sine, max_time):
-    """Return the time until lanes within a wall leave it, at most `max_time`; without derivatives.
+def contact_duration_of(
+    coeffs, contact_code, relative_displacement, relative_velocity, drive_cosine, drive_sine, max_duration
+):
+    """Return the time after which lanes within a wall leave the wall, at most `max_duration`; without derivatives.
 
-    The time has full relative accuracy, even if it is short compared with `max_time`. In a stiff wall the influence of
-    the initial state may decay within a thousandth of `max_time`.
+    A time that is short compared with `max_duration` also has full relative accuracy. This accuracy matters in a stiff
+    wall, where the influence of the initial state may decay within a thousandth of `max_duration`. The result is
+    arbitrary for lanes outside the walls. Under a user-defined force or contact law,
+    the result is nan if the limit on the steps is exceeded.
     """
-    zero = lax.full_like(y, 0.0)
-    motion = SlowMotion(y, zero, v, zero, cosine, sine)
-    time_remaining = choose(is_inside(contact), max_time, 0.0)
-    path = Path(y, zero, v, motion, time_remaining, zero, contact)
+    zeros = lax.full_like(relative_displacement, 0.0)
+    slow_motion = SlowMotion(relative_displacement, zeros, relative_velocity, zeros, drive_cosine, drive_sine)
+    time_remaining = choose(is_inside_soft_wall(contact_code), max_duration, 0.0)
+    path = Path(relative_displacement, zeros, relative_velocity, slow_motion, time_remaining, zeros, contact_code)
     if coeffs.contact_law is ContactLaw.FORCE_LAW:
-        exit_path = force_law_contact.traverse_contacts(coeffs, path)
-        exit_remaining = choose(exit_path.time_remaining == CAPPED, jnp.nan, exit_path.time_remaining)
-        return choose(is_inside(contact), (max_time - exit_remaining) - exit_path.time_remaining_low, 0.0 * max_time)
+        path_after_contact = force_law_contact.complete_contact_phases(coeffs, path)
+        remaining_at_exit = choose(
+            path_after_contact.time_remaining == CAPPED, jnp.nan, path_after_contact.time_remaining
+        )
+        return choose(
+            is_inside_soft_wall(contact_code),
+            (max_duration - remaining_at_exit) - path_after_contact.time_remaining_low_part,
+            0.0 * max_duration,
+        )
 
-    def step_lanes(carry):
-        path, n_steps_inside, exit_remaining, exit_remaining_low = carry
+    def step_until_exit(carry):
+        path, n_steps_inside, remaining_at_exit, remaining_at_exit_low = carry
         n_steps_inside = n_steps_inside + 1.0
-        long_step_due = jnp.any(soft_long_step.is_due(path, n_steps_inside))
+        is_long_step_due = jnp.any(soft_wall_long_step.is_long_step_due(path, n_steps_inside))
         path, n_steps_inside = lax.cond(
-            long_step_due,
-            lambda path, n_steps_inside: soft_long_step.take_long_step(coeffs, path, n_steps_inside),
+            is_long_step_due,
+            lambda path, n_steps_inside: soft_wall_long_step.take_long_step(coeffs, path, n_steps_inside),
             lambda *unchanged: unchanged,
             path,
             n_steps_inside,
         )
-        next_path = certified_step(coeffs, path).path
-        has_left_wall = (path.time_remaining > 0) & ~is_inside(next_path.contact)
-        exit_remaining, exit_remaining_low = (
-            choose(has_left_wall, next_path.time_remaining, exit_remaining),
-            choose(has_left_wall, next_path.time_remaining_low, exit_remaining_low),
+        path_after_step = certified_step(coeffs, path).path
+        has_left_wall = (path.time_remaining > 0) & ~is_inside_soft_wall(path_after_step.contact)
+        remaining_at_exit, remaining_at_exit_low = (
+            choose(has_left_wall, path_after_step.time_remaining, remaining_at_exit),
+            choose(has_left_wall, path_after_step.time_remaining_low_part, remaining_at_exit_low),
         )
         time_remaining, time_remaining_low = (
-            choose(has_left_wall, 0.0, time_part)
-            for time_part in (next_path.time_remaining, next_path.time_remaining_low)
+            choose(has_left_wall, 0.0, remaining_part)
+            for remaining_part in (path_after_step.time_remaining, path_after_step.time_remaining_low_part)
         )
         return (
-            next_path._replace(time_remaining=time_remaining, time_remaining_low=time_remaining_low),
+            path_after_step._replace(time_remaining=time_remaining, time_remaining_low_part=time_remaining_low),
             n_steps_inside,
-            exit_remaining,
-            exit_remaining_low,
+            remaining_at_exit,
+            remaining_at_exit_low,
         )
 
-    *_, exit_remaining, exit_remaining_low = lax.while_loop(
-        lambda carry: jnp.any(carry[0].time_remaining > 0), step_lanes, (path, zero, zero, zero)
+    *_, remaining_at_exit, exit_remaining_low = lax.while_loop(
+        lambda carry: jnp.any(carry[0].time_remaining > 0), step_until_exit, (path, zeros, zeros, zeros)
     )
-    return (max_time - exit_remaining) - exit_remaining_low
+    return (max_duration - remaining_at_exit) - exit_remaining_low
 
 
-def contact_phase_matrix(coeffs, contact, contact_time, free_flow, entry_ratio, exit_ratio):
+def contact_phase_matrix(
+    coeffs, contact_code, contact_duration, flow_matrix_entries, entry_v_over_relative_v, exit_v_over_relative_v
+):
     """Compute the matrix of a contact phase and its determinant.
 
     Parameters
     ----------
     coeffs : FlowCoefficients
         Coefficients of the scene.
-    contact : array
+    contact_code : array
         Contact code of each lane.
-    contact_time : array
+    contact_duration : array
         Duration of the contact phase, in t.
-    free_flow : tuple of array
-        Entries (p00, p01, p11) of the flow within the wall.
-    entry_ratio, exit_ratio : array
-        Ratio v / u at the entry and at the exit, where v is the velocity and u that relative to the wall; 0 without a
-        jump of the damping.
+    flow_matrix_entries : tuple of array
+        Entries (p00, p01, p11) of the flow matrix within the wall.
+    entry_v_over_relative_v, exit_v_over_relative_v : array
+        Ratio v / u at the entry and at the exit, where v is the velocity of the mass and u the velocity relative to the
+        wall. 0 if the contact phase does not begin or end at the surface of the wall.
 
     Returns
     -------
     matrix : tuple of array
         Four entries of the derivative of the final state with respect to the initial state, by rows.
     determinant : array
-        Its determinant.
+        Determinant of the matrix.
 
     Notes
     -----
-    Where the damping jumps from gamma to gamma2 and back, the saltation matrix is S = ((1, 0), (+-2 (gamma - gamma2) v
-    / u, 1)).
+    At the entry the damping jumps from gamma to gamma2, and at the exit back to gamma. The saltation matrices are
+    S = ((1, 0), (+-2 (gamma - gamma2) v / u, 1)), with + at the entry and - at the exit.
     """
-    contact_coeffs = soft_contact.coeffs_by_lane(coeffs, contact)
-    p00, p01, p11 = free_flow
+    contact_coeffs = motion_in_soft_wall.coeffs_by_lane(coeffs, contact_code)
+    p00, p01, p11 = flow_matrix_entries
     damping_jump = 2.0 * (coeffs.damping - contact_coeffs.damping)
-    entry_jump, exit_jump = damping_jump * entry_ratio, damping_jump * exit_ratio
-    shear = (entry_jump - exit_jump) * p00 - p01 * (
-        2.0 * contact_coeffs.damping * entry_jump + contact_coeffs.stiffness + entry_jump * exit_jump
+    entry_saltation, exit_saltation = damping_jump * entry_v_over_relative_v, damping_jump * exit_v_over_relative_v
+    lower_left_entry = (entry_saltation - exit_saltation) * p00 - p01 * (
+        2.0 * contact_coeffs.damping * entry_saltation + contact_coeffs.stiffness + entry_saltation * exit_saltation
     )
-    matrix = p00 + p01 * entry_jump, p01, shear, p11 - p01 * exit_jump
-    return matrix, jnp.exp(-2.0 * contact_coeffs.damping * contact_time)
+    contact_matrix = p00 + p01 * entry_saltation, p01, lower_left_entry, p11 - p01 * exit_saltation
+    return contact_matrix, jnp.exp(-2.0 * contact_coeffs.damping * contact_duration)
 
 
-def wall_to_wall_flow(contact_coeffs, contact, contact_time, response, wall_to_wall):
-    """Return the flow (p00, p01, p11) of a contact phase, with an accurate p01 for wall-to-wall phases.
+def flow_matrix_in_contact(contact_coeffs, contact_code, contact_duration, contact_response, surface_to_surface_start):
+    """Return the entries (p00, p01, p11) of the flow matrix of a contact phase.
 
-    `response` is the `soft_contact.ContactResponse`.
+    `contact_response` is the `motion_in_soft_wall.ContactResponse`. `surface_to_surface_start` is (mask, relative
+    velocity, cosine, sine). The mask selects lanes whose contact phase begins and ends at the surface of the wall. The
+    other entries are the velocity relative to the wall and the drive at the start.
 
-    `wall_to_wall` is (lanes whose contact phase begins and ends at the wall, y', cosine, sine at its start). For these
-    lanes p01 follows from y = 0 at the end, with full relative accuracy where it is small; the stiff wall multiplies
-    it.
+    For the selected lanes p01 follows from the zero displacement at the end, if the duration is between one and
+    `MEMORY_STEPS` longest steps. A small p01 then has full relative accuracy. The accuracy matters because
+    `contact_phase_matrix` multiplies p01 by the stiffness.
     """
-    p00, p01, p11 = response.free_flow
-    is_wall_to_wall, entry_velocity, cosine, sine = wall_to_wall
-    zero = lax.full_like(contact_time, 0.0)
-    is_wall_to_wall &= (contact_time > contact_coeffs.max_step) & (
-        contact_time < MEMORY_STEPS * contact_coeffs.max_step
+    p00, p01, p11 = contact_response.free_flow
+    is_surface_to_surface, entry_velocity, drive_cosine, drive_sine = surface_to_surface_start
+    zero = lax.full_like(contact_duration, 0.0)
+    is_surface_to_surface &= (contact_duration > contact_coeffs.max_step) & (
+        contact_duration < MEMORY_STEPS * contact_coeffs.max_step
     )
-    forced_response, _ = soft_contact.apply_response(contact_coeffs, contact, response, (zero, zero), cosine, sine)
-    return p00, choose(is_wall_to_wall, -forced_response / choose(is_wall_to_wall, entry_velocity, 1.0), p01), p11
+    end_forced_displacement, _ = motion_in_soft_wall.apply_response(
+        contact_coeffs, contact_code, contact_response, (zero, zero), drive_cosine, drive_sine
+    )
+    return (
+        p00,
+        choose(
+            is_surface_to_surface, -end_forced_displacement / choose(is_surface_to_surface, entry_velocity, 1.0), p01
+        ),
+        p11,
+    )
 
 
-def velocity_ratio(wall_velocity, relative_velocity):
-    """Return the velocity of the mass divided by that relative to the wall.
+def v_over_relative_velocity(wall_velocity, relative_velocity):
+    """Return the velocity of the mass divided by the velocity relative to the wall.
 
     Parameters
     ----------
     wall_velocity, relative_velocity : array
-        Velocity of the wall, and of the mass relative to it.
+        Velocity of the wall, and velocity of the mass relative to the wall.
 
     Returns
     -------
     array
-        The ratio; 1 for a wall at rest, whatever the speed.
+        The ratio; 1 for a wall at rest, also if the relative velocity is zero.
     """
     return 1.0 + choose(wall_velocity == 0, 0.0, wall_velocity / relative_velocity)
 
 
-def matrix_product(left_matrix, right_matrix):
-    """Multiply two matrices.
+def multiply_2x2_matrices(left_matrix, right_matrix):
+    """Multiply two matrices of shape (2, 2).
 
     Parameters
     ----------
@@ -171,89 +203,127 @@ def matrix_product(left_matrix, right_matrix):
     tuple of array
         Four entries of the product by rows.
     """
-    (a, b, c, d), (e, f, g, h) = left_matrix, right_matrix
-    return a * e + b * g, a * f + b * h, c * e + d * g, c * f + d * h
+    (left_00, left_01, left_10, left_11), (right_00, right_01, right_10, right_11) = left_matrix, right_matrix
+    return (
+        left_00 * right_00 + left_01 * right_10,
+        left_00 * right_01 + left_01 * right_11,
+        left_10 * right_00 + left_11 * right_10,
+        left_10 * right_01 + left_11 * right_11,
+    )
 
 
-def solve_contact_end(coeffs, side, cosine, sine, speed, approx_time, order):
+def solve_contact_end(coeffs, side, drive_cosine, drive_sine, entry_speed, approximate_duration, order):
     """Compute the `ContactEnd` of lanes that enter a soft wall with a speed.
 
-    Side 0 means no contact; the other arguments are then arbitrary. The result is smooth in all numbers, also where the
-    speed passes through zero: the duration passes through zero with it and is negative beyond. `approx_time` is the
-    duration, and `order` is that of the derivatives that are exact.
+    Side 0 means no contact; the other arguments are then arbitrary. `approximate_duration` is an estimate of the
+    duration of the contact phase. Derivatives are exact up to `order`. The result is a smooth function of all
+    arguments, also at zero speed. For a negative speed the duration is negative.
     """
-    n_newton = math.ceil(math.log2(order + 1))
-    contact = side * Contact.ENTERED
-    contact_coeffs = soft_contact.coeffs_by_lane(coeffs, contact)
-    v, max_step = side * speed, lax.stop_gradient(contact_coeffs.max_step)
-    is_short = abs(approx_time) <= max_step
-    short_end = stage(
+    n_newton_steps = math.ceil(math.log2(order + 1))
+    contact_code = side * Contact.ENTERED
+    contact_coeffs = motion_in_soft_wall.coeffs_by_lane(coeffs, contact_code)
+    entry_velocity, max_step = side * entry_speed, lax.stop_gradient(contact_coeffs.max_step)
+    is_short_contact = abs(approximate_duration) <= max_step
+    short_contact_values = call_without_inlining(
         _short_contact_end,
         contact_coeffs,
-        contact,
-        v,
-        cosine,
-        sine,
-        choose(is_short, approx_time, 0.0),
-        n_newton=n_newton,
+        contact_code,
+        entry_velocity,
+        drive_cosine,
+        drive_sine,
+        choose(is_short_contact, approximate_duration, 0.0),
+        n_newton_steps=n_newton_steps,
     )
-    v = choose(is_short, side + 0.0 * v, v)
-    long_end = stage(
+    entry_velocity = choose(is_short_contact, side + 0.0 * entry_velocity, entry_velocity)
+    long_contact_values = call_without_inlining(
         _long_contact_end,
         contact_coeffs,
-        contact,
-        v,
-        cosine,
-        sine,
-        choose(is_short, 0.1 * max_step, approx_time),
+        contact_code,
+        entry_velocity,
+        drive_cosine,
+        drive_sine,
+        choose(is_short_contact, 0.1 * max_step, approximate_duration),
         order=order,
     )
-    contact_time, exit_velocity = (
-        choose(is_short, *short_and_long) for short_and_long in zip(short_end, long_end, strict=True)
+    contact_duration, exit_velocity = (
+        choose(is_short_contact, *short_and_long_value)
+        for short_and_long_value in zip(short_contact_values, long_contact_values, strict=True)
     )
-    return ContactEnd(contact_time, exit_velocity, *flow.rotate_by_angle(cosine, sine, coeffs.frequency * contact_time))
-
-
-def _short_contact_end(contact_coeffs, contact, v, cosine, sine, contact_time, n_newton):
-    """Return (time, velocity) at the end of a contact phase within one step, with the root at 0 divided out."""
-
-    constants = lax.stop_gradient((contact_coeffs, contact, v, cosine, sine))
-    contact_time = lax.fori_loop(
-        0, NEWTON_STEPS, lambda _, contact_time: _newton_step(*constants, contact_time), contact_time
-    )
-    for _ in range(n_newton):
-        contact_time = stage(_newton_step, contact_coeffs, contact, v, cosine, sine, contact_time)
-    return contact_time, stage(
-        soft_contact.velocity_after_entry, contact_coeffs, contact, v, cosine, sine, contact_time
+    return ContactEnd(
+        contact_duration,
+        exit_velocity,
+        *flow.rotate_phasor_by_angle(drive_cosine, drive_sine, coeffs.frequency * contact_duration),
     )
 
 
-def _newton_step(contact_coeffs, contact, v, cosine, sine, contact_time):
-    def height(contact_time):
-        return soft_contact.displacement_over_time(contact_coeffs, contact, v, cosine, sine, contact_time)
+def _short_contact_end(
+    contact_coeffs, contact_code, entry_velocity, drive_cosine, drive_sine, contact_duration, n_newton_steps
+):
+    """Return (duration, exit velocity) of a short contact phase; the root of the displacement at 0 is divided out."""
 
-    value, slope = jax.jvp(height, (contact_time,), (lax.full_like(contact_time, 1.0),))
-    return contact_time - value / slope
-
-
-def _long_contact_end(contact_coeffs, contact, v, cosine, sine, contact_time, order):
-    """Return (time, velocity) at the end of a longer contact phase, by Taylor polynomials at an accurate time."""
-    y, v = soft_contact.apply_response(
+    frozen_arguments = lax.stop_gradient((contact_coeffs, contact_code, entry_velocity, drive_cosine, drive_sine))
+    contact_duration = lax.fori_loop(
+        0,
+        NEWTON_STEPS,
+        lambda _, contact_duration: _duration_newton_step(*frozen_arguments, contact_duration),
+        contact_duration,
+    )
+    for _ in range(n_newton_steps):
+        contact_duration = call_without_inlining(
+            _duration_newton_step,
+            contact_coeffs,
+            contact_code,
+            entry_velocity,
+            drive_cosine,
+            drive_sine,
+            contact_duration,
+        )
+    return contact_duration, call_without_inlining(
+        motion_in_soft_wall.velocity_after_entry,
         contact_coeffs,
-        contact,
-        soft_contact.contact_response(contact_coeffs, contact, contact_time),
-        (lax.full_like(v, 0.0), v),
-        cosine,
-        sine,
+        contact_code,
+        entry_velocity,
+        drive_cosine,
+        drive_sine,
+        contact_duration,
+    )
+
+
+def _duration_newton_step(contact_coeffs, contact_code, entry_velocity, drive_cosine, drive_sine, contact_duration):
+    def displacement_over_time(contact_duration):
+        return motion_in_soft_wall.displacement_per_time(
+            contact_coeffs, contact_code, entry_velocity, drive_cosine, drive_sine, contact_duration
+        )
+
+    quotient, quotient_slope = jax.jvp(
+        displacement_over_time, (contact_duration,), (lax.full_like(contact_duration, 1.0),)
+    )
+    return contact_duration - quotient / quotient_slope
+
+
+def _long_contact_end(
+    contact_coeffs, contact_code, relative_velocity, drive_cosine, drive_sine, contact_duration, order
+):
+    """Return (duration, exit velocity) of a long contact phase, by Taylor polynomials about `contact_duration`."""
+    exit_displacement, relative_velocity = motion_in_soft_wall.apply_response(
+        contact_coeffs,
+        contact_code,
+        motion_in_soft_wall.contact_response(contact_coeffs, contact_code, contact_duration),
+        (lax.full_like(relative_velocity, 0.0), relative_velocity),
+        drive_cosine,
+        drive_sine,
     )
     exit_state = ExpansionPoint(
-        y, v, *flow.rotate_by_angle(cosine, sine, contact_coeffs.frequency * contact_time), contact_time
+        exit_displacement,
+        relative_velocity,
+        *flow.rotate_phasor_by_angle(drive_cosine, drive_sine, contact_coeffs.frequency * contact_duration),
+        contact_duration,
     )
-    jet = flow_of(contact_coeffs).jet_at_point(
+    relative_jet = flow_of(contact_coeffs).jet_at_point(
         contact_coeffs,
         exit_state,
         order,
-        soft_contact.extra_force_derivs(contact_coeffs, contact, *exit_state[2:4], order),
+        motion_in_soft_wall.frame_force_derivs(contact_coeffs, contact_code, *exit_state[2:4], order),
     )
-    delay = taylor.locate_root(jet[: order + 1], order)
-    return contact_time + delay, taylor.evaluate_taylor(jet[1:], delay, order)
+    exit_delay = taylor_polynomials.locate_root_near_zero(relative_jet[: order + 1], order)
+    return contact_duration + exit_delay, taylor_polynomials.evaluate_taylor(relative_jet[1:], exit_delay, order)

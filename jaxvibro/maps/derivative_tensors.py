@@ -1,4 +1,4 @@
-"""Derivatives as arrays with one last axis for each differentiation: selection and contraction with tangents."""
+"""Selection and contraction of derivative tensors: arrays with one trailing axis for each differentiation."""
 
 import jax
 import jax.numpy as jnp
@@ -7,33 +7,43 @@ from jax.custom_derivatives import SymbolicZero
 
 def active_argnums(tangents):
     """Return the indices of the arguments that have tangents; the contact, the last argument, is a constant."""
-    return tuple(k for k, tangent in enumerate(tangents[:-1]) if not isinstance(tangent, SymbolicZero))
+    return tuple(argnum for argnum, tangent in enumerate(tangents[:-1]) if not isinstance(tangent, SymbolicZero))
 
 
 def contract_tangents(tensors, primals, tangents):
-    """Contract the last axis of each array, which runs over the active arguments, with the tangents."""
-    rank = max(map(jnp.ndim, primals))
+    """Contract the last axis of each array with the tangents; this axis runs over the arguments with tangents."""
+    max_primal_ndim = max(map(jnp.ndim, primals))
 
-    def contract(tensor):
-        total = 0.0
-        for k, argnum in enumerate(active_argnums(tangents)):
+    def contract_last_axis(tensor):
+        contraction = 0.0
+        for active_index, argnum in enumerate(active_argnums(tangents)):
             tangent = jnp.asarray(tangents[argnum])
-            shape = (*[1] * (rank - tangent.ndim), *tangent.shape, *[1] * (tensor.ndim - 1 - rank))
-            total = total + tensor[..., k] * tangent.reshape(shape)
-        return total
+            broadcast_tangent_shape = (
+                *[1] * (max_primal_ndim - tangent.ndim),
+                *tangent.shape,
+                *[1] * (tensor.ndim - 1 - max_primal_ndim),
+            )
+            contraction = contraction + tensor[..., active_index] * tangent.reshape(broadcast_tangent_shape)
+        return contraction
 
-    return jax.tree.map(contract, tensors)
+    return jax.tree.map(contract_last_axis, tensors)
 
 
-def select_argnums(tensors, request, axes_argnums):
-    """Narrow the last axes, one for each entry of `axes_argnums`, from the arguments of the request to these."""
+def select_argnums(tensors, request, argnums_by_axis):
+    """Select arguments of differentiation along trailing axes.
 
-    def narrow(tensor):
-        for axis, argnums in enumerate(reversed(axes_argnums), 1):
-            if argnums != request.argnums:
+    The trailing axes run over the arguments of the request. `argnums_by_axis` lists the arguments to keep along each
+    trailing axis, in order of the axes.
+    """
+
+    def select_in_tensor(tensor):
+        for axis_from_end, axis_argnums in enumerate(reversed(argnums_by_axis), 1):
+            if axis_argnums != request.argnums:
                 tensor = jnp.take(
-                    tensor, jnp.array([request.argnums.index(argnum) for argnum in argnums]), tensor.ndim - axis
+                    tensor,
+                    jnp.array([request.argnums.index(argnum) for argnum in axis_argnums]),
+                    tensor.ndim - axis_from_end,
                 )
         return tensor
 
-    return jax.tree.map(narrow, tensors)
+    return jax.tree.map(select_in_tensor, tensors)

@@ -1,4 +1,4 @@
-"""Random initial states: a box of positions and velocities at phase 0."""
+"""Random initial states in a box of positions and velocities at phase 0."""
 
 import jax
 import numpy as np
@@ -11,37 +11,43 @@ MIN_DENOMINATOR = 1e-3  # lower bound of sqrt(D): at resonance without damping t
 
 
 def forced_amplitude(scene):
-    """Return A / sqrt(D), the amplitude of the steady motion without impacts (paper, (8)); sqrt(D) is at least 1e-3.
+    """Return A / sqrt(D), the amplitude of the steady motion without impacts (paper, (8)).
 
-    For a user-defined force it is that of a free mass, A / omega^2, or A if this is smaller. It is the sum over all
-    terms of the drive.
+    D = (1 - omega^2)^2 + 4 gamma^2 omega^2. If sqrt(D) is less than 1e-3, the value 1e-3 is used instead. With a
+    user-defined force the amplitude of a free mass is used, A / max(1, omega^2). The amplitudes of all terms of the
+    drive are added.
     """
-    return sum(amplitude for amplitude, _ in _forced_responses(scene))
+    return sum(term_amplitude for term_amplitude, _ in _forced_amplitudes(scene))
 
 
-def _forced_responses(scene):
+def _forced_amplitudes(scene):
     """Yield (amplitude, frequency) of the steady motion under each term of the drive."""
-    frequency = np.asarray(scene.frequency, float)
-    for amplitude, omega in (
-        (scene.amplitude, frequency),
-        *((term.amplitude, term.harmonic * frequency) for term in scene.drive),
+    drive_frequency = np.asarray(scene.frequency, float)
+    for amplitude, term_frequency in (
+        (scene.amplitude, drive_frequency),
+        *((drive_term.amplitude, drive_term.harmonic * drive_frequency) for drive_term in scene.drive),
     ):
         amplitude = abs(np.asarray(amplitude, float))
         if scene.force is not None:
-            yield amplitude / np.maximum(1.0, omega**2), omega
+            yield amplitude / np.maximum(1.0, term_frequency**2), term_frequency
         else:
             damping = np.asarray(scene.damping, float)
             yield (
-                amplitude / np.maximum(np.hypot((1.0 - omega) * (1.0 + omega), 2.0 * damping * omega), MIN_DENOMINATOR),
-                omega,
+                amplitude
+                / np.maximum(
+                    np.hypot((1.0 - term_frequency) * (1.0 + term_frequency), 2.0 * damping * term_frequency),
+                    MIN_DENOMINATOR,
+                ),
+                term_frequency,
             )
 
 
 def initial_box(scene):
     """Compute the box from which initial states at phase 0 are drawn.
 
-    x lies between the walls. If one is missing, x is at most max(2, 2 forced amplitudes) from the origin and from the
-    other wall. The speed is at most 3 max(1, forced speed).
+    x lies between the walls. If a wall is missing, the box extends on this side to the distance max(2, 2 a) from the
+    origin, or from the other wall if that bound is farther, where a is the `forced_amplitude`. The speed is at most
+    3 max(1, v), where v is the sum of frequency times forced amplitude over the terms of the drive.
 
     Parameters
     ----------
@@ -55,15 +61,31 @@ def initial_box(scene):
     max_speed : numpy.ndarray
         Largest speed.
     """
-    (left_wall, _), (right_wall, _) = jax.tree.map(lambda leaf: np.asarray(leaf, float), wall_states(scene, 0.0))
-    amplitude = forced_amplitude(scene)
-    max_distance = np.maximum(2.0, 2.0 * amplitude)
-    lower = np.where(np.isinf(left_wall), np.minimum(-max_distance, right_wall - max_distance), left_wall)
-    upper = np.where(np.isinf(right_wall), np.maximum(max_distance, left_wall + max_distance), right_wall)
+    (left_wall_position, _), (right_wall_position, _) = jax.tree.map(
+        lambda leaf: np.asarray(leaf, float), wall_states(scene, 0.0)
+    )
+    total_forced_amplitude = forced_amplitude(scene)
+    bound_without_wall = np.maximum(2.0, 2.0 * total_forced_amplitude)
+    lower_x = np.where(
+        np.isinf(left_wall_position),
+        np.minimum(-bound_without_wall, right_wall_position - bound_without_wall),
+        left_wall_position,
+    )
+    upper_x = np.where(
+        np.isinf(right_wall_position),
+        np.maximum(bound_without_wall, left_wall_position + bound_without_wall),
+        right_wall_position,
+    )
     return (
-        lower,
-        upper,
-        3.0 * np.maximum(1.0, sum(omega * term_amplitude for term_amplitude, omega in _forced_responses(scene))),
+        lower_x,
+        upper_x,
+        3.0
+        * np.maximum(
+            1.0,
+            sum(
+                term_frequency * response_amplitude for response_amplitude, term_frequency in _forced_amplitudes(scene)
+            ),
+        ),
     )
 
 
@@ -73,9 +95,9 @@ def draw_initial_states(scene, n_states, seed):
     Parameters
     ----------
     scene : Scene
-        A single scene, or one with a number for each state.
+        A single scene, or a batch with one scene for each state.
     n_states : int
-        Number of states. A larger number begins with the same states.
+        Number of states. The first states do not depend on this number.
     seed : int
         Seed of the random numbers.
 
@@ -93,7 +115,7 @@ def states_in_box(scene, uniform_draws):
     Parameters
     ----------
     scene : Scene
-        A single scene, or one with a number for each state.
+        A single scene, or a batch with one scene for each state.
     uniform_draws : numpy.ndarray
         Numbers from 0 to 1, of shape (states, 2).
 
@@ -102,13 +124,13 @@ def states_in_box(scene, uniform_draws):
     State
         States at phase 0, of shape (states,).
     """
-    lower, upper, max_speed = initial_box(scene)
-    x, v = lower + (upper - lower) * uniform_draws[:, 0], max_speed * (2.0 * uniform_draws[:, 1] - 1.0)
-    zero = np.zeros(len(uniform_draws), scene.dtype)
-    return State(np.clip(x, lower, upper).astype(scene.dtype), v.astype(scene.dtype), zero, zero)
+    lower_x, upper_x, max_speed = initial_box(scene)
+    x, v = lower_x + (upper_x - lower_x) * uniform_draws[:, 0], max_speed * (2.0 * uniform_draws[:, 1] - 1.0)
+    zeros = np.zeros(len(uniform_draws), scene.dtype)
+    return State(np.clip(x, lower_x, upper_x).astype(scene.dtype), v.astype(scene.dtype), zeros, zeros)
 
 
-def box_text(scene, scales=None):
+def format_initial_box(scene, scales=None):
     """Format the `initial_box` of a single scene.
 
     Parameters
@@ -123,6 +145,6 @@ def box_text(scene, scales=None):
     str
         Ranges of x and v.
     """
-    lower, upper, max_speed = (float(bound) for bound in initial_box(scene))
-    x_text, v_text = range_text(scales, LENGTH, lower, upper), range_text(scales, SPEED, -max_speed, max_speed)
+    lower_x, upper_x, max_speed = (float(box_bound) for box_bound in initial_box(scene))
+    x_text, v_text = range_text(scales, LENGTH, lower_x, upper_x), range_text(scales, SPEED, -max_speed, max_speed)
     return f"x {x_text}, v {v_text}"

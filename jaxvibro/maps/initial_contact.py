@@ -1,28 +1,38 @@
-"""Relative state of lanes that start within a soft wall."""
+"""State relative to the wall of lanes that start within a soft wall."""
 
 from jax import lax
 
-from ..compiled.compiler_hints import choose
-from ..flight import taylor
+from ..compiled.lane_arithmetic import choose
+from ..flight import taylor_polynomials
 from ..scene.codes import Contact
 
 
-def initial_relative_state(coeffs, current, start_contact, order=1):
-    """Return (contact, y, y') of lanes that start within a soft wall; contact 0 for other lanes."""
-    contact = lax.full_like(current.x, 0.0)
-    start_contact = start_contact + contact
+def initial_relative_state(coeffs, current_state, start_contact_code, order=1):
+    """Return (contact code, displacement, velocity), relative to the wall, of lanes that start within a soft wall.
+
+    The contact code of other lanes is 0.
+    """
+    contact_code = lax.full_like(current_state.x, 0.0)
+    start_contact_code = start_contact_code + contact_code
     for wall, soft_flow in zip(coeffs.walls, coeffs.soft_flows, strict=True):
         if soft_flow is not None:
-            wall_position, wall_velocity = taylor.wall_state(
-                taylor.wall_derivatives(coeffs, current, contact + wall.sign, 1), 0.0 * contact, 1
+            wall_position, wall_velocity = taylor_polynomials.wall_state(
+                taylor_polynomials.wall_derivatives(coeffs, current_state, contact_code + wall.sign, 1),
+                0.0 * contact_code,
+                1,
             )
-            depth, approach_speed = wall.sign * (current.x - wall_position), wall.sign * (current.v - wall_velocity)
-            is_at_entry = (start_contact * wall.sign == Contact.WITHIN) & (depth <= 0) & (approach_speed >= 0)
-            contact = choose(
-                (start_contact * wall.sign != Contact.LANDED) & (depth > 0), wall.sign * Contact.WITHIN, contact
+            depth, depth_rate = (
+                wall.sign * (current_state.x - wall_position),
+                wall.sign * (current_state.v - wall_velocity),
             )
-            contact = choose(is_at_entry, wall.sign * Contact.ENTERED, contact)
-    wall_position, wall_velocity = taylor.wall_state(
-        taylor.wall_derivatives(coeffs, current, contact, order), 0.0 * contact, order
+            is_at_entry = (start_contact_code * wall.sign == Contact.WITHIN) & (depth <= 0) & (depth_rate >= 0)
+            contact_code = choose(
+                (start_contact_code * wall.sign != Contact.LANDED) & (depth > 0),
+                wall.sign * Contact.WITHIN,
+                contact_code,
+            )
+            contact_code = choose(is_at_entry, wall.sign * Contact.ENTERED, contact_code)
+    wall_position, wall_velocity = taylor_polynomials.wall_state(
+        taylor_polynomials.wall_derivatives(coeffs, current_state, contact_code, order), 0.0 * contact_code, order
     )
-    return contact, current.x - wall_position, current.v - wall_velocity
+    return contact_code, current_state.x - wall_position, current_state.v - wall_velocity

@@ -1,4 +1,4 @@
-"""Iterate many states over any number of periods, in blocks of one compiled shape; record the last periods."""
+"""Iterate many states over many periods in blocks of one compiled shape, and record the last periods."""
 
 from typing import NamedTuple
 
@@ -6,10 +6,16 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from ..compiled.kernels import BLOCK_WIDTH
+from ..compiled.kernel_calls import BLOCK_WIDTH
 from ..scene.codes import Status
 from ..scene.state import State
-from .long_run import MAX_RECORDED_PERIODS, join_blocks, padded_block, run_periods, unroll_ring_buffers
+from .long_iteration import (
+    MAX_RECORDED_PERIODS,
+    iterate_in_batches,
+    join_blocks,
+    take_padded_block,
+    unroll_ring_buffers,
+)
 from .strobe import concrete_strobe
 
 PERIOD_SLOTS = 16  # impacts recorded in a period
@@ -18,8 +24,8 @@ MAX_HOST_PERIODS = 1024  # total periods of a few lanes up to which the host str
 HOST_SLOTS = 4  # impacts that the host records unless a period has more; the default of `strobe`
 
 
-class Iterates(NamedTuple):
-    """Final states of lanes and their last periods: NumPy arrays with periods first, then lanes, then slots.
+class IteratedStates(NamedTuple):
+    """Final states and recorded last periods of lanes, as NumPy arrays with axes (periods, lanes, slots).
 
     Attributes
     ----------
@@ -45,26 +51,28 @@ class Iterates(NamedTuple):
 
     @property
     def points(self) -> Float[np.ndarray, "periods lanes 2"]:
-        """Positions and velocities at the ends of the kept periods, shape (periods, lanes, 2)."""
+        """Positions and velocities at the ends of the recorded periods, array of shape (periods, lanes, 2)."""
         return np.stack([self.x, self.v], -1)
 
     def select_lanes(
-        self, selection: Bool[np.ndarray, " lanes"] | Int[np.ndarray, " some"] | list[int] | slice
-    ) -> "Iterates":
-        """Return the iterates of some lanes.
+        self, lane_selection: Bool[np.ndarray, " lanes"] | Int[np.ndarray, " some"] | list[int] | slice
+    ) -> "IteratedStates":
+        """Return the iterates of the selected lanes.
 
         Parameters
         ----------
-        selection : array of bool or int, list of int, or slice
+        lane_selection : array of bool or int, list of int, or slice
             Selection of lanes.
 
         Returns
         -------
-        Iterates
+        IteratedStates
             Iterates of these lanes.
         """
-        end_state = jax.tree.map(lambda leaf: leaf[selection], self.state)
-        return Iterates(end_state, self.status[selection], *(rows[:, selection] for rows in self[2:]))
+        selected_state = jax.tree.map(lambda leaf: leaf[lane_selection], self.state)
+        return IteratedStates(
+            selected_state, self.status[lane_selection], *(period_rows[:, lane_selection] for period_rows in self[2:])
+        )
 
 
 def iterate(scene, state, periods, slots=PERIOD_SLOTS, max_single_lanes=MAX_SINGLE_LANES):
@@ -73,29 +81,34 @@ def iterate(scene, state, periods, slots=PERIOD_SLOTS, max_single_lanes=MAX_SING
     Parameters
     ----------
     scene : Scene
-        A single scene, or one with a number for each lane.
+        A single scene, or a batch with one scene for each lane.
     state : State
         Initial states, with leaves of shape (lanes,).
     periods : int
-        Number of drive periods, at least 1. Other values need no compilation.
+        Number of drive periods, at least 1. A new value needs no compilation.
     slots : int, optional
         Number of impacts recorded in a period.
     max_single_lanes : int, optional
-        Up to this number, lanes are run one by one. They differ by rounding from those of a block.
+        Up to this number, lanes are run one by one. The results differ by rounding from the results of a block.
 
     Returns
     -------
-    Iterates
+    IteratedStates
         Final states and the last periods, at most `MAX_RECORDED_PERIODS`.
     """
-    n_lanes, width = len(state.x), _block_width(state, slots, max_single_lanes)
-    if width == 1 and n_lanes * periods <= MAX_HOST_PERIODS:
-        blocks = [padded_block((scene, state), lane, 1) for lane in range(n_lanes)]
-        runs = [_iterate_on_host(*block, periods, _required_slots(scene, slots)) for block in blocks]
-        end_state, worst_status, ring_buffers = join_blocks(runs, n_lanes)
+    n_lanes, lanes_per_block = len(state.x), _lanes_per_block(state, slots, max_single_lanes)
+    if lanes_per_block == 1 and n_lanes * periods <= MAX_HOST_PERIODS:
+        arguments_by_lane = [take_padded_block((scene, state), lane, 1) for lane in range(n_lanes)]
+        results_by_lane = [
+            _iterate_on_host(*arguments_of_lane, periods, _slots_of_scene(scene, slots))
+            for arguments_of_lane in arguments_by_lane
+        ]
+        end_state, worst_status, ring_buffers = join_blocks(results_by_lane, n_lanes)
     else:
-        end_state, worst_status, ring_buffers = run_periods(scene, state, periods, _required_slots(scene, slots), width)
-    return Iterates(end_state, worst_status, *unroll_ring_buffers(ring_buffers, periods))
+        end_state, worst_status, ring_buffers = iterate_in_batches(
+            scene, state, periods, _slots_of_scene(scene, slots), lanes_per_block
+        )
+    return IteratedStates(end_state, worst_status, *unroll_ring_buffers(ring_buffers, periods))
 
 
 def final_states(scene, state, periods, max_single_lanes=MAX_SINGLE_LANES):
@@ -104,7 +117,7 @@ def final_states(scene, state, periods, max_single_lanes=MAX_SINGLE_LANES):
     Parameters
     ----------
     scene : Scene
-        A single scene, or one with a number for each lane.
+        A single scene, or a batch with one scene for each lane.
     state : State
         Initial states, with leaves of shape (lanes,).
     periods : int
@@ -119,42 +132,42 @@ def final_states(scene, state, periods, max_single_lanes=MAX_SINGLE_LANES):
     status : numpy.ndarray of int
         Worst status of each lane.
     """
-    return run_periods(
+    return iterate_in_batches(
         scene,
         state,
         periods,
-        _required_slots(scene, PERIOD_SLOTS),
-        _block_width(state, PERIOD_SLOTS, max_single_lanes),
-        record_periods=False,
+        _slots_of_scene(scene, PERIOD_SLOTS),
+        _lanes_per_block(state, PERIOD_SLOTS, max_single_lanes),
+        is_recording_periods=False,
     )[:2]
 
 
-def _block_width(state, slots, max_single_lanes):
-    """Return the number of lanes of a block; few lanes run one by one, which compiles and runs faster than a block."""
+def _lanes_per_block(state, slots, max_single_lanes):
+    """Return the number of lanes of a block; the number is 1 for few lanes, which then compile and run faster."""
     return 1 if len(state.x) <= max_single_lanes else max(1, BLOCK_WIDTH * PERIOD_SLOTS // slots)
 
 
-def _required_slots(scene, slots):
+def _slots_of_scene(scene, slots):
     return 0 if scene.left is None and scene.right is None else slots
 
 
 def _iterate_on_host(scene, state, periods, slots):
-    """Iterate one lane by strobes from the host; results as for `run_periods`."""
+    """Iterate one lane by a call of the map for each period; the results are those of `iterate_in_batches`."""
     scene, state = jax.device_put(jax.tree.map(lambda leaf: np.asarray(leaf).reshape(()), (scene, state)))
-    worst_status, first_slots = int(Status.OK), min(HOST_SLOTS, slots)
+    worst_status, first_attempt_slots = int(Status.OK), min(HOST_SLOTS, slots)
     ring_buffers = [np.zeros((MAX_RECORDED_PERIODS, 1), state.x.dtype) for _ in range(3)]
-    empty_slot_values = (
+    empty_slot_fills = (
         (np.inf, state.x.dtype),
         (0, np.int32),
         (0.0, state.x.dtype),
     )  # time, side and speed of an empty slot
     ring_buffers += [
-        np.full((MAX_RECORDED_PERIODS, 1, slots), *value_and_dtype) for value_and_dtype in empty_slot_values
+        np.full((MAX_RECORDED_PERIODS, 1, slots), *fill_value_and_dtype) for fill_value_and_dtype in empty_slot_fills
     ]
-    for period in range(periods):
-        is_recorded = period >= periods - MAX_RECORDED_PERIODS
-        end_state, impacts = concrete_strobe(scene, state, 1, first_slots, False)
-        if is_recorded and first_slots < slots and int(impacts.status) == Status.FULL:
+    for period_index in range(periods):
+        is_recorded = period_index >= periods - MAX_RECORDED_PERIODS
+        end_state, impacts = concrete_strobe(scene, state, 1, first_attempt_slots, False)
+        if is_recorded and first_attempt_slots < slots and int(impacts.status) == Status.FULL:
             end_state, impacts = concrete_strobe(scene, state, 1, slots, False)
         status = int(impacts.status)
         if worst_status < Status.CAP and (is_recorded or status >= Status.CAP):
@@ -163,7 +176,9 @@ def _iterate_on_host(scene, state, periods, slots):
         if is_recorded:
             period_data = (end_state.x, end_state.v, end_state.contact, impacts.time, impacts.side, impacts.speed)
             for ring_buffer, values in zip(ring_buffers, period_data, strict=True):
-                ring_buffer[(period % MAX_RECORDED_PERIODS, 0, *(slice(size) for size in values.shape))] = values
+                ring_buffer[
+                    (period_index % MAX_RECORDED_PERIODS, 0, *(slice(axis_length) for axis_length in values.shape))
+                ] = values
     return (
         jax.tree.map(lambda leaf: np.asarray(leaf).reshape(1), state),
         np.array([worst_status], np.int32),

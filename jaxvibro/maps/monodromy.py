@@ -1,12 +1,14 @@
-"""Compute the monodromy matrix as a product of flight and saltation matrices (paper, (37)), without autodiff.
+"""Monodromy matrix as a product of flight and saltation matrices (paper, (37)), without automatic differentiation.
 
-P(t) is the matrix of the free flow. The saltation matrix Q follows from the impact law and from the condition that
-defines the time of the impact. With u = v- - v_b,
+A flight of duration t has the matrix P(t) of the free flow. An impact on a rigid wall has the saltation matrix Q, which
+follows from the impact law and from the condition that defines the time of the impact. In a soft wall the matrix of the
+contact phase replaces Q. With u = v- - v_b,
 
     Q = ((-R, 0), ((a+ + R a- - (1 + R) a_b) / u, -R)),
 
-where a- and a+ are the accelerations before and after the impact, and v_b and a_b are the velocity and acceleration of
-the wall. If the mass sticks, its state does not depend on its past: M = 0.
+where v- is the velocity before the impact, a- and a+ are the accelerations before and after the impact, v_b and a_b are
+the velocity and acceleration of the wall, and R is the coefficient of restitution. If the mass sticks, its later state
+does not depend on the initial state, and the monodromy matrix is zero.
 """
 
 from dataclasses import replace
@@ -17,30 +19,30 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Float
 
-from ..compiled.blocks import MIN_LANES, run_in_blocks, vmap_as_lanes
-from ..compiled.compiler_hints import COMPILER_OPTIONS, choose, stage
-from ..compiled.kernels import call_as_kernel
-from ..flight.coefficients import ContactLaw, compute_coefficients
-from ..flight.flows import flow_of
-from ..flight.impact import wall_surface
-from ..flight.soft_contact import is_soft_side
-from ..flight.soft_contact import restitution_of as restitution
-from ..flight.taylor import ExpansionPoint
-from ..flight.wall_motion import subtract, wall_jet_on_side
+from ..compiled.kernel_calls import call_as_kernel
+from ..compiled.lane_arithmetic import COMPILER_OPTIONS, call_without_inlining, choose
+from ..compiled.lane_blocks import MIN_LANES, run_in_blocks, vmap_as_lanes
+from ..flight.flight_coefficients import ContactLaw, make_flow_coefficients
+from ..flight.flow_dispatch import flow_of
+from ..flight.impact import wall_state_and_force
+from ..flight.motion_in_soft_wall import is_soft_side
+from ..flight.motion_in_soft_wall import restitution_of as restitution
+from ..flight.taylor_polynomials import ExpansionPoint
+from ..flight.wall_motion import subtract_optional, wall_jet_on_side
 from ..scene import check
 from ..scene.codes import Contact, Status
 from ..scene.scene import Scene
-from ..scene.state import State, state_arrays
-from . import force_law_matrix, initial_contact, linear_contact_matrix, one_period
-from .contact_duration import matrix_product
+from ..scene.state import State, make_state_arrays
+from . import force_law_contact_matrix, initial_contact, linear_contact_matrix, reference_strobe
+from .contact_duration import multiply_2x2_matrices
+from .end_time_and_contact import EndTimeAndContact
 from .monodromy_state import MonodromyState
-from .one_period import REPLAY_SLOTS
-from .path_end import PathEnd
+from .reference_strobe import REPLAY_SLOTS
 
 CONTACT_PASSAGES = {
     ContactLaw.RIGID: None,
-    ContactLaw.LINEAR: linear_contact_matrix.pass_contact_phase,
-    ContactLaw.FORCE_LAW: force_law_matrix.pass_contact_phase,
+    ContactLaw.LINEAR: linear_contact_matrix.propagate_contact_phase,
+    ContactLaw.FORCE_LAW: force_law_contact_matrix.propagate_contact_phase,
 }
 
 
@@ -48,7 +50,7 @@ CONTACT_PASSAGES = {
 def monodromy(
     scene: Scene, state: State, periods: int = 1, slots: int = REPLAY_SLOTS
 ) -> Float[jax.Array, "*lanes 2 2"]:
-    """Compute the monodromy matrix: the derivative of the end state by the initial state.
+    """Compute the monodromy matrix, the derivative of the final state with respect to the initial state.
 
     The matrix is the product of the flight matrices and the saltation matrices of the impacts (paper, (37)).
 
@@ -57,18 +59,19 @@ def monodromy(
     scene : Scene
         Oscillator, drive and walls. A single scene or a batch.
     state : State
-        Initial state at its phase; its numbers broadcast with those of `scene`.
+        Initial state at its phase. The fields broadcast with the fields of `scene`.
     periods : int, optional
         Number of drive periods, at least 1.
     slots : int, optional
-        Largest number of impacts per period, at least 1.
+        Largest average number of impacts per period, at least 1.
 
     Returns
     -------
     Array of shape (..., 2, 2)
         Derivative of the final (x, v), by rows, with respect to the initial (x, v). It is nan if the status is CAP or
-        worse, or if there are more than `slots` impacts per period and the mass does not stick. It is zero if the mass
-        sticks to a wall. At a grazing the derivative does not exist, and the entries are inf or nan.
+        worse, or if there are more than `slots` impacts per period on average and the mass does not stick. The matrix
+        is zero if the mass sticks to a wall. At a grazing the derivative does not exist, and the entries are inf or
+        nan.
 
     Raises
     ------
@@ -90,39 +93,41 @@ def monodromy(
     >>> np.linalg.eigvals(matrix).round(6)
     array([-0.235309+0.350203j, -0.235309-0.350203j])
     """
-    periods, slots = check.whole_number("periods", periods, 1), check.whole_number("slots", slots, 1)
-    leaves, tree = jax.tree.flatten((scene, state_arrays(scene, state)))
+    periods, slots = check.check_whole_number("periods", periods, 1), check.check_whole_number("slots", slots, 1)
+    leaves, treedef = jax.tree.flatten((scene, make_state_arrays(scene, state)))
     is_traced = check.is_traced(*leaves)
-    return (_traced_monodromy if is_traced else _compiled_monodromy)(tree, periods, slots * periods)(*leaves)
+    return (_traced_monodromy if is_traced else _compiled_monodromy)(treedef, periods, slots * periods)(*leaves)
 
 
 @cache
-def _traced_monodromy(tree, periods, slots):
-    run = jax.custom_jvp(vmap_as_lanes(jax.jit(partial(_matrices_in_blocks, tree, periods, slots, 1))))
+def _traced_monodromy(treedef, periods, slots):
+    monodromy_of_leaves = jax.custom_jvp(
+        vmap_as_lanes(jax.jit(partial(_matrices_in_blocks, treedef, periods, slots, 1)))
+    )
 
-    @run.defjvp
-    def _(primals, tangents):
+    @monodromy_of_leaves.defjvp
+    def raise_jvp_error(primals, tangents):
         raise TypeError("monodromy has no derivatives; differentiate jax.jacfwd of strobe instead")
 
-    return run
+    return monodromy_of_leaves
 
 
 @cache
-def _compiled_monodromy(tree, periods, slots):
-    return jax.jit(partial(_matrices_in_blocks, tree, periods, slots, MIN_LANES), compiler_options=COMPILER_OPTIONS)
+def _compiled_monodromy(treedef, periods, slots):
+    return jax.jit(partial(_matrices_in_blocks, treedef, periods, slots, MIN_LANES), compiler_options=COMPILER_OPTIONS)
 
 
-def _matrices_in_blocks(tree, periods, slots, min_lanes, *leaves):
+def _matrices_in_blocks(treedef, periods, slots, min_lanes, *leaves):
     """Compute the matrices of all lanes block by block."""
-    scene, state = tree.unflatten(leaves)
+    scene, state = treedef.unflatten(leaves)
     shape = jnp.broadcast_shapes(*map(jnp.shape, leaves))
 
-    def run(arguments):
-        entries = call_as_kernel(_block_monodromy, *arguments, periods=periods, slots=slots)
-        return jnp.stack(entries, -1).reshape(*entries[0].shape, 2, 2)
+    def run_block(arguments):
+        matrix_entries = call_as_kernel(_block_monodromy, *arguments, periods=periods, slots=slots)
+        return jnp.stack(matrix_entries, -1).reshape(*matrix_entries[0].shape, 2, 2)
 
     arguments = scene, replace(state, x=jnp.broadcast_to(state.x, shape))
-    return run_in_blocks(run, arguments, lambda n_lanes: jnp.zeros((n_lanes, 2, 2), scene.dtype), min_lanes)
+    return run_in_blocks(run_block, arguments, lambda n_lanes: jnp.zeros((n_lanes, 2, 2), scene.dtype), min_lanes)
 
 
 def _block_monodromy(scene, state, periods, slots):
@@ -136,7 +141,7 @@ def strobe_with_monodromy(scene, state, periods, slots, clearance=False):
     Parameters
     ----------
     scene, state : Scene, State
-        Numbers of the lanes, as for `strobe_with_product`.
+        Scene and state of the lanes, as for `strobe_with_matrix_state`.
     periods : int
         Number of drive periods.
     slots : int
@@ -151,24 +156,28 @@ def strobe_with_monodromy(scene, state, periods, slots, clearance=False):
     impacts : Impacts
         Recorded impacts.
     matrix : list of array
-        The four entries of the monodromy matrix by rows: nan where it is undefined, zero where the mass sticks.
+        Four entries of the monodromy matrix by rows: nan where the matrix is undefined, 0 where the mass sticks.
     """
-    end, impacts, is_sticking, monodromy_state = strobe_with_product(scene, state, periods, slots, clearance)
-    is_undefined = (impacts.status >= Status.CAP) | ((impacts.count > slots) & ~is_sticking)
+    end_state, impacts, has_stuck, monodromy_state = strobe_with_matrix_state(scene, state, periods, slots, clearance)
+    is_undefined_matrix = (impacts.status >= Status.CAP) | ((impacts.count > slots) & ~has_stuck)
     return (
-        end,
+        end_state,
         impacts,
-        [choose(is_undefined, jnp.nan, choose(is_sticking, 0.0, entry)) for entry in monodromy_state.matrix],
+        [
+            choose(is_undefined_matrix, jnp.nan, choose(has_stuck, 0.0, matrix_entry))
+            for matrix_entry in monodromy_state.matrix
+        ],
     )
 
 
-def strobe_with_product(scene, state, periods, slots, clearance=False):
+def strobe_with_matrix_state(scene, state, periods, slots, clearance=False):
     """Evaluate the map and the product of matrices for a block of lanes, within one kernel.
 
     Parameters
     ----------
     scene, state : Scene, State
-        Numbers of the lanes. ``state.x`` has the shape of the lanes; other numbers are scalars or have this shape.
+        Scene and state of the lanes. ``state.x`` has the shape of the lanes; other fields are scalars or have this
+        shape.
     periods : int
         Number of drive periods.
     slots : int
@@ -185,41 +194,58 @@ def strobe_with_product(scene, state, periods, slots, clearance=False):
     is_sticking : array of bool
         True if the mass sticks at some time, which makes the monodromy matrix zero.
     monodromy_state : MonodromyState
-        State at the end with the product of P and Q. It has no meaning for a status from CAP on, or with more than
-        `slots` impacts.
+        State at the end with the product of the matrices P and Q. The product is meaningless if the status is CAP or
+        worse, or if there are more than `slots` impacts.
     """
-    (end, impacts), (release_time, *_) = one_period.strobe_with_history(scene, state, periods, slots, clearance)
-    is_sticking = (abs(end.contact) == Contact.STUCK) | (abs(state.contact) == Contact.STUCK) | (release_time >= 0)
-    return end, impacts, is_sticking, _monodromy_product(scene, state, impacts, end.contact, periods, slots)
+    (end_state, impacts), (release_time, *_) = reference_strobe.strobe_with_history(
+        scene, state, periods, slots, clearance
+    )
+    has_stuck = (abs(end_state.contact) == Contact.STUCK) | (abs(state.contact) == Contact.STUCK) | (release_time >= 0)
+    return (
+        end_state,
+        impacts,
+        has_stuck,
+        _multiply_path_matrices(scene, state, impacts, end_state.contact, periods, slots),
+    )
 
 
-def _monodromy_product(scene, state, impacts, end_contact, periods, slots):
-    """Multiply the matrices of all flights, impacts and contact phases; `end_contact` is the contact at the end."""
-    coeffs, zero = compute_coefficients(scene), lax.full_like(end_contact, 0.0)
-    flow, pass_contact = flow_of(coeffs), CONTACT_PASSAGES[coeffs.contact_law]
+def _multiply_path_matrices(scene, state, impacts, end_contact_code, periods, slots):
+    """Return the final `MonodromyState`: the product of the matrices of all flights, impacts and contact phases."""
+    coeffs, zero = make_flow_coefficients(scene), lax.full_like(end_contact_code, 0.0)
+    flow_module, propagate_contact = flow_of(coeffs), CONTACT_PASSAGES[coeffs.contact_law]
     impact_rows = impacts.time, impacts.side.astype(zero.dtype), impacts.speed
-    impact_rows = [jnp.moveaxis(entry, -1, 0) for entry in impact_rows]
+    impact_rows = [jnp.moveaxis(slot_array, -1, 0) for slot_array in impact_rows]
     n_impacts = lax.min(jnp.max(impacts.count), jnp.int32(slots)) if coeffs.walls else jnp.int32(0)
 
-    def step_impact(carry):
+    def advance_to_next_impact(carry):
         """Pass a contact phase if one is due, then fly to the next impact, or to the end after the last impact."""
-        k, relative_state, current = carry
+        impact_index, relative_state, current_state = carry
         if relative_state:
-            current = pass_contact(coeffs, relative_state, k > 0, PathEnd(end_time, end_contact), current)
-        time, side, speed = (lax.dynamic_index_in_dim(row, k, keepdims=False) for row in impact_rows)
-        is_last = k == n_impacts
-        is_impact = (side != 0) & ~is_last
-        flight_time = choose(is_last, end_time - current.time, choose(is_impact, time - current.time, 0.0))
-        xv, cosine, sine, flight_matrix = flow.propagate_matrix(
-            coeffs, current.xv, current.cosine, current.sine, flight_time
+            current_state = propagate_contact(
+                coeffs, relative_state, impact_index > 0, EndTimeAndContact(end_time, end_contact_code), current_state
+            )
+        impact_time, side, speed = (lax.dynamic_index_in_dim(row, impact_index, keepdims=False) for row in impact_rows)
+        is_after_last_impact = impact_index == n_impacts
+        is_impact = (side != 0) & ~is_after_last_impact
+        flight_time = choose(
+            is_after_last_impact,
+            end_time - current_state.time,
+            choose(is_impact, impact_time - current_state.time, 0.0),
         )
-        matrix = matrix_product(flight_matrix, current.matrix)
+        xv, drive_cosine, drive_sine, flight_matrix = flow_module.propagate_with_matrix(
+            coeffs, current_state.xv, current_state.cosine, current_state.sine, flight_time
+        )
+        matrix = multiply_2x2_matrices(flight_matrix, current_state.matrix)
         if coeffs.walls:
-            restitution_coeff, shear = stage(saltation_entries, coeffs, side, speed, cosine, sine)
-            impact_matrix = matrix_product((-restitution_coeff, zero, shear, -restitution_coeff), matrix)
-            matrix = tuple(choose(is_impact, new, old) for new, old in zip(impact_matrix, matrix, strict=True))
+            restitution_coeff, saltation_shear = call_without_inlining(
+                saltation_entries, coeffs, side, speed, drive_cosine, drive_sine
+            )
+            matrix_after_impact = multiply_2x2_matrices(
+                (-restitution_coeff, zero, saltation_shear, -restitution_coeff), matrix
+            )
+            matrix = tuple(choose(is_impact, new, old) for new, old in zip(matrix_after_impact, matrix, strict=True))
         if coeffs.walls and xv:
-            xv = _state_after_impact(coeffs, is_impact, side, speed, restitution_coeff, cosine, sine, xv)
+            xv = _state_after_impact(coeffs, is_impact, side, speed, restitution_coeff, drive_cosine, drive_sine, xv)
         if relative_state:
             relative_state = (
                 choose(is_impact & is_soft_side(coeffs, side), side * Contact.ENTERED, 0.0),
@@ -227,44 +253,59 @@ def _monodromy_product(scene, state, impacts, end_contact, periods, slots):
                 side * speed,
             )
         return (
-            k + 1,
+            impact_index + 1,
             relative_state,
-            MonodromyState(current.time + flight_time, xv, cosine, sine, matrix, current.contact_times),
+            MonodromyState(
+                current_state.time + flight_time,
+                xv,
+                drive_cosine,
+                drive_sine,
+                matrix,
+                current_state.total_contact_times,
+            ),
         )
 
-    cosine, sine = jnp.cos(state.phase) + zero, jnp.sin(state.phase) + zero
-    end_time, identity = zero + periods * coeffs.period, (zero + 1.0, zero, zero, zero + 1.0)
-    xv = () if flow.LINEAR and not pass_contact else (state.x + zero, state.v + zero)
+    drive_cosine, drive_sine = jnp.cos(state.phase) + zero, jnp.sin(state.phase) + zero
+    end_time, identity_entries = zero + periods * coeffs.period, (zero + 1.0, zero, zero, zero + 1.0)
+    xv = () if flow_module.LINEAR and not propagate_contact else (state.x + zero, state.v + zero)
     relative_state = (
-        initial_contact.initial_relative_state(coeffs, ExpansionPoint(*xv, cosine, sine, zero), state.contact)
-        if pass_contact
+        initial_contact.initial_relative_state(
+            coeffs, ExpansionPoint(*xv, drive_cosine, drive_sine, zero), state.contact
+        )
+        if propagate_contact
         else ()
     )
-    contact_times = tuple(zero for entry in coeffs.soft_flows if entry is not None)
-    start = MonodromyState(zero, () if flow.LINEAR else xv, cosine, sine, identity, contact_times)
-    return lax.while_loop(lambda carry: carry[0] <= n_impacts, step_impact, (jnp.int32(0), relative_state, start))[-1]
+    total_contact_times = tuple(zero for soft_flow in coeffs.soft_flows if soft_flow is not None)
+    start_state = MonodromyState(
+        zero, () if flow_module.LINEAR else xv, drive_cosine, drive_sine, identity_entries, total_contact_times
+    )
+    return lax.while_loop(
+        lambda carry: carry[0] <= n_impacts, advance_to_next_impact, (jnp.int32(0), relative_state, start_state)
+    )[-1]
 
 
-def _state_after_impact(coeffs, is_impact, side, speed, restitution_coeff, cosine, sine, xv):
-    """Return (x, v) after the impact for lanes that hit a wall, unchanged otherwise."""
+def _state_after_impact(coeffs, is_impact, side, speed, restitution_coeff, drive_cosine, drive_sine, xv):
+    """Return (x, v) after the impact for lanes that hit a wall, and `xv` for other lanes."""
     wall_side = choose(is_impact, side, lax.full_like(side, float(coeffs.walls[0].sign)))
-    wall_position, wall_velocity = wall_surface(coeffs, wall_side, cosine, sine)[:2]
+    wall_position, wall_velocity = wall_state_and_force(coeffs, wall_side, drive_cosine, drive_sine)[:2]
     x, v = xv
     return choose(is_impact, wall_position, x), choose(is_impact, wall_velocity - restitution_coeff * side * speed, v)
 
 
-def saltation_entries(coeffs, side, speed, cosine, sine):
-    """Return R and the lower left entry of Q for an impact on a side; arbitrary values for side 0."""
-    wall_position, wall_velocity, wall_acceleration = wall_jet_on_side(coeffs, side, cosine, sine, 2)
+def saltation_entries(coeffs, side, speed, drive_cosine, drive_sine):
+    """Return R and the lower left entry of the saltation matrix Q of an impact; arbitrary values for side 0."""
+    wall_position, wall_velocity, wall_acceleration = wall_jet_on_side(coeffs, side, drive_cosine, drive_sine, 2)
     restitution_coeff = restitution(coeffs, side) + 0.0 * speed
     wall_velocity = 0.0 if wall_velocity is None else wall_velocity
     approach_velocity = side * speed
-    accelerations = flow_of(coeffs).acceleration_and_jerk
-    acceleration_before, _ = accelerations(coeffs, wall_position, wall_velocity + approach_velocity, cosine, sine)
-    acceleration_after, _ = accelerations(
-        coeffs, wall_position, wall_velocity - restitution_coeff * approach_velocity, cosine, sine
+    acceleration_and_jerk_of = flow_of(coeffs).acceleration_and_jerk
+    mass_accel_before, _ = acceleration_and_jerk_of(
+        coeffs, wall_position, wall_velocity + approach_velocity, drive_cosine, drive_sine
     )
-    weighted_sum = acceleration_after + restitution_coeff * acceleration_before
-    return restitution_coeff, subtract(
-        weighted_sum, None if wall_acceleration is None else (1.0 + restitution_coeff) * wall_acceleration
+    mass_accel_after, _ = acceleration_and_jerk_of(
+        coeffs, wall_position, wall_velocity - restitution_coeff * approach_velocity, drive_cosine, drive_sine
+    )
+    weighted_accelerations = mass_accel_after + restitution_coeff * mass_accel_before
+    return restitution_coeff, subtract_optional(
+        weighted_accelerations, None if wall_acceleration is None else (1.0 + restitution_coeff) * wall_acceleration
     ) / approach_velocity

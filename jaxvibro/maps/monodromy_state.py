@@ -1,19 +1,28 @@
-"""State of a lane on its path, with the matrix of the path."""
+"""State on a path together with the derivative of the state with respect to the initial state."""
 
 from typing import NamedTuple
 
 import jax
 from jaxtyping import Float
 
-from ..compiled.compiler_hints import choose
+from ..compiled.lane_arithmetic import choose
 
 
 class MonodromyState(NamedTuple):
     """State on a path of flights, impacts and contact phases, with its derivative with respect to the initial state.
 
-    `time` is since the start. `xv` is (x, v), or () where the matrix of a flight does not depend on it. `cosine` and
-    `sine` are those of the drive. `matrix` is the derivative of (x, v), by rows, with respect to the initial (x, v).
-    `contact_times` are the times spent within each soft wall, left first.
+    Attributes
+    ----------
+    time : array
+        Time since the start.
+    xv : tuple of array
+        (x, v), or () if the matrix of a flight does not depend on (x, v).
+    cosine, sine : array
+        Cosine and sine of the drive phase.
+    matrix : tuple of array
+        Entries, by rows, of the derivative of (x, v) with respect to the initial (x, v).
+    total_contact_times : tuple of array
+        Total time spent within each soft wall, left first.
     """
 
     time: Float[jax.Array, "*lanes"]
@@ -21,15 +30,15 @@ class MonodromyState(NamedTuple):
     cosine: Float[jax.Array, "*lanes"]
     sine: Float[jax.Array, "*lanes"]
     matrix: tuple[Float[jax.Array, "*lanes"], ...]
-    contact_times: tuple[Float[jax.Array, "*lanes"], ...] = ()
+    total_contact_times: tuple[Float[jax.Array, "*lanes"], ...] = ()
 
 
-def add_contact_time(coeffs, contact, contact_time, contact_times):
-    """Add the duration of a contact phase to the times spent within each soft wall; it is 0 for lanes outside."""
+def add_contact_time(coeffs, contact_code, contact_duration, total_contact_times):
+    """Add the duration of a contact phase, 0 for lanes outside the walls, to the total time within each soft wall."""
     soft_walls = [
         wall for wall, soft_flow in zip(coeffs.walls, coeffs.soft_flows, strict=True) if soft_flow is not None
     ]
     return tuple(
-        time_so_far + choose(contact * float(wall.sign) > 0, contact_time, 0.0)
-        for wall, time_so_far in zip(soft_walls, contact_times, strict=True)
+        previous_total + choose(contact_code * float(wall.sign) > 0, contact_duration, 0.0)
+        for wall, previous_total in zip(soft_walls, total_contact_times, strict=True)
     )

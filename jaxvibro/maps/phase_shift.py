@@ -1,16 +1,16 @@
-"""Advance states by part of a drive period, to another phase of the section."""
+"""Advance states by part of a drive period, to another phase of the stroboscopic section."""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..compiled.compiler_hints import choose
-from ..flight import integrate
-from ..flight.coefficients import compute_coefficients
-from ..flight.entry import start_path
+from ..compiled.lane_arithmetic import choose
+from ..flight import integration_loop
+from ..flight.flight_coefficients import make_flow_coefficients
+from ..flight.path_start import start_path
 from ..scene.codes import Status
 from ..scene.state import State
-from .one_period import state_and_impacts
+from .reference_strobe import state_and_impacts
 
 
 def shift_phase(scene, state, phase):
@@ -23,29 +23,32 @@ def shift_phase(scene, state, phase):
     state : State
         States with leaves of shape (lanes,), all at one phase.
     phase : float
-        New phase of the drive, in rad. The angle to it is from 0 to less than 2 pi.
+        New phase of the drive, in rad. The phase increases by an angle from 0 to less than 2 pi.
 
     Returns
     -------
     end : State
-        States at the new phase. An impact at the end belongs to the flight to it, as for `strobe`.
+        States at the new phase. An impact at the new phase has already happened, as for `strobe`.
     status : numpy.ndarray of int
         Status of each lane, as in `Impacts`.
     """
-    angle = np.mod(phase - float(state.phase[0]), 2.0 * np.pi)
-    if angle == 0.0:
+    drive_angle = np.mod(phase - float(state.phase[0]), 2.0 * np.pi)
+    if drive_angle == 0.0:
         return state, np.zeros(np.shape(state.x), np.int32)
-    end, status = jax.device_get(_fly_angle(scene, state, angle))
-    return State(end.x, end.v, np.full_like(end.x, phase), end.contact), status
+    end_state, status = jax.device_get(_fly_through_angle(scene, state, drive_angle))
+    return State(end_state.x, end_state.v, np.full_like(end_state.x, phase), end_state.contact), status
 
 
 @jax.jit
-def _fly_angle(scene, state, angle):
-    coeffs = compute_coefficients(scene)
-    path, entry_status = start_path(coeffs, state)
-    duration = choose(entry_status == Status.OK, angle / coeffs.frequency, 0.0)
-    loop = integrate.initial_loop_state(coeffs, path._replace(time_remaining=duration), 0, duration)
-    end, impacts = state_and_impacts(
-        coeffs, integrate.run_loop(coeffs, loop, integrate.loop_limits(coeffs, 1)), state, entry_status
+def _fly_through_angle(scene, state, drive_angle):
+    coeffs = make_flow_coefficients(scene)
+    path, start_status = start_path(coeffs, state)
+    duration = choose(start_status == Status.OK, drive_angle / coeffs.frequency, 0.0)
+    loop_state = integration_loop.initial_loop_state(coeffs, path._replace(time_remaining=duration), 0, duration)
+    end_state, impacts = state_and_impacts(
+        coeffs,
+        integration_loop.run_loop(coeffs, loop_state, integration_loop.loop_limits(coeffs, 1)),
+        state,
+        start_status,
     )
-    return end, jnp.asarray(impacts.status)
+    return end_state, jnp.asarray(impacts.status)

@@ -1,4 +1,4 @@
-"""Return maps on the walls: P2 on the left wall and P3 on the right, from impact to impact (paper, 1)."""
+"""Return maps from an impact to the next impact on the same wall: P2 on the left wall, P3 on the right (paper, 1)."""
 
 from dataclasses import dataclass
 
@@ -19,21 +19,21 @@ from .strobe import strobe
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class Return:
-    """Next impact on the same wall, as `return_map` finds it.
+    """Next impact on the same wall, the result of `return_map`.
 
     Attributes
     ----------
     phase : Array
-        Phase of the drive at the impact, in rad, from 0 to 2 pi; nan without one.
+        Phase of the drive at the impact, in rad, from 0 to 2 pi; nan without an impact.
     velocity : Array
         Velocity after the impact, y+, in lengths per t. At a soft wall it is the velocity at the entry. It is nan
         without an impact.
     time : Array
-        Time since the first impact, in t; nan without a further one.
+        Time since the first impact, in t; nan without a next impact.
     between : Array of int
-        Number of impacts on the other wall in between.
+        Number of impacts on the other wall before the next impact; 0 without a next impact.
     found : Array of bool
-        True if there is an impact within the periods.
+        True if there is a next impact on the same wall within the periods and the recorded impacts.
     status : Array of int
         Status of the lanes, as in `Impacts`.
 
@@ -83,7 +83,7 @@ def return_map(
     periods : int, optional
         Number of drive periods in which the next impact is searched, at least 1.
     slots : int, optional
-        Number of impacts recorded in these periods.
+        Number of impacts recorded in these periods, on both walls. Later impacts are not found.
 
     Returns
     -------
@@ -102,8 +102,9 @@ def return_map(
 
     Notes
     -----
-    The map has the derivatives of `strobe`. At a periodic orbit the eigenvalues of the derivative with respect to
-    (phase, velocity) are the multipliers. A contact phase within a soft wall is part of the motion to the next entry.
+    The map has the derivatives of `strobe`. At a periodic orbit with one impact on this wall, the eigenvalues of the
+    derivative with respect to (phase, velocity) are the multipliers. A contact phase within a soft wall is part of the
+    motion to the next entry.
 
     Examples
     --------
@@ -114,24 +115,25 @@ def return_map(
     if side not in SIDES or getattr(scene, side) is None:
         raise check.ArgumentError("side", "must be a wall of the scene, left or right", side)
     wall_index = SIDES.index(side)
-    sign, phase = WALL_SIGNS[wall_index], jnp.asarray(check.real_array("phase", phase, scene.dtype))
-    start_contact = Contact.WITHIN if getattr(scene, side).soft else Contact.LANDED
-    start = State(wall_states(scene, phase)[wall_index][0], velocity, phase, start_contact * sign)
-    _, impacts = strobe(scene, start, periods, slots)
-    is_on_wall = impacts.side == sign
-    has_return, first_index = jnp.any(is_on_wall, axis=-1), jnp.argmax(is_on_wall, axis=-1)
+    wall_sign, phase = WALL_SIGNS[wall_index], jnp.asarray(check.check_real_array("phase", phase, scene.dtype))
+    start_contact_code = Contact.WITHIN if getattr(scene, side).soft else Contact.LANDED
+    start_state = State(wall_states(scene, phase)[wall_index][0], velocity, phase, start_contact_code * wall_sign)
+    _, impacts = strobe(scene, start_state, periods, slots)
+    is_impact_on_wall = impacts.side == wall_sign
+    has_return, return_impact_index = jnp.any(is_impact_on_wall, axis=-1), jnp.argmax(is_impact_on_wall, axis=-1)
     time, speed = (
-        jnp.take_along_axis(values, first_index[..., None], -1)[..., 0] for values in (impacts.time, impacts.speed)
+        jnp.take_along_axis(times_or_speeds, return_impact_index[..., None], -1)[..., 0]
+        for times_or_speeds in (impacts.time, impacts.speed)
     )
     time = jnp.where(has_return, time, jnp.nan)
-    end_phase = phase + scene.frequency * time
-    velocity_after = wall_states(scene, end_phase)[wall_index][1] - scene.bounce(side) * sign * speed
-    n_between = jnp.sum((impacts.side != 0) & (jnp.arange(slots) < first_index[..., None]), axis=-1)
+    return_phase = phase + scene.frequency * time
+    velocity_after = wall_states(scene, return_phase)[wall_index][1] - scene.bounce(side) * wall_sign * speed
+    n_other_wall_impacts = jnp.sum((impacts.side != 0) & (jnp.arange(slots) < return_impact_index[..., None]), axis=-1)
     return Return(
-        jnp.mod(end_phase, 2.0 * jnp.pi),
+        jnp.mod(return_phase, 2.0 * jnp.pi),
         velocity_after,
         time,
-        jnp.where(has_return, n_between, 0),
+        jnp.where(has_return, n_other_wall_impacts, 0),
         has_return,
         impacts.status,
     )

@@ -1,8 +1,9 @@
-"""States of a sample and their derivatives of any order: each piece of the flight is replayed right after it.
+"""States of a sample and their derivatives of any order.
 
-Derivatives pass from piece to piece as a Taylor polynomial of x and v in the active arguments: a replay that starts
-with it gives the polynomial at the end of the piece. The times at which pieces end are constants. One additional
-argument is the delay of a sample from its stop; a sample depends on its own time through this delay only.
+The flight is divided into pieces. Each piece is replayed as soon as it has been simulated. Taylor polynomials of x and
+v in the arguments of differentiation carry the derivatives from piece to piece: a replay that starts with the
+polynomials gives the polynomials at the end of the piece. The times at which pieces end are constants. An additional
+argument is the delay between a sample and its stop. A sample depends on its own time only through this delay.
 """
 
 from functools import cache, partial
@@ -15,30 +16,36 @@ from jax import lax
 from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Float
 
-from ..compiled.blocks import run_in_blocks, vmap_as_lanes
-from ..compiled.compiler_hints import choose, two_sum
-from ..compiled.kernels import call_as_kernel
-from ..flight import flow, impact_log, integrate
-from ..flight.coefficients import compute_coefficients, dekker_product_error
-from ..flight.entry import start_path
+from ..compiled.kernel_calls import call_as_kernel
+from ..compiled.lane_arithmetic import choose, two_sum
+from ..compiled.lane_blocks import run_in_blocks, vmap_as_lanes
+from ..flight import flow, impact_log, integration_loop
+from ..flight.flight_coefficients import dekker_product_error, make_flow_coefficients
 from ..flight.flight_state import CAPPED, absolute_state
+from ..flight.path_start import start_path
 from ..scene.codes import Contact, Status
 from ..scene.state import State
 from .derivative_tensors import active_argnums, contract_tangents, select_argnums
-from .one_period import REPLAY_SLOTS, reported_contact
-from .replay import RecordedImpacts, replay_duration
-from .replay_derivatives import with_derivatives
-from .stops import Stops, fly_to_stops
+from .flight_stops import FlightStops, fly_to_stops
+from .impact_replay import RecordedImpacts, replay_duration
+from .reference_strobe import REPLAY_SLOTS, reported_contact_code
+from .replay_derivatives import make_with_derivatives
 
 MAX_PERIODS = 1e6  # limit of the last time: beyond it the call would seem to hang
 MIN_TIME_EXPONENT = 0.5  # a time 0 is replaced by tiny**0.5, so that an impact at the start is included
 
 
-class SampleRequest(NamedTuple):
+class SampleDerivativeRequest(NamedTuple):
     """Static options of a sample with derivatives.
 
-    `tree` is that of (scene, state), and `order` that of the derivatives. `argnums` are the indices of the arguments of
-    differentiation, among the leaves without the contact, then the times.
+    Attributes
+    ----------
+    tree : PyTreeDef
+        Pytree structure of (scene, state).
+    order : int
+        Highest order of the derivatives.
+    argnums : tuple of int
+        Indices of the arguments of differentiation. The arguments are the leaves without the contact, then the times.
     """
 
     tree: jax.tree_util.PyTreeDef
@@ -46,241 +53,301 @@ class SampleRequest(NamedTuple):
     argnums: tuple[int, ...] = ()
 
 
-class DerivativeState(NamedTuple):
+class PropagatedDerivatives(NamedTuple):
     """Derivatives that are carried along the flight.
 
-    `derivatives` are those of (x, v), order 1 first, with one last axis for each differentiation. `at_stop` holds the
-    same at the last stop, with derivatives with respect to its own time. `start_time` is the time since the start.
-    `is_lost` is 1 where there are no derivatives.
+    Attributes
+    ----------
+    derivatives : tuple of (array, array)
+        Derivatives of x and v, order 1 first, with one trailing axis for each differentiation.
+    derivatives_at_stop : tuple of (array, array)
+        Derivatives at the last stop, which include the derivatives with respect to the time of the sample.
+    start_time : array
+        Time from the start of the flight to the start of the current piece.
+    are_derivatives_lost : array
+        1 where derivatives are not available, 0 elsewhere.
     """
 
     derivatives: tuple[tuple[Float[jax.Array, "..."], Float[jax.Array, "..."]], ...]
-    at_stop: tuple[tuple[Float[jax.Array, "..."], Float[jax.Array, "..."]], ...]
+    derivatives_at_stop: tuple[tuple[Float[jax.Array, "..."], Float[jax.Array, "..."]], ...]
     start_time: Float[jax.Array, "..."]
-    is_lost: Float[jax.Array, "..."]
+    are_derivatives_lost: Float[jax.Array, "..."]
 
 
 @cache
 def differentiable_sample(request):
     """Return the function that maps leaves and times to ((contact, status), ((x, v), derivatives of order 1, ...)).
 
-    All results are real. Lanes come first, then the times; the status has lanes only.
+    All results are real. Arrays have axes (lanes, times), and the status has the axis of the lanes only.
     """
-    inner = jax.jit(partial(sample_in_blocks, request))
-    run = jax.custom_jvp(vmap_as_lanes(lambda *arguments: inner(*arguments), n_rows=1))
+    compiled_sample = jax.jit(partial(sample_in_lane_blocks, request))
+    sample_of_arguments = jax.custom_jvp(
+        vmap_as_lanes(lambda *arguments: compiled_sample(*arguments), n_trailing_axis_args=1)
+    )
 
     def jvp_rule(primals, tangents):
         active_indices = active_argnums(_move_contact_last(tangents))
         if not active_indices:
-            outputs = run(*primals)
+            outputs = sample_of_arguments(*primals)
             return outputs, jax.tree.map(jnp.zeros_like, outputs)
         higher_request = request._replace(
             order=request.order + 1, argnums=tuple(sorted({*request.argnums, *active_indices}))
         )
         contact_and_status, tensors = differentiable_sample(higher_request)(*primals)
-        values = tuple(
-            select_argnums(array, higher_request, [*repeat(request.argnums, order)])
-            for order, array in enumerate(tensors[:-1])
+        tensor_values = tuple(
+            select_argnums(tensor_pair, higher_request, [*repeat(request.argnums, order)])
+            for order, tensor_pair in enumerate(tensors[:-1])
         )
-        jacobians = (
-            select_argnums(array, higher_request, [*repeat(request.argnums, order), active_indices])
-            for order, array in enumerate(tensors[1:])
+        tensor_jacobians = (
+            select_argnums(tensor_pair, higher_request, [*repeat(request.argnums, order), active_indices])
+            for order, tensor_pair in enumerate(tensors[1:])
         )
-        primals_and_tangents = [_add_time_axis(_move_contact_last(array)) for array in (primals, tangents)]
-        tangents_out = tuple(contract_tangents(array, *primals_and_tangents) for array in jacobians)
-        return (contact_and_status, values), (jax.tree.map(jnp.zeros_like, contact_and_status), tangents_out)
+        primals_and_tangents = [
+            _add_time_axis(_move_contact_last(primals_or_tangents)) for primals_or_tangents in (primals, tangents)
+        ]
+        output_tangents = tuple(
+            contract_tangents(tensor_pair, *primals_and_tangents) for tensor_pair in tensor_jacobians
+        )
+        return (contact_and_status, tensor_values), (jax.tree.map(jnp.zeros_like, contact_and_status), output_tangents)
 
-    run.defjvp(jvp_rule, symbolic_zeros=True)
-    return run
+    sample_of_arguments.defjvp(jvp_rule, symbolic_zeros=True)
+    return sample_of_arguments
 
 
-def _move_contact_last(arguments):
-    """Move the contact behind the arguments of differentiation."""
-    return (*arguments[:-2], arguments[-1], arguments[-2])
+def _move_contact_last(leaves_and_times):
+    """Move the contact from the last but one to the last place of the arguments."""
+    return (*leaves_and_times[:-2], leaves_and_times[-1], leaves_and_times[-2])
 
 
 def _add_time_axis(arguments):
-    """Add an axis for the times to the arguments of lanes."""
+    """Add an axis for the times to all arguments except the times and the contact."""
     *leaves, times, contact = arguments
-    widened = [leaf if isinstance(leaf, SymbolicZero) else jnp.asarray(leaf)[..., None] for leaf in leaves]
-    return (*widened, times, contact)
+    leaves_with_time_axis = [
+        leaf if isinstance(leaf, SymbolicZero) else jnp.asarray(leaf)[..., None] for leaf in leaves
+    ]
+    return (*leaves_with_time_axis, times, contact)
 
 
-def sample_in_blocks(request, *arguments):
+def sample_in_lane_blocks(request, *arguments):
     """Evaluate the results of `differentiable_sample` block by block."""
     *leaves, times = arguments
-    _, state = request.tree.unflatten(leaves)
+    _, start_state = request.tree.unflatten(leaves)
     shape = jnp.broadcast_shapes(*map(jnp.shape, leaves), times.shape[:-1])
-    leaves[request.tree.num_leaves - 4] = jnp.broadcast_to(state.x, shape)
+    leaves[request.tree.num_leaves - 4] = jnp.broadcast_to(start_state.x, shape)
     n_times, n_argnums = times.shape[-1], len(request.argnums)
 
-    def empty_results(n_lanes):
-        shapes = [(n_lanes, n_times, *[n_argnums] * order) for order in range(request.order + 1)]
-        pairs = tuple(
-            (jnp.zeros(array_shape, times.dtype), jnp.zeros(array_shape, times.dtype)) for array_shape in shapes
+    def make_zero_results(n_lanes):
+        array_shapes = [(n_lanes, n_times, *[n_argnums] * order) for order in range(request.order + 1)]
+        xv_pairs = tuple(
+            (jnp.zeros(array_shape, times.dtype), jnp.zeros(array_shape, times.dtype)) for array_shape in array_shapes
         )
-        return (jnp.zeros((n_lanes, n_times), times.dtype), jnp.zeros(n_lanes, times.dtype)), pairs
+        return (jnp.zeros((n_lanes, n_times), times.dtype), jnp.zeros(n_lanes, times.dtype)), xv_pairs
 
-    def run(leaves, times):
+    def run_block(leaves, times):
         return call_as_kernel(_sample_block, leaves, times, request=request)
 
-    return run_in_blocks(run, leaves, empty_results, 1, [jnp.broadcast_to(times, (*shape, n_times))])
+    return run_in_blocks(run_block, leaves, make_zero_results, 1, [jnp.broadcast_to(times, (*shape, n_times))])
 
 
 def _sample_block(leaves, times, request):
-    """Evaluate the results of one block."""
+    """Evaluate the results of `differentiable_sample` for one block of lanes."""
     scene, state = request.tree.unflatten(leaves)
     times = jnp.moveaxis(times, -1, 0)
-    coeffs = compute_coefficients(scene)
-    path, entry_status = start_path(coeffs, state)
-    entry_status = choose(entry_status == Status.OK, _time_order_status(times), entry_status)
-    is_too_long = times[-1] > MAX_PERIODS * coeffs.period
-    path = path._replace(time_remaining=choose(is_too_long & (entry_status == Status.OK), CAPPED, path.time_remaining))
-    stops = _make_stops(coeffs, state, times, (entry_status == Status.OK) & ~is_too_long)
-    loop = integrate.initial_loop_state(
-        coeffs, path, 0, coeffs.period + 0.0 * path.x, n_since_release=REPLAY_SLOTS if request.order else 0
+    coeffs = make_flow_coefficients(scene)
+    path, start_status = start_path(coeffs, state)
+    start_status = choose(start_status == Status.OK, _time_order_status(times), start_status)
+    is_beyond_max_time = times[-1] > MAX_PERIODS * coeffs.period
+    path = path._replace(
+        time_remaining=choose(is_beyond_max_time & (start_status == Status.OK), CAPPED, path.time_remaining)
     )
-    derivatives = _initial_derivatives(request, path.x, stops.span[0] * 0.0) if request.order else ()
-    after_piece = partial(_replay_piece, request, leaves, entry_status) if request.order else _reset_log
-    (loop, _), observations = fly_to_stops(
+    stops = _make_stops(coeffs, state, times, (start_status == Status.OK) & ~is_beyond_max_time)
+    loop_state = integration_loop.initial_loop_state(
+        coeffs, path, 0, coeffs.period + 0.0 * path.x, n_slots_since_release=REPLAY_SLOTS if request.order else 0
+    )
+    derivative_state = _initial_derivatives(request, path.x, stops.flight_time[0] * 0.0) if request.order else ()
+    finish_piece = partial(_replay_piece, request, leaves, start_status) if request.order else _reset_impact_log
+    (loop_state, _), stop_observations = fly_to_stops(
         coeffs,
-        loop,
-        derivatives,
+        loop_state,
+        derivative_state,
         stops,
-        integrate.loop_limits(coeffs, 1),
-        after_piece,
-        partial(_observe_stop, coeffs, entry_status),
+        integration_loop.loop_limits(coeffs, 1),
+        finish_piece,
+        partial(_observe_stop, coeffs, start_status),
     )
-    status, contact, xv, at_stop = observations
-    arrays = [jnp.moveaxis(array, 0, state.x.ndim) for array in (contact, *xv)]
-    at_stop = jax.tree.map(lambda array: jnp.moveaxis(array, 0, state.x.ndim), at_stop)
-    return (arrays[0], status[-1]), (tuple(arrays[1:]), *at_stop)
+    status, contact, xv, derivatives_at_stop = stop_observations
+    contact_and_xv = [jnp.moveaxis(array, 0, state.x.ndim) for array in (contact, *xv)]
+    derivatives_at_stop = jax.tree.map(lambda array: jnp.moveaxis(array, 0, state.x.ndim), derivatives_at_stop)
+    return (contact_and_xv[0], status[-1]), (tuple(contact_and_xv[1:]), *derivatives_at_stop)
 
 
 def _time_order_status(times):
     """Return INVALID where times are not finite, negative or not in order, else OK."""
-    is_in_order = jnp.all(jnp.isfinite(times), 0) & (times[0] >= 0) & jnp.all(times[1:] >= times[:-1], 0)
-    return choose(is_in_order, lax.full_like(times[0], Status.OK), Status.INVALID)
+    are_times_in_order = jnp.all(jnp.isfinite(times), 0) & (times[0] >= 0) & jnp.all(times[1:] >= times[:-1], 0)
+    return choose(are_times_in_order, lax.full_like(times[0], Status.OK), Status.INVALID)
 
 
-def _make_stops(coeffs, state, times, is_valid):
-    """Return the `Stops` at the times; lanes that are not valid do not fly."""
+def _make_stops(coeffs, state, times, is_flying_lane):
+    """Return the `FlightStops` at the times; lanes that are not valid have flights of duration 0."""
     previous_times = jnp.concatenate([jnp.zeros_like(times[:1]), times[:-1]])
-    span, span_low = (choose(is_valid + (times < 0), time_part, 0.0) for time_part in two_sum(times, -previous_times))
-    min_time = float(jnp.finfo(times.dtype).tiny) ** MIN_TIME_EXPONENT
-    span = span.at[0].set(choose(is_valid, jnp.maximum(span[0], min_time), 0.0))
-    angle = coeffs.frequency * times
-    cosine, sine = flow.rotate_by_angle(
-        jnp.cos(angle), jnp.sin(angle), dekker_product_error(coeffs.frequency, times, angle)
+    flight_time, flight_time_low = (
+        choose(is_flying_lane + (times < 0), time_part, 0.0) for time_part in two_sum(times, -previous_times)
+    )
+    min_first_time = float(jnp.finfo(times.dtype).tiny) ** MIN_TIME_EXPONENT
+    flight_time = flight_time.at[0].set(choose(is_flying_lane, jnp.maximum(flight_time[0], min_first_time), 0.0))
+    elapsed_angle = coeffs.frequency * times
+    elapsed_cosine, elapsed_sine = flow.rotate_phasor_by_angle(
+        jnp.cos(elapsed_angle), jnp.sin(elapsed_angle), dekker_product_error(coeffs.frequency, times, elapsed_angle)
     )
     start_cosine, start_sine = jnp.cos(state.phase), jnp.sin(state.phase)
-    return Stops(
-        span, span_low, cosine * start_cosine - sine * start_sine, sine * start_cosine + cosine * start_sine, None
+    return FlightStops(
+        flight_time,
+        flight_time_low,
+        elapsed_cosine * start_cosine - elapsed_sine * start_sine,
+        elapsed_sine * start_cosine + elapsed_cosine * start_sine,
+        None,
     )
 
 
-def _observe_stop(coeffs, entry_status, loop, derivatives):
-    """Return (status, contact, (x, v), derivatives) at a stop, nan where there is no state."""
-    path = loop.path
+def _observe_stop(coeffs, start_status, loop_state, derivative_state):
+    """Return (status, contact, (x, v), derivatives) at a stop; results are nan where there is no state."""
+    path = loop_state.path
     x, v = absolute_state(coeffs, path)
     status = choose(path.time_remaining == CAPPED, lax.full_like(x, Status.CAP), Status.OK)
     is_finite = jnp.isfinite(x) & jnp.isfinite(v) & jnp.isfinite(path.cosine)
     status = choose(is_finite, status, Status.NONFINITE)
-    status = choose(entry_status == Status.OK, status, entry_status)
-    is_valid = status == Status.OK
-    xv = tuple(choose(is_valid, component, jnp.nan) for component in (x, v))
-    at_stop = _where_lanes(is_valid & (derivatives.is_lost == 0), derivatives.at_stop, jnp.nan) if derivatives else ()
-    return status, choose(is_valid, reported_contact(path), 0.0), xv, at_stop
+    status = choose(start_status == Status.OK, status, start_status)
+    has_state = status == Status.OK
+    xv = tuple(choose(has_state, component, jnp.nan) for component in (x, v))
+    derivatives_at_stop = (
+        _fill_outside_mask(
+            has_state & (derivative_state.are_derivatives_lost == 0), derivative_state.derivatives_at_stop, jnp.nan
+        )
+        if derivative_state
+        else ()
+    )
+    return status, choose(has_state, reported_contact_code(path), 0.0), xv, derivatives_at_stop
 
 
-def _where_lanes(mask, tree, fill_value):
-    """Replace the arrays of lanes outside a mask by a number."""
+def _fill_outside_mask(lane_mask, array_tree, fill_value):
+    """Replace the entries of lanes outside a mask by a number."""
     return jax.tree.map(
-        lambda array: jnp.where(mask.reshape(*mask.shape, *[1] * (array.ndim - mask.ndim)), array, fill_value), tree
+        lambda array: jnp.where(
+            lane_mask.reshape(*lane_mask.shape, *[1] * (array.ndim - lane_mask.ndim)), array, fill_value
+        ),
+        array_tree,
     )
 
 
-def _reset_log(piece, loop, derivatives):
+def _reset_impact_log(flight_piece, loop_state, derivative_state):
     """Restart the log of impacts at time 0 for the next piece."""
-    history_slots = 0 if loop.impact_slots.since_release is None else REPLAY_SLOTS
-    log, slots = impact_log.empty_log(loop.path.x, 0, piece.length, history_slots)
-    return loop._replace(
-        log=log, impact_slots=slots, release_time=jnp.full_like(loop.release_time, -1.0), n_steps=loop.n_steps * 0.0
-    ), derivatives
+    history_slots = 0 if loop_state.impact_slots.slots_since_release is None else REPLAY_SLOTS
+    log, empty_impact_slots = impact_log.empty_log(loop_state.path.x, 0, flight_piece.duration, history_slots)
+    return loop_state._replace(
+        log=log,
+        impact_slots=empty_impact_slots,
+        release_time=jnp.full_like(loop_state.release_time, -1.0),
+        n_steps=loop_state.n_steps * 0.0,
+    ), derivative_state
 
 
 def _initial_derivatives(request, x, zero):
-    """Return the `DerivativeState` of the start."""
+    """Return the `PropagatedDerivatives` at the start of the flight."""
     x_argnum, n_argnums = request.tree.num_leaves - 4, len(request.argnums)
 
     def zeros_of_order(order):
         return jnp.zeros((*x.shape, *[n_argnums] * order), x.dtype)
 
-    unit_rows = [jnp.array([float(argnum == x_argnum + k) for argnum in request.argnums], x.dtype) for k in (0, 1)]
-    first_order = tuple(zeros_of_order(1) + row for row in unit_rows)
-    all_orders = (first_order, *((zeros_of_order(k), zeros_of_order(k)) for k in range(2, request.order + 1)))
-    return DerivativeState(all_orders, all_orders, zero + 0.0 * x, zero + 0.0 * x)
+    unit_tangents = [jnp.array([float(argnum == x_argnum + k) for argnum in request.argnums], x.dtype) for k in (0, 1)]
+    first_derivatives = tuple(zeros_of_order(1) + unit_tangent for unit_tangent in unit_tangents)
+    derivatives_by_order = (
+        first_derivatives,
+        *((zeros_of_order(k), zeros_of_order(k)) for k in range(2, request.order + 1)),
+    )
+    return PropagatedDerivatives(derivatives_by_order, derivatives_by_order, zero + 0.0 * x, zero + 0.0 * x)
 
 
-def _replay_piece(request, leaves, entry_status, piece, loop, derivatives):
-    """Replay the impacts of a piece and propagate the derivatives through it."""
-    path, (impact_times, speeds, count) = loop.path, impact_log.impacts_since_release(loop.log, loop.impact_slots)
-    times_argnum, base_coeffs = request.tree.num_leaves - 1, compute_coefficients(request.tree.unflatten(leaves)[0])
-    contact = reported_contact(path)
-    end_contact = choose(abs(contact) >= Contact.STUCK, contact, 0.0)
-    has_no_end = (path.time_remaining == CAPPED) | (entry_status != Status.OK)
-    is_sticking = abs(contact) == Contact.STUCK
-    is_lost = has_no_end | ((count > REPLAY_SLOTS) & ~is_sticking)
-    count = choose(is_lost, -1.0, choose(is_sticking, 0.0, count))
-    impacts = RecordedImpacts(impact_times, jnp.sign(speeds), count, loop.release_time, end_contact)
-    start_xv = absolute_state(base_coeffs, piece.path)
+def _replay_piece(request, leaves, start_status, flight_piece, loop_state, derivative_state):
+    """Replay the impacts of a flight piece and propagate the derivatives to the end of the piece."""
+    path, (impact_times, speeds, n_impacts) = (
+        loop_state.path,
+        impact_log.impacts_since_release(loop_state.log, loop_state.impact_slots),
+    )
+    sample_delay_argnum, constant_coeffs = (
+        request.tree.num_leaves - 1,
+        make_flow_coefficients(request.tree.unflatten(leaves)[0]),
+    )
+    contact_code = reported_contact_code(path)
+    end_contact_code = choose(abs(contact_code) >= Contact.STUCK, contact_code, 0.0)
+    has_no_end_state = (path.time_remaining == CAPPED) | (start_status != Status.OK)
+    is_sticking = abs(contact_code) == Contact.STUCK
+    are_derivatives_lost = has_no_end_state | ((n_impacts > REPLAY_SLOTS) & ~is_sticking)
+    n_impacts = choose(are_derivatives_lost, -1.0, choose(is_sticking, 0.0, n_impacts))
+    impacts = RecordedImpacts(impact_times, jnp.sign(speeds), n_impacts, loop_state.release_time, end_contact_code)
+    start_xv = absolute_state(constant_coeffs, flight_piece.path)
 
-    def piece_end(*active_values):
-        increments = [value - lax.stop_gradient(value) for value in active_values]
-        all_leaves = [*leaves[:-1], jnp.zeros_like(derivatives.start_time)]
+    def replay_piece_end(*active_values):
+        argument_increments = [value - lax.stop_gradient(value) for value in active_values]
+        all_leaves = [*leaves[:-1], jnp.zeros_like(derivative_state.start_time)]
         for argnum, value in zip(request.argnums, active_values, strict=True):
             all_leaves[argnum] = value
         scene, state = request.tree.unflatten([*all_leaves[:-1], leaves[-1]])
-        coeffs = compute_coefficients(scene)
-        derivative_rows = zip(*derivatives.derivatives, strict=True)
+        coeffs = make_flow_coefficients(scene)
+        xv_derivatives = zip(*derivative_state.derivatives, strict=True)
         x, v = (
-            _taylor_polynomial(value, orders, increments)
-            for value, orders in zip(start_xv, derivative_rows, strict=True)
+            _taylor_polynomial(value, component_derivatives, argument_increments)
+            for value, component_derivatives in zip(start_xv, xv_derivatives, strict=True)
         )
-        phase = state.phase + coeffs.frequency * derivatives.start_time
-        start_state = State(x, v, phase, reported_contact(piece.path))
-        return replay_duration(coeffs, start_state, impacts, piece.length + all_leaves[times_argnum], request.order)
+        phase = state.phase + coeffs.frequency * derivative_state.start_time
+        start_state = State(x, v, phase, reported_contact_code(flight_piece.path))
+        return replay_duration(
+            coeffs, start_state, impacts, flight_piece.duration + all_leaves[sample_delay_argnum], request.order
+        )
 
-    all_leaves = [*leaves[:-1], jnp.zeros_like(derivatives.start_time)]
-    at_stop = with_derivatives(piece_end, request.order)(*(all_leaves[argnum] for argnum in request.argnums))[1:]
-    forgets_start = is_sticking | (loop.release_time >= 0)
-    is_lost = choose(is_lost, 1.0, choose(forgets_start, 0.0, derivatives.is_lost))
-    next_derivatives = _where_lanes(
-        is_lost == 0,
-        jax.tree.map(partial(_drop_time_derivatives, request.argnums, times_argnum, path.x.ndim), at_stop),
+    all_leaves = [*leaves[:-1], jnp.zeros_like(derivative_state.start_time)]
+    derivatives_at_stop = make_with_derivatives(replay_piece_end, request.order)(
+        *(all_leaves[argnum] for argnum in request.argnums)
+    )[1:]
+    is_independent_of_start = is_sticking | (loop_state.release_time >= 0)
+    are_derivatives_lost = choose(
+        are_derivatives_lost, 1.0, choose(is_independent_of_start, 0.0, derivative_state.are_derivatives_lost)
+    )
+    next_derivatives = _fill_outside_mask(
+        are_derivatives_lost == 0,
+        jax.tree.map(
+            partial(_drop_time_derivatives, request.argnums, sample_delay_argnum, path.x.ndim), derivatives_at_stop
+        ),
         0.0,
     )
-    return _reset_log(
-        piece, loop, DerivativeState(next_derivatives, at_stop, derivatives.start_time + piece.length, is_lost)
+    return _reset_impact_log(
+        flight_piece,
+        loop_state,
+        PropagatedDerivatives(
+            next_derivatives,
+            derivatives_at_stop,
+            derivative_state.start_time + flight_piece.duration,
+            are_derivatives_lost,
+        ),
     )
 
 
-def _taylor_polynomial(value, derivatives, increments):
-    """Evaluate a value with its derivatives of order 1, ... as a polynomial of the increments, which are 0."""
-    total = derivatives[-1]
+def _taylor_polynomial(value, derivatives, argument_increments):
+    """Evaluate a Taylor polynomial, given by value and derivatives, at increments that are 0 but have derivatives."""
+    polynomial = derivatives[-1]
     for order in range(len(derivatives), 0, -1):
-        n_axes = total.ndim - 1
-        terms = [
-            total[..., k] * jnp.reshape(increment, (*jnp.shape(increment), *[1] * (n_axes - jnp.ndim(increment))))
-            for k, increment in enumerate(increments)
+        n_axes_of_term = polynomial.ndim - 1
+        order_terms = [
+            polynomial[..., k]
+            * jnp.reshape(increment, (*jnp.shape(increment), *[1] * (n_axes_of_term - jnp.ndim(increment))))
+            for k, increment in enumerate(argument_increments)
         ]
-        total = (derivatives[order - 2] if order > 1 else value) + sum(terms) / order
-    return total
+        polynomial = (derivatives[order - 2] if order > 1 else value) + sum(order_terms) / order
+    return polynomial
 
 
-def _drop_time_derivatives(argnums, times_argnum, n_lane_axes, tensor):
-    """Set the derivatives with respect to the time of the sample to zero; no later sample depends on it."""
-    mask = jnp.array([float(argnum != times_argnum) for argnum in argnums], tensor.dtype)
+def _drop_time_derivatives(argnums, sample_delay_argnum, n_lane_axes, tensor):
+    """Set the derivatives with respect to the time of the sample to zero; later samples do not depend on this time."""
+    argument_mask = jnp.array([float(argnum != sample_delay_argnum) for argnum in argnums], tensor.dtype)
     for axis in range(tensor.ndim - n_lane_axes):
-        tensor = tensor * mask.reshape(-1, *[1] * axis)
+        tensor = tensor * argument_mask.reshape(-1, *[1] * axis)
     return tensor

@@ -9,7 +9,7 @@ from ..output.units import ANGLE, LENGTH, SPEED, scales_attributes
 from ..scene import check
 from ..scene.codes import Status
 from ..scene.scene import SIDES, Scene
-from ..scene.state import State, check_start, state_arrays
+from ..scene.state import State, check_start_within_walls, make_state_arrays
 from .iterate import MAX_RECORDED_PERIODS, final_states, iterate
 from .phase_shift import shift_phase
 
@@ -45,7 +45,7 @@ def sections(
     Raises
     ------
     ArgumentError
-        If `scene` or `state` is a batch, if a number is invalid, or if the motion ends with a status from CAP on.
+        If `scene` or `state` is a batch, if a number is invalid, or if the status of the motion is CAP or worse.
 
     See Also
     --------
@@ -54,9 +54,9 @@ def sections(
 
     Notes
     -----
-    The map P1 leads from each point on Sigma to the next, and P2 and P3 lead from each impact to the next on the same
-    wall (`return_map`). On Sigma a mass within a soft wall is shown beyond it. At a soft wall an impact is an entry,
-    which leaves the velocity as it is, into the wall. At most 16 impacts per period are recorded.
+    The map P1 leads from each point on Sigma to the next. P2 and P3 lead from each impact to the next impact on the
+    same wall (`return_map`). On Sigma a mass within a soft wall has a position beyond the wall. At a soft wall an
+    impact is an entry, at which the velocity does not change. At most 16 impacts per period are recorded.
 
     Examples
     --------
@@ -66,46 +66,51 @@ def sections(
     >>> round(float(points["left_velocity"][-1]), 4)
     1.3693
     """
-    check.require_single(scene)
-    settle, periods = check.whole_number("settle", settle, 0), check.whole_number("periods", periods, 1)
-    state = state_arrays(scene, state)
+    check.require_single_scene(scene)
+    settle, periods = check.check_whole_number("settle", settle, 0), check.check_whole_number("periods", periods, 1)
+    state = make_state_arrays(scene, state)
     if np.shape(state.x + state.v + state.phase + state.contact):
         raise check.ArgumentError("state", "must be a single state, not a batch", f"shape {np.shape(state.x)}")
-    check_start(scene, state)
-    phase_array = check.finite_array("phase", phase, np.float64)
+    check_start_within_walls(scene, state)
+    phase_array = check.check_finite_array("phase", phase, np.float64)
     if phase_array.shape:
         raise check.ArgumentError("phase", "must be a number", phase_array)
     section_phase = float(phase_array)
     state = State(*(np.reshape(np.asarray(value), 1) for value in (state.x, state.v, state.phase, state.contact)))
     if settle:
-        state = _require_valid(*final_states(scene, state, settle))
-    state = _require_valid(*shift_phase(scene, state, section_phase))
-    runs = []
+        state = _require_valid_status(*final_states(scene, state, settle))
+    state = _require_valid_status(*shift_phase(scene, state, section_phase))
+    iterates_by_chunk = []
     for first_period in range(0, periods, MAX_RECORDED_PERIODS):
-        run = iterate(scene, state, min(MAX_RECORDED_PERIODS, periods - first_period))
-        state = _require_valid(run.state, run.status)
-        runs.append(run)
-    return _sections_dataset(scene, section_phase, runs)
+        iterates = iterate(scene, state, min(MAX_RECORDED_PERIODS, periods - first_period))
+        state = _require_valid_status(iterates.state, iterates.status)
+        iterates_by_chunk.append(iterates)
+    return _sections_dataset(scene, section_phase, iterates_by_chunk)
 
 
-def _require_valid(state, status):
+def _require_valid_status(state, status):
     if status[0] >= Status.CAP:
         raise check.ArgumentError("state", "must start a motion that reaches the end", Status(status[0]).word)
     return state
 
 
-def _sections_dataset(scene, phase, runs):
+def _sections_dataset(scene, phase, iterates_by_chunk):
     x, v, time, side, speed = (
-        np.concatenate([getattr(run, key)[:, 0] for run in runs]) for key in ("x", "v", "time", "side", "speed")
+        np.concatenate([getattr(iterates, field_name)[:, 0] for iterates in iterates_by_chunk])
+        for field_name in ("x", "v", "time", "side", "speed")
     )
-    columns = {"x": ("period", x, {"units": LENGTH}), "v": ("period", v, {"units": SPEED})}
-    for name, sign, wall_index in zip(SIDES, WALL_SIGNS, (0, 1), strict=True):
-        is_on_wall = side == sign
-        impact_phase = phase + float(scene.frequency) * time[is_on_wall]
+    dataset_variables = {"x": ("period", x, {"units": LENGTH}), "v": ("period", v, {"units": SPEED})}
+    for side_name, wall_sign, wall_index in zip(SIDES, WALL_SIGNS, (0, 1), strict=True):
+        is_impact_on_wall = side == wall_sign
+        impact_phase = phase + float(scene.frequency) * time[is_impact_on_wall]
         velocity_after = np.empty(0)
-        if getattr(scene, name) is not None:
+        if getattr(scene, side_name) is not None:
             wall_velocity = np.asarray(wall_states(scene, impact_phase)[wall_index][1])
-            velocity_after = wall_velocity - float(scene.bounce(name)) * sign * speed[is_on_wall]
-        columns[f"{name}_phase"] = f"{name}_impact", np.mod(impact_phase, 2.0 * np.pi), {"units": ANGLE}
-        columns[f"{name}_velocity"] = f"{name}_impact", velocity_after, {"units": SPEED}
-    return xr.Dataset(columns, attrs=scene.numbers | {"phase": phase} | scales_attributes(scene))
+            velocity_after = wall_velocity - float(scene.bounce(side_name)) * wall_sign * speed[is_impact_on_wall]
+        dataset_variables[f"{side_name}_phase"] = (
+            f"{side_name}_impact",
+            np.mod(impact_phase, 2.0 * np.pi),
+            {"units": ANGLE},
+        )
+        dataset_variables[f"{side_name}_velocity"] = f"{side_name}_impact", velocity_after, {"units": SPEED}
+    return xr.Dataset(dataset_variables, attrs=scene.numbers | {"phase": phase} | scales_attributes(scene))

@@ -10,18 +10,18 @@ from jax import lax
 
 from continuation.persistent_jit import persistent_jit
 
-from ..compiled.compiler_hints import choose
-from ..flight import integrate
-from ..flight.coefficients import compute_coefficients
-from ..flight.entry import start_path
+from ..compiled.lane_arithmetic import choose
+from ..flight import integration_loop
+from ..flight.flight_coefficients import make_flow_coefficients
 from ..flight.flight_state import absolute_state
+from ..flight.path_start import start_path
 from ..output.units import ANGLE, LENGTH, SPEED, TIME, scales_attributes
 from ..scene import check
 from ..scene.codes import Status
 from ..scene.scene import Scene
-from ..scene.state import State, check_start, state_arrays
-from .one_period import state_and_impacts
-from .stops import Stops, fly_to_stops
+from ..scene.state import State, check_start_within_walls, make_state_arrays
+from .flight_stops import FlightStops, fly_to_stops
+from .reference_strobe import state_and_impacts
 
 MAX_IMPACTS = 1024
 
@@ -44,9 +44,9 @@ def simulate(scene: Scene, state: State, periods: int = 1, samples: int = 200) -
     Returns
     -------
     xarray.Dataset
-        Variables ``x`` and ``v`` over "time", with the coordinate ``phase`` in rad, which continues from the phase of
-        `state`. The first sample is the initial state, the last is the state at the end. Variables ``side``, ``speed``
-        (before the impact, relative to the wall) and ``position`` belong to the impacts, in order of the coordinate
+        Variables ``x`` and ``v`` along "time", with the coordinate ``phase`` in rad, which continues from the phase of
+        `state`. The first sample is the initial state, and the last sample is the final state. Variables ``side``,
+        ``speed`` (before the impact, relative to the wall) and ``position`` along "impact", with the coordinate
         ``impact_time``. Times are counted from the start.
 
     Raises
@@ -71,55 +71,59 @@ def simulate(scene: Scene, state: State, periods: int = 1, samples: int = 200) -
     >>> trajectory.sizes["time"], trajectory["side"].values.tolist()
     (201, [-1, 1, -1])
     """
-    periods, samples = check.whole_number("periods", periods, 1), check.whole_number("samples", samples, 1)
-    state = state_arrays(scene, state)
+    periods, samples = check.check_whole_number("periods", periods, 1), check.check_whole_number("samples", samples, 1)
+    state = make_state_arrays(scene, state)
     shape = jnp.broadcast_shapes(*map(jnp.shape, jax.tree.leaves((scene, state))))
     if shape:
         raise check.ArgumentError("state", "must be a single state in a single scene, not a batch", f"shape {shape}")
-    check_start(scene, state)
-    x, v, phases, impacts = jax.device_get(_compiled_trajectory(scene, state, periods, samples))
+    check_start_within_walls(scene, state)
+    x, v, drive_phases, impacts = jax.device_get(_compiled_trajectory(scene, state, periods, samples))
     if impacts.status >= Status.CAP or impacts.count > MAX_IMPACTS:
-        reason = Status(int(impacts.status)).word if impacts.status else f"more than {MAX_IMPACTS} impacts"
-        raise check.ArgumentError("state", f"must have a trajectory ({reason})", f"x {float(x[0])}, v {float(v[0])}")
-    return _trajectory_dataset(scene, x, v, phases, impacts)
+        failure_reason = Status(int(impacts.status)).word if impacts.status else f"more than {MAX_IMPACTS} impacts"
+        raise check.ArgumentError(
+            "state", f"must have a trajectory ({failure_reason})", f"x {float(x[0])}, v {float(v[0])}"
+        )
+    return _trajectory_dataset(scene, x, v, drive_phases, impacts)
 
 
-def _sample_trajectory(scene, state, periods, samples):
-    coeffs = compute_coefficients(scene)
-    path, entry_status = start_path(coeffs, state)
-    sample_time = choose(entry_status == Status.OK, coeffs.period / samples, 0.0)
-    phases = state.phase + 2.0 * jnp.pi * jnp.arange(periods * samples + 1) / samples
-    stop_times = sample_time * jnp.arange(1, periods * samples + 1)
+def _sample_trajectory(scene, state, periods, samples_per_period):
+    coeffs = make_flow_coefficients(scene)
+    path, start_status = start_path(coeffs, state)
+    sample_interval = choose(start_status == Status.OK, coeffs.period / samples_per_period, 0.0)
+    drive_phases = state.phase + 2.0 * jnp.pi * jnp.arange(periods * samples_per_period + 1) / samples_per_period
+    stop_times = sample_interval * jnp.arange(1, periods * samples_per_period + 1)
     # one angle at a time: a vectorised cosine differs by rounding from that of one angle
-    cosine, sine = (lax.map(function, phases[1:]) for function in (jnp.cos, jnp.sin))
-    stops = Stops(sample_time + 0.0 * stop_times, 0.0 * stop_times, cosine, sine, stop_times)
-    loop = integrate.initial_loop_state(coeffs, path, MAX_IMPACTS, stop_times[0])
-    limits = integrate.loop_limits(coeffs, periods * samples)
-    (loop, _), (x, v) = fly_to_stops(
-        coeffs, loop, (), stops, limits, _keep_loop, partial(_position_and_velocity, coeffs)
+    drive_cosines, drive_sines = (lax.map(cosine_or_sine, drive_phases[1:]) for cosine_or_sine in (jnp.cos, jnp.sin))
+    stops = FlightStops(sample_interval + 0.0 * stop_times, 0.0 * stop_times, drive_cosines, drive_sines, stop_times)
+    loop_state = integration_loop.initial_loop_state(coeffs, path, MAX_IMPACTS, stop_times[0])
+    loop_limits = integration_loop.loop_limits(coeffs, periods * samples_per_period)
+    (loop_state, _), (x, v) = fly_to_stops(
+        coeffs, loop_state, (), stops, loop_limits, _keep_loop_state, partial(_position_and_velocity, coeffs)
     )
     start_xv = absolute_state(coeffs, path)
-    x, v = (jnp.append(start, samples_after) for start, samples_after in zip(start_xv, (x, v), strict=True))
-    return x, v, phases, state_and_impacts(coeffs, loop, state, entry_status)[1]
+    x, v = (
+        jnp.append(start_x_or_v, later_samples) for start_x_or_v, later_samples in zip(start_xv, (x, v), strict=True)
+    )
+    return x, v, drive_phases, state_and_impacts(coeffs, loop_state, state, start_status)[1]
 
 
-def _keep_loop(piece, loop, extra):
-    return loop, extra
+def _keep_loop_state(piece, loop_state, extra_state):
+    return loop_state, extra_state
 
 
-def _position_and_velocity(coeffs, loop, extra):
-    return absolute_state(coeffs, loop.path)
+def _position_and_velocity(coeffs, loop_state, extra_state):
+    return absolute_state(coeffs, loop_state.path)
 
 
 _compiled_trajectory = persistent_jit(_sample_trajectory, static_argnums=(2, 3))
 
 
-def _trajectory_dataset(scene, x, v, phases, impacts):
-    time = (phases - phases[0]) / float(scene.frequency)
+def _trajectory_dataset(scene, x, v, drive_phases, impacts):
+    time = (drive_phases - drive_phases[0]) / float(scene.frequency)
     is_impact = impacts.side != 0
     length_attrs, speed_attrs = {"units": LENGTH}, {"units": SPEED}
     impact_coords = {"impact_time": ("impact", impacts.time[is_impact], {"units": TIME})}
-    impact_position = _wall_positions(scene, impacts.time[is_impact], impacts.side[is_impact], phases[0])
+    impact_position = _wall_positions_at(scene, impacts.time[is_impact], impacts.side[is_impact], drive_phases[0])
     return xr.Dataset(
         {
             "x": ("time", x, {"long_name": "displacement", **length_attrs}),
@@ -132,18 +136,26 @@ def _trajectory_dataset(scene, x, v, phases, impacts):
             ),
             "position": ("impact", impact_position, {"long_name": "displacement at the impact", **length_attrs}),
         },
-        coords={"time": ("time", time, {"units": TIME}), "phase": ("time", phases, {"units": ANGLE}), **impact_coords},
+        coords={
+            "time": ("time", time, {"units": TIME}),
+            "phase": ("time", drive_phases, {"units": ANGLE}),
+            **impact_coords,
+        },
         attrs=scene.numbers | scales_attributes(scene),
     )
 
 
-def _wall_positions(scene, time, side, phase):
-    """Compute the positions of the walls at the impacts."""
-    positions = np.zeros_like(time)
-    for sign, wall in ((-1, scene.left), (1, scene.right)):
+def _wall_positions_at(scene, impact_times, impact_sides, start_phase):
+    """Compute the position of the wall at each impact."""
+    wall_positions = np.zeros_like(impact_times)
+    for wall_sign, wall in ((-1, scene.left), (1, scene.right)):
         if wall is not None:
             motion = wall.motion
-            angle = 0.0 if motion is None else motion.harmonic * (phase + scene.frequency * time) + motion.phase
-            displacement = 0.0 if motion is None else motion.amplitude * np.cos(angle)
-            positions = np.where(side == sign, wall.position + displacement, positions)
-    return positions
+            motion_angle = (
+                0.0
+                if motion is None
+                else motion.harmonic * (start_phase + scene.frequency * impact_times) + motion.phase
+            )
+            wall_displacement = 0.0 if motion is None else motion.amplitude * np.cos(motion_angle)
+            wall_positions = np.where(impact_sides == wall_sign, wall.position + wall_displacement, wall_positions)
+    return wall_positions

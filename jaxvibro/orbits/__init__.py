@@ -1,6 +1,7 @@
-"""Periodic orbits, one at a time.
+"""Periodic orbits at given parameters.
 
-Input is a scene and a state, or a guess of the impacts. Output is an `Orbit` with its itinerary, impacts and Floquet
-multipliers. It is solved by its impacts (`orbit_from_impacts`) or by shooting with the strobe (`shooting`). Start with
-`find`. The equations are in `impact_equations`, and `orbit_comparison` decides if two orbits are the same.
+`find` solves for an `Orbit` near a state: its itinerary, impacts and Floquet multipliers. `find_orbits` finds the
+orbits near many trajectories, and `solve` solves for many orbits at once. Two solvers exist: one for the times and
+speeds of the impacts (`orbit_from_impacts`), and shooting with the stroboscopic map (`shooting`). The equations are in
+`impact_equations`, and `orbit_comparison` decides if two orbits are the same.
 """

@@ -1,10 +1,11 @@
-"""Contact phase within a linear soft wall, for the equations of the impacts: repeated evaluations for few lanes.
+"""Compute a contact phase within a linear soft wall, for the equations of the impacts.
 
-The final state is that of `contact_duration`, computed by `soft_polynomial`. Its arrays need fewer operations but do
-not fit the kernels of a replay, whose results are stages on many lanes. The derivative with respect to the initial
-state follows from the matrix of the free flow alone. The velocity of a motion evolves as the motion does, but under the
-rate of change of the force. So the effect of a later entry is the velocity at the end minus the free flow of velocity
-and acceleration at the start.
+The equations are evaluated often, for few lanes. The final state equals the result of `contact_duration`, but is
+computed by `soft_wall_polynomial`. The arrays of `soft_wall_polynomial` need fewer operations; they do not suit the
+kernels of a replay on many lanes. The derivative with respect to the initial state follows from the matrix of the free
+flow alone. The velocity obeys the same linear equation as the displacement, with the time derivative of the force. Let
+a be the acceleration, and let entry and exit be delayed by the same time. The derivative of the state at the exit with
+respect to this delay is then (v, a) at the exit minus the product of the flow matrix and (v, a) at the entry.
 """
 
 from typing import NamedTuple
@@ -15,9 +16,9 @@ from jaxtyping import Float
 
 from continuation.array_type import Array
 
-from ..compiled.compiler_hints import choose
-from ..flight import flow, soft_contact, soft_polynomial
-from ..flight.flows import flow_of
+from ..compiled.lane_arithmetic import choose
+from ..flight import flow, motion_in_soft_wall, soft_wall_polynomial
+from ..flight.flow_dispatch import flow_of
 from ..flight.soft_wall_exit import first_exit_time
 from ..maps.contact_duration import MEMORY_STEPS, NEWTON_STEPS
 from ..scene.codes import Contact
@@ -29,10 +30,20 @@ NEWTON_TOLERANCE = 2.0**-30  # relative size of a Newton step after which the ne
 class ContactPhase(NamedTuple):
     """Contact phase within a soft wall and its derivatives.
 
-    `time` is its duration, `v` the velocity relative to the wall at its end, and `cosine`, `sine` those of the drive
-    there. `entry_acceleration` is the acceleration relative to the wall at its start. `free_flow` is (p00, p01, p11) of
-    the free flow's matrix ((p00, p01), (-stiffness p01, p11)) over this duration. `time_by_time` and `time_by_velocity`
-    are the derivatives of the exit time with respect to the time and the velocity of the entry.
+    Attributes
+    ----------
+    time : Array
+        Duration of the contact phase.
+    v : Array
+        Velocity relative to the wall at the exit.
+    cosine, sine : Array
+        Cosine and sine of the drive's phase at the exit.
+    entry_acceleration : Array
+        Acceleration relative to the wall at the entry.
+    free_flow : tuple of Array
+        (p00, p01, p11) of the free flow's matrix ((p00, p01), (-stiffness p01, p11)) over the contact phase.
+    time_by_time, time_by_velocity : Array
+        Derivatives of the exit time with respect to the time and the velocity of the entry.
     """
 
     time: Float[Array, "*lanes"]
@@ -45,163 +56,225 @@ class ContactPhase(NamedTuple):
     time_by_velocity: Float[Array, "*lanes"]
 
 
-def solve_contact_phase(coeffs, side, cosine, sine, speed, approx_time):
+def solve_contact_phase(coeffs, side, cosine, sine, speed, approx_duration):
     """Return the `ContactPhase` of lanes that enter a soft wall at a speed; values are arbitrary for side 0 (no wall).
 
-    The result is smooth in all numbers, also where the speed passes through zero: the duration passes through zero with
-    it and is negative beyond. First and second derivatives are exact. `approx_time` is the duration from
+    The result is a smooth function of the scene, the phase and the speed, also where the speed is zero. The duration
+    has the sign of the speed. First and second derivatives are exact. `approx_duration` is the duration from
     `guess_contact_time`.
     """
-    contact = side * Contact.ENTERED
-    contact_coeffs = soft_contact.coeffs_by_lane(coeffs, contact)
-    basis, v, max_step = (
-        soft_polynomial.polynomial_basis(contact_coeffs, contact),
+    entered_wall_code = side * Contact.ENTERED
+    contact_coeffs = motion_in_soft_wall.coeffs_by_lane(coeffs, entered_wall_code)
+    polynomial_basis, entry_velocity, max_series_step = (
+        soft_wall_polynomial.polynomial_basis(contact_coeffs, entered_wall_code),
         side * speed,
         lax.stop_gradient(contact_coeffs.max_step),
     )
-    polynomial = soft_polynomial.coefficients(contact_coeffs, contact, basis, lax.full_like(v, 0.0), v, cosine, sine)
-    entry_acceleration = 2.0 * polynomial[2] / (max_step * max_step)
-    is_short = abs(approx_time) <= max_step
-    short_phase = _short_contact_phase(
-        contact_coeffs, basis, polynomial, v, entry_acceleration, choose(is_short, approx_time, 0.0)
+    motion_polynomial = soft_wall_polynomial.displacement_polynomial(
+        contact_coeffs,
+        entered_wall_code,
+        polynomial_basis,
+        lax.full_like(entry_velocity, 0.0),
+        entry_velocity,
+        cosine,
+        sine,
     )
-    v = choose(is_short, side + 0.0 * v, v)
+    entry_acceleration = 2.0 * motion_polynomial[2] / (max_series_step * max_series_step)
+    is_short = abs(approx_duration) <= max_series_step
+    short_phase = _short_contact_phase(
+        contact_coeffs,
+        polynomial_basis,
+        motion_polynomial,
+        entry_velocity,
+        entry_acceleration,
+        choose(is_short, approx_duration, 0.0),
+    )
+    entry_velocity = choose(is_short, side + 0.0 * entry_velocity, entry_velocity)
     long_phase = _long_contact_phase(
         contact_coeffs,
-        contact,
-        basis,
-        v,
+        entered_wall_code,
+        polynomial_basis,
+        entry_velocity,
         entry_acceleration,
         cosine,
         sine,
-        choose(is_short, 0.1 * max_step, approx_time),
+        choose(is_short, 0.1 * max_series_step, approx_duration),
     )
-    contact_time, exit_velocity, p00, p01, p11, time_by_time, time_by_velocity = (
+    contact_time, exit_velocity, p00, p01, p11, exit_time_by_entry_time, exit_time_by_velocity = (
         choose(is_short, *short_and_long) for short_and_long in zip(short_phase, long_phase, strict=True)
     )
-    exit_phasor = flow.rotate_by_angle(cosine, sine, coeffs.frequency * contact_time)
+    exit_phasor = flow.rotate_phasor_by_angle(cosine, sine, coeffs.frequency * contact_time)
     return ContactPhase(
-        contact_time, exit_velocity, *exit_phasor, entry_acceleration, (p00, p01, p11), time_by_time, time_by_velocity
+        contact_time,
+        exit_velocity,
+        *exit_phasor,
+        entry_acceleration,
+        (p00, p01, p11),
+        exit_time_by_entry_time,
+        exit_time_by_velocity,
     )
 
 
 def guess_contact_time(coeffs, side, cosine, sine, speed, min_contact_time=None):
-    """Return the duration of a contact phase: the first return, or a parabola's guess for zero speed into the wall.
+    """Return the duration of a contact phase until the first exit.
 
-    The result has no derivatives. It is nan if the mass does not leave within `MAX_PERIODS`. `min_contact_time` is a
-    time at which the mass is within the wall, for any earlier motion; None means 0.
+    If the speed is not positive, the duration is estimated from a parabola. The result has no derivatives. The result
+    is nan if the mass remains within the wall for `MAX_PERIODS`. Exits before the time `min_contact_time` do not count;
+    the mass must be within the wall at this time. None means 0.
     """
     coeffs, side, cosine, sine, speed = lax.stop_gradient((coeffs, side, cosine, sine, speed))
-    contact, v = side * Contact.ENTERED, side * speed
-    contact_coeffs = soft_contact.coeffs_by_lane(coeffs, contact)
-    bias = soft_contact.extra_force_derivs(coeffs, contact, cosine, sine, 1)
+    entered_wall_code, entry_velocity = side * Contact.ENTERED, side * speed
+    contact_coeffs = motion_in_soft_wall.coeffs_by_lane(coeffs, entered_wall_code)
+    extra_force_derivs = motion_in_soft_wall.frame_force_derivs(coeffs, entered_wall_code, cosine, sine, 1)
     entry_acceleration, _ = flow_of(contact_coeffs).acceleration_and_jerk(
-        contact_coeffs, 0.0 * v, v, cosine, sine, bias
+        contact_coeffs, 0.0 * entry_velocity, entry_velocity, cosine, sine, extra_force_derivs
     )
-    is_entering = contact * v > 0
-    max_time = MAX_PERIODS * coeffs.period + 0.0 * v
-    entry_contact = choose(is_entering, contact, 0.0)
+    is_entering = entered_wall_code * entry_velocity > 0
+    max_time = MAX_PERIODS * coeffs.period + 0.0 * entry_velocity
+    code_if_entering = choose(is_entering, entered_wall_code, 0.0)
     if min_contact_time is None:
-        return_time = first_exit_time(coeffs, entry_contact, v, cosine, sine, max_time)
+        exit_time = first_exit_time(coeffs, code_if_entering, entry_velocity, cosine, sine, max_time)
     else:
         min_time = choose(is_entering, min_contact_time, 0.0)
-        flow_response = soft_contact.contact_response(contact_coeffs, contact, min_time)
-        y, velocity = soft_contact.apply_response(contact_coeffs, contact, flow_response, (0.0 * v, v), cosine, sine)
-        phasor = flow.rotate_by_angle(cosine, sine, coeffs.frequency * min_time)
-        return_time = min_time + first_exit_time(coeffs, entry_contact, velocity, *phasor, max_time, y)
-    parabola_time = -2.0 * v / choose(entry_acceleration == 0, 1.0, entry_acceleration)
+        response_to_min_time = motion_in_soft_wall.contact_response(contact_coeffs, entered_wall_code, min_time)
+        relative_displacement, velocity = motion_in_soft_wall.apply_response(
+            contact_coeffs,
+            entered_wall_code,
+            response_to_min_time,
+            (0.0 * entry_velocity, entry_velocity),
+            cosine,
+            sine,
+        )
+        phasor = flow.rotate_phasor_by_angle(cosine, sine, coeffs.frequency * min_time)
+        exit_time = min_time + first_exit_time(
+            coeffs, code_if_entering, velocity, *phasor, max_time, relative_displacement
+        )
+    parabola_time = -2.0 * entry_velocity / choose(entry_acceleration == 0, 1.0, entry_acceleration)
     parabola_time = lax.clamp(-contact_coeffs.max_step, parabola_time, contact_coeffs.max_step)
-    return choose(is_entering, choose(return_time < max_time, return_time, jnp.nan), parabola_time)
+    return choose(is_entering, choose(exit_time < max_time, exit_time, jnp.nan), parabola_time)
 
 
-def _short_contact_phase(contact_coeffs, basis, polynomial, v, entry_acceleration, approx_time):
+def _short_contact_phase(
+    contact_coeffs, polynomial_basis, motion_polynomial, entry_velocity, entry_acceleration, approx_duration
+):
     """Return (time, velocity, p00, p01, p11, time_by_time, time_by_velocity) of a contact phase within one step.
 
-    The root at 0 is divided out, also from the quotients by the velocity at the end: there y = v p01 + rest is zero, so
-    v is -rest / p01.
+    The displacement has a root at time 0, which is divided out of the polynomial. The quotients in the derivatives are
+    reduced by the same factor. At the exit the displacement p01 v + f is zero, where v is the entry velocity and f is
+    the displacement for zero entry velocity; therefore v = -f / p01.
     """
-    max_step, constant_polynomial = lax.stop_gradient((contact_coeffs.max_step, polynomial[1:]))
+    max_series_step, quotient_polynomial = lax.stop_gradient((contact_coeffs.max_step, motion_polynomial[1:]))
 
     def is_unconverged(carry):
-        step_fraction, step, count = carry
-        return (count < NEWTON_STEPS) & jnp.any(abs(step) > NEWTON_TOLERANCE * abs(step_fraction))
+        time_fraction, fraction_change, n_iterations = carry
+        return (n_iterations < NEWTON_STEPS) & jnp.any(abs(fraction_change) > NEWTON_TOLERANCE * abs(time_fraction))
 
     def newton_iteration(carry):
-        step_fraction, _, count = carry
-        next_fraction = _newton_step(constant_polynomial, step_fraction)
-        return next_fraction, next_fraction - step_fraction, count + 1
+        time_fraction, _, n_iterations = carry
+        next_fraction = _newton_step(quotient_polynomial, time_fraction)
+        return next_fraction, next_fraction - time_fraction, n_iterations + 1
 
-    step_fraction, *_ = lax.while_loop(
-        is_unconverged, newton_iteration, (approx_time / max_step, lax.full_like(approx_time, jnp.inf), 0)
+    time_fraction, *_ = lax.while_loop(
+        is_unconverged,
+        newton_iteration,
+        (approx_duration / max_series_step, lax.full_like(approx_duration, jnp.inf), 0),
     )
-    step_fraction = _newton_step(
-        polynomial[1:], _newton_step(polynomial[1:], step_fraction)
+    time_fraction = _newton_step(
+        motion_polynomial[1:], _newton_step(motion_polynomial[1:], time_fraction)
     )  # two steps from the root: exact to the third derivative
-    powers = soft_polynomial.powers(step_fraction)
-    _, position_terms, velocity_terms, *_ = basis
+    powers = soft_wall_polynomial.scaled_time_powers(time_fraction)
+    _, position_series, velocity_series, *_ = polynomial_basis
     p00, p01_per_fraction = (
-        1.0 + soft_polynomial.evaluate(position_terms, powers),
-        soft_polynomial.evaluate(velocity_terms[1:], powers),
+        1.0 + soft_wall_polynomial.evaluate_polynomial(position_series, powers),
+        soft_wall_polynomial.evaluate_polynomial(velocity_series[1:], powers),
     )
-    forced_terms = soft_polynomial.evaluate((polynomial - v * velocity_terms)[2:], powers)
-    exit_slope = soft_polynomial.evaluate(soft_polynomial.differentiate(polynomial[1:]), powers) / max_step
-    time_by_time, time_by_velocity = (
-        (p01_per_fraction * entry_acceleration - p00 * forced_terms / p01_per_fraction) / exit_slope,
-        -p01_per_fraction / exit_slope,
+    forced_quotient = soft_wall_polynomial.evaluate_polynomial(
+        (motion_polynomial - entry_velocity * velocity_series)[2:], powers
     )
-    p01 = step_fraction * p01_per_fraction
+    velocity_per_fraction = (
+        soft_wall_polynomial.evaluate_polynomial(
+            soft_wall_polynomial.differentiate_polynomial(motion_polynomial[1:]), powers
+        )
+        / max_series_step
+    )
+    exit_time_by_entry_time, exit_time_by_velocity = (
+        (p01_per_fraction * entry_acceleration - p00 * forced_quotient / p01_per_fraction) / velocity_per_fraction,
+        -p01_per_fraction / velocity_per_fraction,
+    )
+    p01 = time_fraction * p01_per_fraction
     return (
-        step_fraction * max_step,
-        step_fraction * exit_slope,
+        time_fraction * max_series_step,
+        time_fraction * velocity_per_fraction,
         p00,
         p01,
         p00 - 2.0 * contact_coeffs.damping * p01,
-        time_by_time,
-        time_by_velocity,
+        exit_time_by_entry_time,
+        exit_time_by_velocity,
     )
 
 
-def _newton_step(polynomial, step_fraction):
+def _newton_step(polynomial, time_fraction):
     """Improve a root of the polynomial with these coefficients by one Newton step."""
-    powers = soft_polynomial.powers(step_fraction)
+    powers = soft_wall_polynomial.scaled_time_powers(time_fraction)
     value, slope = (
-        soft_polynomial.evaluate(coefficients, powers)
-        for coefficients in (polynomial, soft_polynomial.differentiate(polynomial))
+        soft_wall_polynomial.evaluate_polynomial(coefficients, powers)
+        for coefficients in (polynomial, soft_wall_polynomial.differentiate_polynomial(polynomial))
     )
-    return step_fraction - value / slope
+    return time_fraction - value / slope
 
 
-def _long_contact_phase(contact_coeffs, contact, basis, entry_velocity, entry_acceleration, cosine, sine, approx_time):
-    """Return the results of `_short_contact_phase` for a longer contact phase from a time that is accurate to rounding.
+def _long_contact_phase(
+    contact_coeffs,
+    entered_wall_code,
+    polynomial_basis,
+    entry_velocity,
+    entry_acceleration,
+    cosine,
+    sine,
+    approx_duration,
+):
+    """Return the results of `_short_contact_phase` for a longer contact phase.
 
-    The two first terms of the Taylor series in the remaining delay make second derivatives exact. Where p01 is small it
-    follows from y = 0 at the end, as in `contact_duration.wall_to_wall_flow`.
+    `approx_duration` is accurate to rounding but has no derivatives. Two terms of the Taylor series of the time to the
+    exit make first and second derivatives exact. For contact phases shorter than `MEMORY_STEPS` longest steps, the
+    entry p01 of the flow matrix follows from zero displacement at the exit, as in
+    `contact_duration.flow_matrix_in_contact`.
     """
-    flow_response = soft_polynomial.contact_response(contact_coeffs, contact, basis, approx_time)
-    (p00, p01, p11), zero = flow_response.free_flow, lax.full_like(entry_velocity, 0.0)
-    forced_y, forced_velocity = soft_contact.apply_response(
-        contact_coeffs, contact, flow_response, (zero, zero), cosine, sine
+    flow_response = soft_wall_polynomial.contact_response(
+        contact_coeffs, entered_wall_code, polynomial_basis, approx_duration
     )
-    y, velocity = forced_y + p01 * entry_velocity, forced_velocity + p11 * entry_velocity
-    exit_phasor = flow.rotate_by_angle(cosine, sine, contact_coeffs.frequency * approx_time)
+    (p00, p01, p11), zero = flow_response.free_flow, lax.full_like(entry_velocity, 0.0)
+    forced_displacement, forced_velocity = motion_in_soft_wall.apply_response(
+        contact_coeffs, entered_wall_code, flow_response, (zero, zero), cosine, sine
+    )
+    relative_displacement, velocity = forced_displacement + p01 * entry_velocity, forced_velocity + p11 * entry_velocity
+    exit_phasor = flow.rotate_phasor_by_angle(cosine, sine, contact_coeffs.frequency * approx_duration)
     acceleration, jerk = flow_of(contact_coeffs).acceleration_and_jerk(
         contact_coeffs,
-        y,
+        relative_displacement,
         velocity,
         *exit_phasor,
-        soft_contact.extra_force_derivs(contact_coeffs, contact, *exit_phasor, 1),
+        motion_in_soft_wall.frame_force_derivs(contact_coeffs, entered_wall_code, *exit_phasor, 1),
     )
-    delay = -(y / velocity) * (1.0 + 0.5 * acceleration * y / (velocity * velocity))
-    drag, half_square = 2.0 * contact_coeffs.damping, 0.5 * delay * delay
+    time_to_exit = -(relative_displacement / velocity) * (
+        1.0 + 0.5 * acceleration * relative_displacement / (velocity * velocity)
+    )
+    drag, half_time_squared = 2.0 * contact_coeffs.damping, 0.5 * time_to_exit * time_to_exit
     p11_rate = -contact_coeffs.stiffness * p01 - drag * p11  # p11', which is p01''
-    exit_velocity = velocity + acceleration * delay + jerk * half_square
-    forced_y = forced_y + forced_velocity * delay + (acceleration - entry_velocity * p11_rate) * half_square
-    p01_at_exit = p01 + p11 * delay + p11_rate * half_square
-    p00 = p00 - contact_coeffs.stiffness * (p01 * delay + p11 * half_square)
-    p11 = p11 + p11_rate * delay - (contact_coeffs.stiffness * p11 + drag * p11_rate) * half_square
-    p01 = choose(approx_time < MEMORY_STEPS * contact_coeffs.max_step, -forced_y / entry_velocity, p01_at_exit)
+    exit_velocity = velocity + acceleration * time_to_exit + jerk * half_time_squared
+    forced_displacement = (
+        forced_displacement
+        + forced_velocity * time_to_exit
+        + (acceleration - entry_velocity * p11_rate) * half_time_squared
+    )
+    p01_at_exit = p01 + p11 * time_to_exit + p11_rate * half_time_squared
+    p00 = p00 - contact_coeffs.stiffness * (p01 * time_to_exit + p11 * half_time_squared)
+    p11 = p11 + p11_rate * time_to_exit - (contact_coeffs.stiffness * p11 + drag * p11_rate) * half_time_squared
+    p01 = choose(
+        approx_duration < MEMORY_STEPS * contact_coeffs.max_step, -forced_displacement / entry_velocity, p01_at_exit
+    )
     return (
-        approx_time + delay,
+        approx_duration + time_to_exit,
         exit_velocity,
         p00,
         p01,

@@ -1,8 +1,8 @@
 """Solve cyclic block systems: two equations and two unknowns for each impact, coupled to the next impact.
 
-With parameters and as many border rows, Givens rotations eliminate the unknowns impact by impact. The unknowns of the
-first impact and the parameters remain, for the closure of the cycle. There is no division by speeds, so that a branch
-can pass through speed zero.
+The system may also contain parameters and as many border rows. Givens rotations eliminate the unknowns impact by
+impact. The unknowns of the first impact and the parameters remain, for the closure of the cycle. There is no division
+by speeds, so that a branch can pass through speed zero.
 """
 
 from typing import NamedTuple
@@ -28,7 +28,7 @@ class CyclicBlockMatrix(NamedTuple):
     param_blocks : Array
         Derivative of each row with respect to the parameters, of shape (rows, 2, parameters).
     last_row : Array of int
-        Row that is followed by the first. Rows after it are empty.
+        Index of the row of the last impact, which precedes the first row in the cycle. Later rows are empty.
     """
 
     diagonal: Float[Array, "rows 2 2"]
@@ -37,7 +37,7 @@ class CyclicBlockMatrix(NamedTuple):
     last_row: Int[Array, ""]
 
 
-def assemble_matrix(jacobian, param_jacobian=None):
+def assemble_block_matrix(jacobian, param_jacobian=None):
     """Assemble the block matrix from the derivative of the equations of the impacts.
 
     Parameters
@@ -52,17 +52,21 @@ def assemble_matrix(jacobian, param_jacobian=None):
     CyclicBlockMatrix
         The block matrix.
     """
-    diagonal = jnp.stack([jnp.stack(entries, 1) for entries in jacobian.diagonal], 1)
-    e, f = jacobian.coupling
-    zero = jnp.zeros_like(e)
-    coupling = jnp.stack([jnp.stack([e, zero], 1), jnp.stack([f, zero - 1.0], 1)], 1)
-    param_jacobian = jnp.zeros((2 * len(e), 0), e.dtype) if param_jacobian is None else param_jacobian
-    return CyclicBlockMatrix(diagonal, coupling, pair_rows(param_jacobian, len(e)), jacobian.last_row)
+    diagonal = jnp.stack([jnp.stack(equation_entries, 1) for equation_entries in jacobian.diagonal], 1)
+    gap_by_next_time, speed_by_next_time = jacobian.coupling
+    zero = jnp.zeros_like(gap_by_next_time)
+    coupling = jnp.stack([jnp.stack([gap_by_next_time, zero], 1), jnp.stack([speed_by_next_time, zero - 1.0], 1)], 1)
+    param_jacobian = (
+        jnp.zeros((2 * len(gap_by_next_time), 0), gap_by_next_time.dtype) if param_jacobian is None else param_jacobian
+    )
+    return CyclicBlockMatrix(
+        diagonal, coupling, pair_times_and_speeds(param_jacobian, len(gap_by_next_time)), jacobian.last_row
+    )
 
 
 @jax.jit
 def solve_bordered(cyclic_matrix, border, right_sides):
-    """Solve the cyclic system with border rows for times, speeds and parameters.
+    """Solve the cyclic system with border rows for the times, the speeds and the parameters.
 
     Parameters
     ----------
@@ -81,25 +85,31 @@ def solve_bordered(cyclic_matrix, border, right_sides):
     n_rows, n_params = len(cyclic_matrix.diagonal), cyclic_matrix.param_blocks.shape[2]
     border = border.reshape(n_params, -1)
     blocks = jnp.concatenate(
-        [cyclic_matrix.diagonal, cyclic_matrix.coupling, cyclic_matrix.param_blocks, pair_rows(right_sides, n_rows)], 2
+        [
+            cyclic_matrix.diagonal,
+            cyclic_matrix.coupling,
+            cyclic_matrix.param_blocks,
+            pair_times_and_speeds(right_sides, n_rows),
+        ],
+        2,
     )
     border_blocks = jnp.stack([border[:, :n_rows].T, border[:, n_rows : 2 * n_rows].T], 2)
     zeros = jnp.zeros((n_params, 2), blocks.dtype)
-    corner = jnp.concatenate([border_blocks[0], zeros, border[:, 2 * n_rows :], right_sides[2 * n_rows :]], 1)
-    closure_rows, corner, pivot_product, pivot_rows = _eliminate_rows(
-        blocks, border_blocks, corner, cyclic_matrix.last_row
+    border_carry = jnp.concatenate([border_blocks[0], zeros, border[:, 2 * n_rows :], right_sides[2 * n_rows :]], 1)
+    closure_rows, border_carry, pivot_product, pivot_rows = _eliminate_rows(
+        blocks, border_blocks, border_carry, cyclic_matrix.last_row
     )
-    reduced_system = jnp.concatenate([closure_rows, corner])
+    reduced_system = jnp.concatenate([closure_rows, border_carry])
     reduced_matrix = jnp.concatenate(
         [reduced_system[:, :2] + reduced_system[:, 2:4], reduced_system[:, 4 : 4 + n_params]], 1
     )
     solution = solve(reduced_matrix, reduced_system[:, 4 + n_params :])
     row_unknowns = _back_substitute(pivot_rows, solution.x[:2], solution.x[:2], solution.x[2:], cyclic_matrix.last_row)
-    x = jnp.concatenate([row_unknowns[:, 0], row_unknowns[:, 1], solution.x[2:]])
-    return LinearSolution(x, solution.pivot_ratio, pivot_product * solution.determinant)
+    unknowns = jnp.concatenate([row_unknowns[:, 0], row_unknowns[:, 1], solution.x[2:]])
+    return LinearSolution(unknowns, solution.pivot_ratio, pivot_product * solution.determinant)
 
 
-def determinants(cyclic_matrix):
+def closure_determinants(cyclic_matrix):
     """Compute the determinants of the system for the multipliers 1 and -1.
 
     Parameters
@@ -110,8 +120,9 @@ def determinants(cyclic_matrix):
     Returns
     -------
     tuple of Array
-        Determinant of the equations by times and speeds as they are, and with the sign of the first impact reversed
-        where it follows the last, for perturbations that change sign in each round.
+        Determinants of the derivative of the equations with respect to times and speeds. The first one is for the
+        multiplier 1. The second one is for the multiplier -1, of perturbations that change sign in each period of the
+        orbit.
     """
     blocks = jnp.concatenate([cyclic_matrix.diagonal, cyclic_matrix.coupling], 2)
     no_border = jnp.zeros((0, 4), blocks.dtype)
@@ -119,7 +130,10 @@ def determinants(cyclic_matrix):
         blocks, jnp.zeros((len(blocks), 0, 2), blocks.dtype), no_border, cyclic_matrix.last_row
     )
     closed_systems = (closure_rows[:, :2] + multiplier * closure_rows[:, 2:4] for multiplier in (1.0, -1.0))
-    return tuple(pivot_product * (a[0] * b[1] - a[1] * b[0]) for a, b in closed_systems)
+    return tuple(
+        pivot_product * (first_row[0] * second_row[1] - first_row[1] * second_row[0])
+        for first_row, second_row in closed_systems
+    )
 
 
 def null_vectors(cyclic_matrix, multiplier):
@@ -130,7 +144,7 @@ def null_vectors(cyclic_matrix, multiplier):
     cyclic_matrix : CyclicBlockMatrix
         The block matrix.
     multiplier : float
-        Factor of the first impact where it follows the last.
+        Factor of the perturbation of the first impact in the equations of the last impact.
 
     Returns
     -------
@@ -140,16 +154,19 @@ def null_vectors(cyclic_matrix, multiplier):
 
     Notes
     -----
-    If J is not singular, w J v measures its distance from a singular matrix: its derivative is w J' v, up to terms as
-    small as w J v. The sign of w is such that w J v increases with the multiplier; so w J v has one sign along a locus,
-    at a simple multiplier.
+    If J is not singular, w J v measures the distance of J from a singular matrix. The derivative of w J v with respect
+    to a parameter is w J' v, up to terms as small as w J v. The sign of w is such that w J v increases with the
+    multiplier. Along a locus this determines the sign of w J v if the multiplier is simple.
     """
     row_index = jnp.arange(len(cyclic_matrix.diagonal))
     reversed_order = jnp.where(row_index <= cyclic_matrix.last_row, cyclic_matrix.last_row - row_index, row_index)
     previous_row = jnp.where(row_index < cyclic_matrix.last_row, reversed_order - 1, cyclic_matrix.last_row)
     transposed_blocks = (
-        blocks.transpose(0, 2, 1)[row_order]
-        for blocks, row_order in ((cyclic_matrix.diagonal, reversed_order), (cyclic_matrix.coupling, previous_row))
+        blocks.transpose(0, 2, 1)[source_row_indices]
+        for blocks, source_row_indices in (
+            (cyclic_matrix.diagonal, reversed_order),
+            (cyclic_matrix.coupling, previous_row),
+        )
     )
     diagonal, coupling = (
         jnp.stack(blocks)
@@ -158,11 +175,13 @@ def null_vectors(cyclic_matrix, multiplier):
     right_null, left_null = jax.vmap(_null_vector, (0, 0, None, None))(
         diagonal, coupling, cyclic_matrix.last_row, multiplier
     )
-    left_null, right_null = _unpair_rows(left_null[reversed_order]), _unpair_rows(right_null)
-    return jnp.where(multiplier_derivative(left_null, cyclic_matrix, right_null) < 0, -left_null, left_null), right_null
+    left_null, right_null = _unpair_times_and_speeds(left_null[reversed_order]), _unpair_times_and_speeds(right_null)
+    return jnp.where(
+        derivative_by_multiplier(left_null, cyclic_matrix, right_null) < 0, -left_null, left_null
+    ), right_null
 
 
-def multiplier_derivative(left_null, cyclic_matrix, right_null):
+def derivative_by_multiplier(left_null, cyclic_matrix, right_null):
     """Compute the derivative of w J v with respect to the multiplier, with J as in `null_vectors`.
 
     Parameters
@@ -179,22 +198,27 @@ def multiplier_derivative(left_null, cyclic_matrix, right_null):
     Array
         The derivative, a scalar.
     """
-    w, v = (pair_rows(flat_vector, len(cyclic_matrix.diagonal)) for flat_vector in (left_null, right_null))
-    return w[cyclic_matrix.last_row] @ cyclic_matrix.coupling[cyclic_matrix.last_row] @ v[0]
+    left_pairs, right_pairs = (
+        pair_times_and_speeds(flat_vector, len(cyclic_matrix.diagonal)) for flat_vector in (left_null, right_null)
+    )
+    return left_pairs[cyclic_matrix.last_row] @ cyclic_matrix.coupling[cyclic_matrix.last_row] @ right_pairs[0]
 
 
-def _null_vector(diagonal, coupling, last_row, multiplier):
-    """Return the solution, of shape (rows, 2), of all equations except the least independent one."""
+def _null_vector(diagonal, coupling, last_row_index, multiplier):
+    """Return a null vector, of shape (rows, 2), of the system without one of its two closure equations.
+
+    The closure equation with the smaller coefficients is omitted.
+    """
     n_rows = len(diagonal)
     blocks = jnp.concatenate([diagonal, coupling, jnp.zeros((n_rows, 2, 1), diagonal.dtype)], 2)
-    border_blocks, corner = (jnp.zeros(shape, blocks.dtype) for shape in ((n_rows, 0, 2), (0, 5)))
-    closure_rows, _, _, pivot_rows = _eliminate_rows(blocks, border_blocks, corner, last_row)
-    (a, b), (c, d) = closure_rows[:, :2] + multiplier * closure_rows[:, 2:4]
-    is_first_longer = a * a + b * b > c * c + d * d
-    first_unknowns = jnp.stack([jnp.where(is_first_longer, -b, -d), jnp.where(is_first_longer, a, c)])
+    border_blocks, border_carry = (jnp.zeros(shape, blocks.dtype) for shape in ((n_rows, 0, 2), (0, 5)))
+    closure_rows, _, _, pivot_rows = _eliminate_rows(blocks, border_blocks, border_carry, last_row_index)
+    (m00, m01), (m10, m11) = closure_rows[:, :2] + multiplier * closure_rows[:, 2:4]
+    is_first_row_longer = m00 * m00 + m01 * m01 > m10 * m10 + m11 * m11
+    first_unknowns = jnp.stack([jnp.where(is_first_row_longer, -m01, -m11), jnp.where(is_first_row_longer, m00, m10)])
     first_unknowns = (first_unknowns / jnp.sqrt(jnp.sum(first_unknowns * first_unknowns)))[:, None]
     return _back_substitute(
-        pivot_rows, first_unknowns, multiplier * first_unknowns, jnp.zeros((0, 1), blocks.dtype), last_row
+        pivot_rows, first_unknowns, multiplier * first_unknowns, jnp.zeros((0, 1), blocks.dtype), last_row_index
     )[:, :, 0]
 
 
@@ -210,23 +234,25 @@ def bilinear_form(left_vector, cyclic_matrix, right_vector, multiplier):
     right_vector : Array
         v, of shape (2 rows,).
     multiplier : float
-        Factor of the first impact where it follows the last.
+        Factor of the perturbation of the first impact in the equations of the last impact.
 
     Returns
     -------
     Array
         A scalar.
     """
-    w, v = (pair_rows(flat_vector, len(cyclic_matrix.diagonal)) for flat_vector in (left_vector, right_vector))
-    row_index = jnp.arange(len(v))
-    next_v = (
+    left_pairs, right_pairs = (
+        pair_times_and_speeds(flat_vector, len(cyclic_matrix.diagonal)) for flat_vector in (left_vector, right_vector)
+    )
+    row_index = jnp.arange(len(right_pairs))
+    next_right_pairs = (
         jnp.where(row_index == cyclic_matrix.last_row, multiplier, 1.0)[:, None]
-        * v[jnp.where(row_index < cyclic_matrix.last_row, row_index + 1, 0)]
+        * right_pairs[jnp.where(row_index < cyclic_matrix.last_row, row_index + 1, 0)]
     )
-    image = jnp.einsum("kij,kj->ki", cyclic_matrix.diagonal, v) + jnp.einsum(
-        "kij,kj->ki", cyclic_matrix.coupling, next_v
+    image = jnp.einsum("kij,kj->ki", cyclic_matrix.diagonal, right_pairs) + jnp.einsum(
+        "kij,kj->ki", cyclic_matrix.coupling, next_right_pairs
     )
-    return jnp.sum(w * image)
+    return jnp.sum(left_pairs * image)
 
 
 def left_product(left_vector, cyclic_matrix):
@@ -244,12 +270,15 @@ def left_product(left_vector, cyclic_matrix):
     Array
         Product of shape (2 rows,).
     """
-    w, row_index = pair_rows(left_vector, len(cyclic_matrix.diagonal)), jnp.arange(len(cyclic_matrix.diagonal))
-    coupling_part = jnp.einsum("ki,kij->kj", w, cyclic_matrix.coupling)[
+    left_pairs, row_index = (
+        pair_times_and_speeds(left_vector, len(cyclic_matrix.diagonal)),
+        jnp.arange(len(cyclic_matrix.diagonal)),
+    )
+    coupling_part = jnp.einsum("ki,kij->kj", left_pairs, cyclic_matrix.coupling)[
         jnp.where(row_index == 0, cyclic_matrix.last_row, row_index - 1)
     ]
-    row_vector = jnp.einsum("ki,kij->kj", w, cyclic_matrix.diagonal) + coupling_part
-    return _unpair_rows(jnp.where((row_index <= cyclic_matrix.last_row)[:, None], row_vector, 0.0))
+    product_pairs = jnp.einsum("ki,kij->kj", left_pairs, cyclic_matrix.diagonal) + coupling_part
+    return _unpair_times_and_speeds(jnp.where((row_index <= cyclic_matrix.last_row)[:, None], product_pairs, 0.0))
 
 
 def dense_matrix(cyclic_matrix, multiplier=1.0):
@@ -260,7 +289,7 @@ def dense_matrix(cyclic_matrix, multiplier=1.0):
     cyclic_matrix : CyclicBlockMatrix
         The block matrix, with p parameters.
     multiplier : float, optional
-        Factor of the first impact where it follows the last.
+        Factor of the perturbation of the first impact in the equations of the last impact.
 
     Returns
     -------
@@ -282,8 +311,8 @@ def dense_matrix(cyclic_matrix, multiplier=1.0):
     return jnp.concatenate([matrix, param_columns.transpose(1, 0, 2).reshape(2 * n_rows, -1)], 1)
 
 
-def pair_rows(flat_vector, n_rows):
-    """Reorder times, then speeds to pairs for each row.
+def pair_times_and_speeds(flat_vector, n_rows):
+    """Pair the time and the speed of each row of an array of times, then speeds.
 
     Parameters
     ----------
@@ -300,60 +329,69 @@ def pair_rows(flat_vector, n_rows):
     return jnp.stack([flat_vector[:n_rows], flat_vector[n_rows : 2 * n_rows]], 1)
 
 
-def _unpair_rows(row_pairs):
+def _unpair_times_and_speeds(row_pairs):
     """Reorder pairs of shape (rows, 2) to times, then speeds, of shape (2 rows,)."""
     return jnp.concatenate([row_pairs[:, 0], row_pairs[:, 1]])
 
 
-def _eliminate_rows(blocks, border_blocks, corner, last_row):
+def _eliminate_rows(blocks, border_blocks, border_carry, last_row_index):
     """Eliminate all unknowns except those of the first row.
 
-    Return (closing equations, border rows, product of the pivots, rows for the back substitution). The columns of a row
-    belong to the first unknowns (2), those after the present ones (2), the parameters and the right sides.
+    Return (closing equations, border rows, product of the pivots, rows for the back substitution). The columns belong
+    to the unknowns of the first row (2), the unknowns of the next row (2), the parameters, and the right sides.
     """
 
     def eliminate_row(carry, row_data):
-        closure_rows, corner, pivot_product = carry
+        closure_rows, border_carry, pivot_product = carry
         row_index, block, border_block = row_data
         zeros = jnp.zeros((2, 2), block.dtype)
-        above = jnp.concatenate([closure_rows[:, 2:4], closure_rows[:, :2], zeros, closure_rows[:, 4:]], 1)
-        below = jnp.concatenate([block[:, :2], zeros, block[:, 2:]], 1)
-        pivot_pair, remainder = _triangularise(above, below)
+        carry_rows = jnp.concatenate([closure_rows[:, 2:4], closure_rows[:, :2], zeros, closure_rows[:, 4:]], 1)
+        block_rows = jnp.concatenate([block[:, :2], zeros, block[:, 2:]], 1)
+        pivot_pair, remaining_rows = _triangularise(carry_rows, block_rows)
         border_rows = jnp.concatenate(
-            [corner[:, 2:4] + border_block, corner[:, :2], jnp.zeros_like(border_block), corner[:, 4:]], 1
+            [
+                border_carry[:, 2:4] + border_block,
+                border_carry[:, :2],
+                jnp.zeros_like(border_block),
+                border_carry[:, 4:],
+            ],
+            1,
         )
         for k in (0, 1):
             border_rows = border_rows - (border_rows[:, k : k + 1] / pivot_pair[k, k]) * pivot_pair[k]
-        is_impact = row_index <= last_row
-        new_carry = remainder[:, 2:], border_rows[:, 2:], pivot_product * (pivot_pair[0, 0] * pivot_pair[1, 1])
+        is_impact = row_index <= last_row_index
+        new_carry = remaining_rows[:, 2:], border_rows[:, 2:], pivot_product * (pivot_pair[0, 0] * pivot_pair[1, 1])
         return jax.tree.map(lambda new, old: jnp.where(is_impact, new, old), new_carry, carry), pivot_pair
 
-    carry = blocks[0], corner, jnp.ones_like(blocks[0, 0, 0])
-    (closure_rows, corner, pivot_product), pivot_rows = lax.scan(
+    carry = blocks[0], border_carry, jnp.ones_like(blocks[0, 0, 0])
+    (closure_rows, border_carry, pivot_product), pivot_rows = lax.scan(
         eliminate_row, carry, (jnp.arange(1, len(blocks)), blocks[1:], border_blocks[1:])
     )
-    return closure_rows, corner, pivot_product, pivot_rows
+    return closure_rows, border_carry, pivot_product, pivot_rows
 
 
 @jax.jit
-def _triangularise(above, below):
-    """Rotate two and two rows so that the first two columns are upper triangular; return rows (0, 1) and (2, 3)."""
-    rows = [*above, *below]
-    for column, k, j in ((0, 0, 1), (0, 2, 3), (0, 0, 2), (1, 1, 3), (1, 1, 2)):
-        a, b = rows[k][column], rows[j][column]
-        radius = jnp.sqrt(a * a + b * b)
-        c, s = (
-            jnp.where(radius > 0, component / jnp.where(radius > 0, radius, 1.0), default)
-            for component, default in ((a, 1.0), (b, 0.0))
+def _triangularise(upper_rows, lower_rows):
+    """Make two columns of four rows upper triangular by Givens rotations; return the upper and the lower two rows."""
+    rows = [*upper_rows, *lower_rows]
+    for column, pivot_index, target_index in ((0, 0, 1), (0, 2, 3), (0, 0, 2), (1, 1, 3), (1, 1, 2)):
+        pivot_entry, target_entry = rows[pivot_index][column], rows[target_index][column]
+        radius = jnp.sqrt(pivot_entry * pivot_entry + target_entry * target_entry)
+        cos, sin = (
+            jnp.where(radius > 0, column_entry / jnp.where(radius > 0, radius, 1.0), identity_value)
+            for column_entry, identity_value in ((pivot_entry, 1.0), (target_entry, 0.0))
         )
-        rows[k], rows[j] = c * rows[k] + s * rows[j], c * rows[j] - s * rows[k]
+        rows[pivot_index], rows[target_index] = (
+            cos * rows[pivot_index] + sin * rows[target_index],
+            cos * rows[target_index] - sin * rows[pivot_index],
+        )
     return jnp.stack(rows[:2]), jnp.stack(rows[2:])
 
 
-def _back_substitute(pivot_rows, first_unknowns, closing_unknowns, parameters, last_row):
-    """Return all unknowns, of shape (rows, 2, k), from those of the first row and the parameters.
+def _back_substitute(pivot_rows, first_unknowns, closing_unknowns, parameters, last_row_index):
+    """Return the unknowns of all rows, of shape (rows, 2, k), from the unknowns of the first row and the parameters.
 
-    `closing_unknowns` are those of the first row where it follows the last.
+    `closing_unknowns` are the unknowns of the first impact of the next cycle, which follows the last row.
     """
     n_params = len(parameters)
 
@@ -367,10 +405,10 @@ def _back_substitute(pivot_rows, first_unknowns, closing_unknowns, parameters, l
         )
         speed = right_side[1] / pivot_pair[1, 1]
         row_unknowns = jnp.stack([(right_side[0] - pivot_pair[0, 1] * speed) / pivot_pair[0, 0], speed])
-        is_impact = row_index <= last_row
+        is_impact = row_index <= last_row_index
         return jnp.where(is_impact, row_unknowns, next_unknowns), jnp.where(is_impact, row_unknowns, 0.0)
 
-    _, other_unknowns = lax.scan(
+    _, later_row_unknowns = lax.scan(
         substitute_row, closing_unknowns, (jnp.arange(1, len(pivot_rows) + 1), pivot_rows), reverse=True
     )
-    return jnp.concatenate([first_unknowns[None], other_unknowns])
+    return jnp.concatenate([first_unknowns[None], later_row_unknowns])

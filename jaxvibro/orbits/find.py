@@ -6,11 +6,11 @@ from ..flight.wall_positions import wall_states
 from ..maps import itinerary as words
 from ..maps.initial_conditions import initial_box
 from ..maps.iterate import MAX_RECORDED_PERIODS, iterate
-from ..maps.sticking_phases import may_stick
+from ..maps.sticking_phase_intervals import may_stick
 from ..scene import check
 from ..scene.codes import Status
 from ..scene.scene import Scene
-from ..scene.state import State, check_start, state_arrays
+from ..scene.state import State, check_start_within_walls, make_state_arrays
 from ..scene.typical_scales import is_driven
 from .orbit import Orbit, OrbitError
 from .orbit_from_impacts import orbit_from_impacts, orbit_from_random_guesses
@@ -46,8 +46,8 @@ def find_orbit(
         the state returns. The minimal period of the orbit may be a divisor of n.
     itinerary : sequence of str, optional
         Walls to be hit: a word of "L" and "R" for each period, as ``("LR",)`` or ``("LRL", "R")``, compared cyclically.
-        By default it is the itinerary of the motion from the state. If the state hits other walls, the orbit may be far
-        from it: it is the nearest of those that random guesses lead to.
+        By default it is the itinerary of the motion from the state. If this motion hits other walls, Newton's method
+        starts from random guesses. The result is then the orbit nearest to the state, which may be far from the state.
     settle : int, optional
         Number of drive periods before Newton's method, at least 0.
 
@@ -76,27 +76,27 @@ def find_orbit(
     >>> orbit.label, orbit.stable
     ('P111', True)
     """
-    check.require_single(scene)
-    state, settle = _single_lane(state_arrays(scene, state)), check.whole_number("settle", settle, 0)
-    check_start(scene, state)
+    check.require_single_scene(scene)
+    state, settle = _single_lane_state(make_state_arrays(scene, state)), check.check_whole_number("settle", settle, 0)
+    check_start_within_walls(scene, state)
     if itinerary is not None:
         itinerary = words.validate_itinerary(itinerary, periods)
         periods = len(itinerary)
-    if periods is not None and check.whole_number("periods", periods, 1) > MAX_RECORDED_PERIODS:
+    if periods is not None and check.check_whole_number("periods", periods, 1) > MAX_RECORDED_PERIODS:
         raise check.ArgumentError("periods", f"must be at most {MAX_RECORDED_PERIODS}", periods)
-    initial_size = max(float(abs(np.asarray(component)).max()) for component in (state.x, state.v))
+    initial_amplitude = max(float(abs(np.asarray(component)).max()) for component in (state.x, state.v))
     try:
         if settle:
-            state = _require_valid(iterate(scene, state, settle)).state
-        periods = periods or _return_period(scene, state, settle, initial_size)
-        return _orbit_near(scene, state, periods, itinerary)
+            state = _require_valid_motion(iterate(scene, state, settle)).state
+        periods = periods or _return_period(scene, state, settle, initial_amplitude)
+        return _solve_near_state(scene, state, periods, itinerary)
     except OrbitError as error:
         if np.isnan(error.residual) or is_driven(scene):
             raise
         raise OrbitError(f"{error.status}, and the scene has no drive", error.residual, ADVICE_UNDRIVEN) from None
 
 
-def _single_lane(state):
+def _single_lane_state(state):
     if np.shape(state.x + state.v + state.phase + state.contact):
         raise check.ArgumentError("state", "must be a single state, not a batch", f"shape {np.shape(state.x)}")
     return State(
@@ -104,67 +104,73 @@ def _single_lane(state):
     )
 
 
-def _require_valid(iterates):
+def _require_valid_motion(iterates):
     if iterates.status[0] >= Status.CAP:
         reason = f"the motion from the state cannot be computed ({Status(iterates.status[0]).word})"
         raise OrbitError(reason, np.nan, "start between the walls of the scene, at the state's phase")
     return iterates
 
 
-def _return_period(scene, state, settle, initial_size):
-    """Find the smallest number of periods after which the state returns, within `RETURN_TOLERANCE` once it has settled.
+def _return_period(scene, state, settle, initial_amplitude):
+    """Find the smallest number of drive periods after which the state returns.
 
-    `initial_size` is the size of x and v at the start; a motion that has decayed to its rounding error is at
-    equilibrium.
+    If `settle` is positive, the state must return within `RETURN_TOLERANCE`. `initial_amplitude` is the largest of
+    ``|x|`` and ``|v|`` at the start; a motion that has decayed to the rounding error of this size is at equilibrium.
     """
-    points = _require_valid(iterate(scene, state, check.MAX_ORBIT_PERIODS)).points[:, 0]
+    section_points = _require_valid_motion(iterate(scene, state, check.MAX_ORBIT_PERIODS)).points[:, 0]
     start_point = np.array([state.x[0], state.v[0]])
-    distances, scale = abs(points - start_point).max(axis=1), abs(points).max()
-    has_decayed = scale <= float(np.finfo(scene.dtype).eps) * initial_size
-    if settle and distances.min() > RETURN_TOLERANCE * scale and not has_decayed:
+    return_distances, motion_scale = abs(section_points - start_point).max(axis=1), abs(section_points).max()
+    is_at_equilibrium = motion_scale <= float(np.finfo(scene.dtype).eps) * initial_amplitude
+    if settle and return_distances.min() > RETURN_TOLERANCE * motion_scale and not is_at_equilibrium:
         advice = "settle longer; for an unstable orbit give periods and settle=0, or use find_orbits"
         raise OrbitError(
-            f"the state does not return within {check.MAX_ORBIT_PERIODS} periods", float(distances.min()), advice
+            f"the state does not return within {check.MAX_ORBIT_PERIODS} periods", float(return_distances.min()), advice
         )
-    return 1 if has_decayed else int(np.argmax(distances <= max(2.0 * distances.min(), 1e-6 * scale))) + 1
+    return (
+        1
+        if is_at_equilibrium
+        else int(np.argmax(return_distances <= max(2.0 * return_distances.min(), 1e-6 * motion_scale))) + 1
+    )
 
 
-def _orbit_near(scene, state, periods, itinerary):
-    """Solve for the orbit near a state: by its impacts, or by the state if the mass sticks or hits no wall."""
-    iterates = _require_valid(iterate(scene, state, periods))
-    observed_itinerary = words.words_of_rows(iterates.side[:, 0])
-    start = State(*(float(component[0]) for component in (state.x, state.v, state.phase, state.contact)))
+def _solve_near_state(scene, state, periods, itinerary):
+    """Solve for the impacts of the orbit near a state, or for its state if the mass sticks or hits no wall."""
+    iterates = _require_valid_motion(iterate(scene, state, periods))
+    observed_itinerary = words.itinerary_of_rows(iterates.side[:, 0])
+    start_state = State(*(float(component[0]) for component in (state.x, state.v, state.phase, state.contact)))
     drive_period = 2.0 * np.pi / float(scene.frequency)
     is_impact = iterates.side[:, 0] != 0
-    times = (iterates.time[:, 0] + drive_period * np.arange(periods)[:, None])[is_impact]
+    impact_times = (iterates.time[:, 0] + drive_period * np.arange(periods)[:, None])[is_impact]
     speeds, sides = iterates.speed[:, 0][is_impact], iterates.side[:, 0][is_impact]
-    missed_impact = _missed_impact(
-        scene, start, float(iterates.x[-1, 0]), float(iterates.v[-1, 0]), RETURN_TOLERANCE * drive_period
+    missed_impact = _missed_closing_impact(
+        scene, start_state, float(iterates.x[-1, 0]), float(iterates.v[-1, 0]), RETURN_TOLERANCE * drive_period
     )
     if missed_impact is not None:
         delay, speed, side = missed_impact
-        times, speeds = np.append(times, drive_period * periods + delay), np.append(speeds, speed)
+        impact_times, speeds = np.append(impact_times, drive_period * periods + delay), np.append(speeds, speed)
         sides = np.append(sides, side)
         observed_itinerary = (*observed_itinerary[:-1], observed_itinerary[-1] + words.LETTERS[side])
     if itinerary is not None and not words.is_same_itinerary(observed_itinerary, itinerary):
-        return orbit_from_random_guesses(scene, itinerary, start, initial_box(scene)[2])
+        return orbit_from_random_guesses(scene, itinerary, start_state, initial_box(scene)[2])
     if not any(observed_itinerary) or may_stick(scene, iterates.status, iterates.contact):
-        return orbit_from_state(scene, start, periods)
-    return orbit_from_impacts(scene, times, speeds, sides, start.phase, periods)
+        return orbit_from_state(scene, start_state, periods)
+    return orbit_from_impacts(scene, impact_times, speeds, sides, start_state.phase, periods)
 
 
-def _missed_impact(scene, start, x, v, max_delay):
+def _missed_closing_impact(scene, start_state, end_x, end_v, max_delay):
     """Return (delay, speed, side) of the impact that closes an orbit which starts on a rigid wall, or None.
 
-    Rounding, or the error of a guess, may put this impact after the end of the last period.
+    Because of rounding, or of the error of a guess, this impact may lie after the end of the last period.
     """
     for side, wall, (wall_position, wall_velocity) in zip(
-        (-1, 1), (scene.left, scene.right), wall_states(scene, start.phase), strict=True
+        (-1, 1), (scene.left, scene.right), wall_states(scene, start_state.phase), strict=True
     ):
         if wall is None or wall.soft:
             continue
-        starts_on_wall = abs(start.x - wall_position) <= 8.0 * np.finfo(scene.dtype).eps * abs(float(wall_position))
-        gap, speed = side * (float(wall_position) - x), side * (v - float(wall_velocity))
-        if starts_on_wall and side * (start.v - wall_velocity) < 0 and gap >= 0 and speed * max_delay > gap:
+        starts_on_wall = abs(start_state.x - wall_position) <= 8.0 * np.finfo(scene.dtype).eps * abs(
+            float(wall_position)
+        )
+        gap, speed = side * (float(wall_position) - end_x), side * (end_v - float(wall_velocity))
+        if starts_on_wall and side * (start_state.v - wall_velocity) < 0 and gap >= 0 and speed * max_delay > gap:
             return gap / speed, speed, side
     return None

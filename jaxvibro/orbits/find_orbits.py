@@ -1,7 +1,8 @@
 """Find the periodic orbits near many trajectories, stable and unstable, by Newton's method.
 
-A trajectory that passes near an unstable orbit follows it for a while, so it returns near itself. Each stretch of n
-periods is a guess of the impacts of an orbit. The stretches with the nearest ends and some random ones are tried.
+A trajectory that passes near an unstable periodic orbit follows this orbit for some time and nearly repeats itself.
+Each stretch of n periods is a guess of the impacts of an orbit. Newton's method starts from the stretches whose two
+ends are nearest to each other, and from some random stretches.
 """
 
 from dataclasses import replace
@@ -52,7 +53,7 @@ def find_orbits(scene: Scene, max_period: int = 4, starts: int = 200, seed: int 
     Returns
     -------
     tuple of Orbit
-        The distinct orbits, in order of their period. Mirror images are both included; `Orbit.mirror_of` links them.
+        The distinct orbits, in order of their period. `Orbit.mirror_of` links orbits that are mirror images.
 
     Raises
     ------
@@ -66,8 +67,8 @@ def find_orbits(scene: Scene, max_period: int = 4, starts: int = 200, seed: int 
 
     Notes
     -----
-    `find_orbits` may miss orbits that the sampled trajectories do not approach. Trajectories approach orbits on an
-    attractor, on the transient and at the start. More starts find more orbits.
+    `find_orbits` may miss orbits that the sampled trajectories do not approach. The samples contain the first drive
+    periods of each trajectory and, later, the motion on its attractor. More starts find more orbits.
 
     Examples
     --------
@@ -75,20 +76,20 @@ def find_orbits(scene: Scene, max_period: int = 4, starts: int = 200, seed: int 
     >>> [(orbit.label, orbit.stable) for orbit in orbits]
     [('P100', True), ('P111', False), ('P111', True)]
     """
-    check.require_single(scene)
-    max_periods = check.whole_number("max_period", max_period, 1)
+    check.require_single_scene(scene)
+    max_periods = check.check_whole_number("max_period", max_period, 1)
     if max_periods > MAX_RECORDED_PERIODS // 2:
         raise check.ArgumentError("max_period", f"must be at most {MAX_RECORDED_PERIODS // 2}", max_period)
-    starts, seed = check.whole_number("starts", starts, 1), check.whole_number("seed", seed, 0)
+    starts, seed = check.check_whole_number("starts", starts, 1), check.check_whole_number("seed", seed, 0)
     first_run = iterate(scene, draw_initial_states(scene, starts, seed), MAX_RECORDED_PERIODS)
     runs = [first_run, iterate(scene, first_run.state, SETTLE_PERIODS)]
-    max_speed = initial_box(scene)[2]
-    collection = _OrbitCollection(scene, max_speed)
+    speed_scale = initial_box(scene)[2]
+    collection = _OrbitCollection(scene, speed_scale)
     collection.add(lambda: orbit_from_state(scene, free_response(scene), 1))
     rng = np.random.default_rng(seed)
     for periods in range(1, max_periods + 1):
-        for guess in _distinct_solutions(scene, _candidate_guesses(scene, runs, periods, rng)):
-            collection.add(lambda guess=guess: orbit_from_impacts(scene, *guess))
+        for impact_solution in _distinct_solutions(scene, _candidate_guesses(scene, runs, periods, rng)):
+            collection.add(lambda guess=impact_solution: orbit_from_impacts(scene, *guess))
         for state in _returning_states(runs[1], periods):
             collection.add(lambda state=state, periods=periods: orbit_from_state(scene, state, periods))
     return collection.with_mirror_images()
@@ -97,21 +98,21 @@ def find_orbits(scene: Scene, max_period: int = 4, starts: int = 200, seed: int 
 class _OrbitCollection:
     """Distinct orbits found in a scene."""
 
-    def __init__(self, scene, max_speed):
-        self.scene, self.max_speed, self.orbits, self.point_sets = scene, max_speed, [], []
+    def __init__(self, scene, speed_scale):
+        self.scene, self.max_speed, self.orbits, self.point_sets = scene, speed_scale, [], []
 
-    def add(self, solve):
-        """Add the orbit that `solve` returns, unless it is known or there is none."""
+    def add(self, solve_orbit):
+        """Add the orbit that `solve_orbit` returns, unless the orbit is known or `solve_orbit` raises OrbitError."""
         try:
-            orbit = solve()
+            orbit = solve_orbit()
         except OrbitError:
             return
-        points = self.points_of(orbit)
+        points = self.impact_points_of(orbit)
         if self.find_index(orbit.periods, points) is None:
             self.orbits.append(orbit)
             self.point_sets.append(points)
 
-    def points_of(self, orbit):
+    def impact_points_of(self, orbit):
         """Return the impacts of an orbit as points."""
         time = orbit.impacts.time + orbit.state.phase / float(self.scene.frequency)
         return impacts_as_points(
@@ -120,19 +121,22 @@ class _OrbitCollection:
 
     def find_index(self, periods, points):
         """Return the index of the orbit with these impacts, or None."""
-        for index, (other, other_points) in enumerate(zip(self.orbits, self.point_sets, strict=True)):
-            if other.periods == periods and is_same_orbit(points, other_points, ORBIT_TOLERANCE):
+        for index, (known_orbit, known_points) in enumerate(zip(self.orbits, self.point_sets, strict=True)):
+            if known_orbit.periods == periods and is_same_orbit(points, known_points, ORBIT_TOLERANCE):
                 return index
         return None
 
     def with_mirror_images(self):
-        """Return the orbits in order, each with the index of its mirror image."""
+        """Return the orbits in order, each with the index of its mirror image.
+
+        In a symmetric scene, mirror images that were not found are added.
+        """
         is_symmetric_scene = is_symmetric(self.scene)
         if is_symmetric_scene:
             for orbit, points in zip(list(self.orbits), list(self.point_sets), strict=True):
                 if self.find_index(orbit.periods, mirror_points(points)) is None:
                     self.add(lambda orbit=orbit: _mirror_orbit(orbit))
-        order = sorted(range(len(self.orbits)), key=lambda k: _sort_key(self.orbits[k]))
+        order = sorted(range(len(self.orbits)), key=lambda k: _orbit_sort_key(self.orbits[k]))
         new_indices = {old_index: new_index for new_index, old_index in enumerate(order)}
         mirror_indices = [self.find_index(self.orbits[k].periods, mirror_points(self.point_sets[k])) for k in order]
         return tuple(
@@ -141,20 +145,20 @@ class _OrbitCollection:
         )
 
 
-def _sort_key(orbit):
+def _orbit_sort_key(orbit):
     return orbit.periods, len(orbit.label), orbit.label, orbit.itinerary, orbit.state.x
 
 
 def _mirror_orbit(orbit):
-    """Solve for the mirror image of an orbit: the other walls, half a period later."""
+    """Solve for the mirror image of an orbit: impacts on the other walls, half a drive period later."""
     drive_period = 2.0 * np.pi / float(orbit.scene.frequency)
-    impacts, total_time = orbit.impacts, orbit.periods * drive_period
+    impacts, orbit_duration = orbit.impacts, orbit.periods * drive_period
     if orbit.unknowns == "state":
         state = orbit.state
         return orbit_from_state(
             orbit.scene, State(-state.x, -state.v, state.phase + np.pi, -state.contact), orbit.periods
         )
-    times = np.mod(impacts.time + 0.5 * drive_period, total_time)
+    times = np.mod(impacts.time + 0.5 * drive_period, orbit_duration)
     order = np.argsort(times)
     return orbit_from_impacts(
         orbit.scene, times[order], impacts.speed[order], -impacts.side[order], orbit.state.phase, orbit.periods
@@ -166,23 +170,32 @@ def _candidate_guesses(scene, runs, periods, rng):
     drive_period = 2.0 * np.pi / float(scene.frequency)
     guesses_by_count = {}
     for run in runs:
-        points = run.points
-        distances = abs(points[periods:] - points[:-periods]).max(axis=-1)
-        flat_distances = np.where((run.status < Status.CAP)[None, :], distances, np.inf).ravel()
-        order = np.argsort(flat_distances, kind="stable")
-        cells = np.round(points[:-periods].reshape(-1, 2)[order] / (CELL_SIZE * abs(points).max())).astype(int)
-        nearest = order[np.sort(np.unique(cells, axis=0, return_index=True)[1])[:MAX_NEAREST]]  # one in each cell
-        selection = np.unique(np.concatenate([nearest, rng.integers(0, flat_distances.size, N_RANDOM)]))
-        for start, lane in zip(
-            *np.unravel_index(selection[np.isfinite(flat_distances[selection])], distances.shape), strict=True
+        section_points = run.points
+        return_distances = abs(section_points[periods:] - section_points[:-periods]).max(axis=-1)
+        flat_return_distances = np.where((run.status < Status.CAP)[None, :], return_distances, np.inf).ravel()
+        order = np.argsort(flat_return_distances, kind="stable")
+        cell_indices = np.round(
+            section_points[:-periods].reshape(-1, 2)[order] / (CELL_SIZE * abs(section_points).max())
+        ).astype(int)
+        nearest_indices = order[
+            np.sort(np.unique(cell_indices, axis=0, return_index=True)[1])[:MAX_NEAREST]
+        ]  # one in each cell
+        stretch_indices = np.unique(
+            np.concatenate([nearest_indices, rng.integers(0, flat_return_distances.size, N_RANDOM)])
+        )
+        for start_period, lane in zip(
+            *np.unravel_index(
+                stretch_indices[np.isfinite(flat_return_distances[stretch_indices])], return_distances.shape
+            ),
+            strict=True,
         ):
-            rows = slice(start + 1, start + 1 + periods)
-            is_impact = run.side[rows, lane] != 0
+            period_rows = slice(start_period + 1, start_period + 1 + periods)
+            is_impact = run.side[period_rows, lane] != 0
             n_impacts = int(is_impact.sum())
             if 0 < n_impacts <= MAX_IMPACTS:
-                times = run.time[rows, lane] + drive_period * np.arange(periods)[:, None]
+                times = run.time[period_rows, lane] + drive_period * np.arange(periods)[:, None]
                 guesses_by_count.setdefault(n_impacts, []).append(
-                    (times[is_impact], run.speed[rows, lane][is_impact], run.side[rows, lane][is_impact])
+                    (times[is_impact], run.speed[period_rows, lane][is_impact], run.side[period_rows, lane][is_impact])
                 )
     return {n_impacts: (guesses, periods) for n_impacts, guesses in guesses_by_count.items()}
 
@@ -191,26 +204,28 @@ def _distinct_solutions(scene, guesses_by_count):
     """Yield the arguments of `orbit_from_impacts` for each distinct solution that Newton's method reaches."""
     drive_period = 2.0 * np.pi / float(scene.frequency)
     for n_impacts, (guesses, periods) in sorted(guesses_by_count.items()):
-        keys = set()
-        for start in range(0, len(guesses), LANES_PER_CALL):
-            batch = guesses[start : start + LANES_PER_CALL]
-            batch += [batch[-1]] * (LANES_PER_CALL - len(batch))
-            sequences = [padded_sequence(scene, *guess, 0.0, periods) for guess in batch]
-            solutions, newton_results = solve_guesses(scene, jax.tree.map(lambda *arrays: np.stack(arrays), *sequences))
-            is_valid = (newton_results.status == newton.OK) & (solutions.speeds[:, :n_impacts] > 0).all(axis=1)
+        known_keys = set()
+        for batch_start in range(0, len(guesses), LANES_PER_CALL):
+            guess_batch = guesses[batch_start : batch_start + LANES_PER_CALL]
+            guess_batch += [guess_batch[-1]] * (LANES_PER_CALL - len(guess_batch))
+            sequences = [padded_sequence(scene, *guess, 0.0, periods) for guess in guess_batch]
+            batch_solutions, newton_results = solve_guesses(
+                scene, jax.tree.map(lambda *arrays: np.stack(arrays), *sequences)
+            )
+            is_valid = (newton_results.status == newton.OK) & (batch_solutions.speeds[:, :n_impacts] > 0).all(axis=1)
             for k in np.flatnonzero(is_valid):
-                times, speeds, sides = (array[k, :n_impacts] for array in solutions[:3])
-                key = _sequence_key(times, speeds, sides, periods, drive_period)
-                if key not in keys:
-                    keys.add(key)
+                times, speeds, sides = (solution_array[k, :n_impacts] for solution_array in batch_solutions[:3])
+                sequence_key = _sequence_key(times, speeds, sides, periods, drive_period)
+                if sequence_key not in known_keys:
+                    known_keys.add(sequence_key)
                     yield times, speeds, sides, 0.0, periods
 
 
 def _sequence_key(times, speeds, sides, periods, drive_period):
-    """Return a key that is the same for cyclically equal impact sequences, unless rounding breaks a tie."""
+    """Return a key that is equal for impact sequences that differ by a shift of periods, except for rounding."""
     shifted_keys = []
-    for shift in range(periods):
-        shifted_times = np.mod(times - shift * drive_period, periods * drive_period)
+    for period_shift in range(periods):
+        shifted_times = np.mod(times - period_shift * drive_period, periods * drive_period)
         order = np.argsort(shifted_times)
         shifted_keys.append(
             tuple(np.round(shifted_times[order], 6)) + tuple(np.round(speeds[order], 6)) + tuple(sides[order])
@@ -219,15 +234,18 @@ def _sequence_key(times, speeds, sides, periods, drive_period):
 
 
 def _returning_states(run, periods):
-    """Yield states that return after a number of periods; orbits that stick are only found in this way."""
-    points = run.points
-    tolerance = 1e-6 * abs(points[-1]).max(initial=1.0)
-    has_returned = abs(points[-1] - points[-1 - periods]).max(axis=-1) <= tolerance
-    keys = set()
+    """Yield the final states that return after a number of periods, as guesses for shooting.
+
+    Orbits that stick are found from these guesses only.
+    """
+    section_points = run.points
+    tolerance = 1e-6 * abs(section_points[-1]).max(initial=1.0)
+    has_returned = abs(section_points[-1] - section_points[-1 - periods]).max(axis=-1) <= tolerance
+    known_keys = set()
     for lane in np.flatnonzero(has_returned & (run.status < Status.CAP)):
-        key = tuple(np.round(points[-1, lane], 5))
-        if key not in keys:
-            keys.add(key)
+        state_key = tuple(np.round(section_points[-1, lane], 5))
+        if state_key not in known_keys:
+            known_keys.add(state_key)
             yield State(
                 *(float(component[lane]) for component in (run.x[-1], run.v[-1])), 0.0, float(run.contact[-1, lane])
             )

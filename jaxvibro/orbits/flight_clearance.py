@@ -1,7 +1,7 @@
 """Compute the clearance of the flights of an impact sequence: distance from the walls, or depth behind them.
 
-A flight is sampled. Where the distance x - x_b turns between two samples, Newton steps locate the turning point. These
-are measurements; certified flights decide if an orbit is admissible (`orbit_from_impacts`).
+A flight is sampled. Where the distance from a wall has a minimum between two samples, Newton steps locate this turning
+point. The result is not certified. In `orbit_from_impacts`, certified flights decide if an orbit is admissible.
 """
 
 from typing import NamedTuple
@@ -13,8 +13,8 @@ from jaxtyping import Float
 
 from continuation.array_type import Array
 
-from ..flight.flows import flow_of
-from ..flight.wall_motion import subtract, wall_jet
+from ..flight.flow_dispatch import flow_of
+from ..flight.wall_motion import subtract_optional, wall_jet
 
 SAMPLE_ANGLE = 0.1  # rad between samples, of the fastest of drive, walls and free oscillation
 NEWTON_STEPS = 5  # from the guess of a parabola
@@ -24,9 +24,18 @@ STEP_TOLERANCE = 1e-3  # of the sampling interval: largest last Newton step at a
 
 
 class Flight(NamedTuple):
-    """Duration, state and drive at the start of flights, of shape (rows,).
+    """Flights between impacts, each field of shape (rows,).
 
-    `impact_equations.Flights` has these fields too.
+    Attributes
+    ----------
+    time : Array
+        Duration.
+    x, v, cosine, sine : Array
+        State, and cosine and sine of the drive's phase, at the start.
+
+    Notes
+    -----
+    `impact_equations.Flights` has the same fields and more.
     """
 
     time: Float[Array, " rows"]
@@ -74,7 +83,7 @@ def sample_count(coeffs, flights):
     Array of int
         Number of samples, a scalar.
     """
-    time_scale = flow_of(coeffs).shortest_step(coeffs, flights)
+    time_scale = flow_of(coeffs).sampling_time_scale(coeffs, flights)
     return jnp.ceil(jnp.max(flights.time) / (SAMPLE_ANGLE * time_scale)).astype(int) + 8
 
 
@@ -101,38 +110,38 @@ def turning_clearances(coeffs, flights, n_samples):
     if not coeffs.walls:
         empty = jnp.zeros((len(flights.time), 0), flights.time.dtype)
         return empty, empty
-    sample_time = flights.time / n_samples
-    nearest_distance, cell, cell_fraction = (
+    sampling_interval = flights.time / n_samples
+    nearest_distance, cell_index, cell_fraction = (
         jnp.stack(wall_arrays)
-        for wall_arrays in zip(*_nearest_turning_points(coeffs, flights, sample_time, n_samples), strict=True)
+        for wall_arrays in zip(*_nearest_turning_points(coeffs, flights, sampling_interval, n_samples), strict=True)
     )
 
     def newton_step(_, carry):
         time, _, _ = carry
         motions = relative_motion(coeffs, flights, time)
         distance, approach_speed, approach_acceleration = (
-            jnp.stack([wall_motion[derivative][flight] for flight, wall_motion in enumerate(motions)])
-            for derivative in range(3)
+            jnp.stack([wall_motion[derivative_order][wall_index] for wall_index, wall_motion in enumerate(motions)])
+            for derivative_order in range(3)
         )
         step = approach_speed / jnp.where(approach_acceleration == 0, 1.0, approach_acceleration)
-        turning_time = jnp.clip(time - step, cell * sample_time, (cell + 1.0) * sample_time)
+        turning_time = jnp.clip(time - step, cell_index * sampling_interval, (cell_index + 1.0) * sampling_interval)
         return (
             turning_time,
             distance + 0.5 * step * approach_speed,
-            (approach_acceleration < 0) & (abs(step) <= STEP_TOLERANCE * sample_time),
+            (approach_acceleration < 0) & (abs(step) <= STEP_TOLERANCE * sampling_interval),
         )
 
-    start = (
-        (cell + cell_fraction) * sample_time,
+    initial_carry = (
+        (cell_index + cell_fraction) * sampling_interval,
         jnp.zeros_like(nearest_distance),
         jnp.zeros_like(nearest_distance, bool),
     )
-    time, distance, is_turning_point = lax.fori_loop(0, NEWTON_STEPS, newton_step, start)
+    time, distance, is_turning_point = lax.fori_loop(0, NEWTON_STEPS, newton_step, initial_carry)
     return jnp.where(jnp.isfinite(nearest_distance) & is_turning_point, distance, jnp.inf).T, time.T
 
 
-def is_admissible(coeffs, flights, speeds, first_grazes=False):
-    """Test that flights stay between the walls and hit them with positive speeds, one after the other.
+def is_admissible(coeffs, flights, speeds, is_first_grazing=False):
+    """Test whether flights have positive durations, stay between the walls and hit them with positive speeds.
 
     Parameters
     ----------
@@ -142,7 +151,7 @@ def is_admissible(coeffs, flights, speeds, first_grazes=False):
         The flights.
     speeds : Array
         Impact speeds.
-    first_grazes : bool, optional
+    is_first_grazing : bool, optional
         True if the first impact is a grazing, whose speed is zero.
 
     Returns
@@ -151,8 +160,8 @@ def is_admissible(coeffs, flights, speeds, first_grazes=False):
         A scalar.
     """
     distances, _ = turning_clearances(coeffs, flights, sample_count(coeffs, flights))
-    impact_speeds = speeds[1:] if first_grazes else speeds
-    tolerance = GRAZING_TOLERANCE * coeffs.length_scale if first_grazes else 0.0
+    impact_speeds = speeds[1:] if is_first_grazing else speeds
+    tolerance = GRAZING_TOLERANCE * coeffs.length_scale if is_first_grazing else 0.0
     return jnp.all(impact_speeds > 0) & jnp.all(distances >= -tolerance) & jnp.all(flights.time > 0)
 
 
@@ -205,65 +214,78 @@ def _motion_towards_walls(coeffs, x, v, cosine, sine):
         motions.append(
             (
                 wall.sign * (wall_position - x),
-                wall.sign * subtract(v, wall_velocity),
-                wall.sign * subtract(acceleration, wall_acceleration),
+                wall.sign * subtract_optional(v, wall_velocity),
+                wall.sign * subtract_optional(acceleration, wall_acceleration),
             )
         )
     return motions
 
 
-def _nearest_turning_points(coeffs, flights, sample_time, n_samples):
-    """Return for each wall the nearest turning point of the samples: (distance, cell, initial fraction of the cell).
+def _nearest_turning_points(coeffs, flights, sampling_interval, n_samples):
+    """Return for each wall the turning point nearest to it: (distance, cell, initial fraction of the cell).
 
-    The distance is inf without a turning point; Newton steps begin at the fraction of the cell.
+    A cell lies between two samples. The distance is inf without a turning point. Newton steps begin at the fraction of
+    the cell.
     """
-    zero, advance_sample = jnp.zeros_like(sample_time), flow_of(coeffs).flight_map(coeffs, sample_time)
+    zero, advance_sample = jnp.zeros_like(sampling_interval), flow_of(coeffs).flight_map(coeffs, sampling_interval)
 
-    def scan_cell(cell, carry):
-        state, cell_start, nearest = carry
+    def scan_cell(cell_index, carry):
+        state, start_motions, nearest_points = carry
         next_state = advance_sample(*state)
-        cell_end = _motion_towards_walls(coeffs, *next_state)
-        nearest = [
-            _nearer_turning_point(cell, sample_time, *wall_data)
-            for wall_data in zip(cell_start, cell_end, nearest, strict=True)
+        end_motions = _motion_towards_walls(coeffs, *next_state)
+        nearest_points = [
+            _nearer_turning_point(cell_index, sampling_interval, *wall_data)
+            for wall_data in zip(start_motions, end_motions, nearest_points, strict=True)
         ]
-        return next_state, cell_end, nearest
+        return next_state, end_motions, nearest_points
 
-    start = flights.x, flights.v, flights.cosine, flights.sine
-    nearest = [(zero + jnp.inf, zero, zero) for _ in coeffs.walls]
-    return lax.fori_loop(0, n_samples, scan_cell, (start, _motion_towards_walls(coeffs, *start), nearest))[2]
+    start_state = flights.x, flights.v, flights.cosine, flights.sine
+    nearest_points = [(zero + jnp.inf, zero, zero) for _ in coeffs.walls]
+    return lax.fori_loop(
+        0, n_samples, scan_cell, (start_state, _motion_towards_walls(coeffs, *start_state), nearest_points)
+    )[2]
 
 
-def _nearer_turning_point(cell, sample_time, cell_start, cell_end, nearest):
-    """Return the nearer of the previous turning point and those of a cell.
+def _nearer_turning_point(cell_index, sampling_interval, start_motion, end_motion, nearest_point):
+    """Return the turning point nearer to the wall: the previous nearest one or that of a cell.
 
-    A cell has a turning point if the speed towards the wall crosses zero downwards once. From the slopes, the speed may
-    also rise above zero and fall again within the cell, or fall below zero and rise again.
+    A cell has a turning point if the speed towards the wall crosses zero downwards once. A cell also has a turning
+    point if, by the accelerations at both samples, the speed rises above zero and falls again, or falls below zero and
+    rises again.
     """
-    (start_distance, start_speed, start_accel), (end_distance, end_speed, end_accel) = cell_start, cell_end
+    (start_distance, start_speed, start_accel), (end_distance, end_speed, end_accel) = start_motion, end_motion
     crosses_zero = (start_speed > 0) & (end_speed <= 0)
-    may_rise = (start_speed <= 0) & (end_speed <= 0) & (start_accel > 0) & (end_accel < 0)
-    may_dip = (start_speed > 0) & (end_speed > 0) & (start_accel < 0) & (end_accel > 0)
-    safe_time = jnp.where(sample_time > 0, sample_time, 1.0)
-    jerk = jnp.where(may_rise | may_dip, (end_accel - start_accel) / safe_time, 1.0)
-    extremal_speed = start_speed - start_accel * (end_speed - end_accel * sample_time - start_speed) / (
-        jerk * safe_time
+    may_rise_above_zero = (start_speed <= 0) & (end_speed <= 0) & (start_accel > 0) & (end_accel < 0)
+    may_dip_below_zero = (start_speed > 0) & (end_speed > 0) & (start_accel < 0) & (end_accel > 0)
+    nonzero_time = jnp.where(sampling_interval > 0, sampling_interval, 1.0)
+    jerk = jnp.where(may_rise_above_zero | may_dip_below_zero, (end_accel - start_accel) / nonzero_time, 1.0)
+    extremal_speed = start_speed - start_accel * (end_speed - end_accel * sampling_interval - start_speed) / (
+        jerk * nonzero_time
     )  # at the intersection of the lines given by the slopes
-    is_nearer = crosses_zero | (may_rise & (extremal_speed > 0)) | (may_dip & (extremal_speed < 0))
-    # downward zero of a parabola through the end with the smaller slope
-    from_start = abs(start_accel) < abs(end_accel)
-    speed, accel, offset = (
-        jnp.where(from_start, *values)
-        for values in ((start_speed, end_speed), (start_accel, end_accel), (0.0, sample_time))
+    is_nearer = (
+        crosses_zero | (may_rise_above_zero & (extremal_speed > 0)) | (may_dip_below_zero & (extremal_speed < 0))
     )
-    turning_time = offset - (accel + jnp.sqrt(jnp.maximum(accel * accel - 2.0 * jerk * speed, 0.0))) / jerk
+    # downward zero of a parabola through the end with the smaller slope
+    is_start_flatter = abs(start_accel) < abs(end_accel)
+    flatter_end_speed, flatter_end_accel, flatter_end_time = (
+        jnp.where(is_start_flatter, *start_and_end_values)
+        for start_and_end_values in ((start_speed, end_speed), (start_accel, end_accel), (0.0, sampling_interval))
+    )
+    turning_time = (
+        flatter_end_time
+        - (
+            flatter_end_accel
+            + jnp.sqrt(jnp.maximum(flatter_end_accel * flatter_end_accel - 2.0 * jerk * flatter_end_speed, 0.0))
+        )
+        / jerk
+    )
     zero_fraction = start_speed / jnp.where(crosses_zero, start_speed - end_speed, 1.0)
-    cell_fraction = jnp.where(crosses_zero, zero_fraction, jnp.clip(turning_time / safe_time, 0.0, 1.0))
+    cell_fraction = jnp.where(crosses_zero, zero_fraction, jnp.clip(turning_time / nonzero_time, 0.0, 1.0))
     turning_distance = jnp.where(
         crosses_zero,
-        start_distance - 0.5 * start_speed * zero_fraction * sample_time,
+        start_distance - 0.5 * start_speed * zero_fraction * sampling_interval,
         jnp.minimum(start_distance, end_distance),
     )
-    candidate = (turning_distance, cell + jnp.zeros_like(sample_time), cell_fraction)
-    is_nearer &= turning_distance < nearest[0]
-    return jax.tree.map(lambda new, old: jnp.where(is_nearer, new, old), candidate, nearest)
+    cell_turning_point = (turning_distance, cell_index + jnp.zeros_like(sampling_interval), cell_fraction)
+    is_nearer &= turning_distance < nearest_point[0]
+    return jax.tree.map(lambda new, old: jnp.where(is_nearer, new, old), cell_turning_point, nearest_point)

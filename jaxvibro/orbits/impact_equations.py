@@ -17,10 +17,10 @@ from continuation.array_type import Array
 from continuation.newton import newton
 
 from ..flight import flow_matrix
-from ..flight.coefficients import flow_coefficients
-from ..flight.flows import flow_of
-from ..maps.contact_duration import matrix_product
-from .saltation import ContactMap, evaluate_contact_map, saltation_matrices, state_in_contact
+from ..flight.flight_coefficients import flow_coefficients
+from ..flight.flow_dispatch import flow_of
+from ..maps.contact_duration import multiply_2x2_matrices
+from .contact_maps import ContactMap, evaluate_contact_map, saltation_matrices, state_in_contact
 from .wall_at_contact import contact_force_derivatives
 
 MAX_TIME_CHANGE = 0.1  # of a drive period: largest change of a time in a Newton step
@@ -44,8 +44,8 @@ class ImpactSequence(NamedTuple):
     closure_sign : Array or None
         1, or -1 if the impacts are half of an orbit, followed by their mirror image; None means 1.
     multiplier : Array or None
-        Factor by which derivatives multiply a change of the first impact where it follows the last impact; None means
-        1. It does not affect values.
+        Factor of a change of the first impact in the derivatives of the equations of the last impact; None means 1. The
+        values of the equations do not depend on this factor.
     grazing : Array or None
         1 for grazings of a soft wall, which have no effect, of shape (rows,); None means that there are none.
     releases : Array or None
@@ -70,9 +70,22 @@ class ImpactSequence(NamedTuple):
 class Flights(NamedTuple):
     """Flights that follow the impacts, each field of shape (rows,).
 
-    `time` is the duration; `x`, `v`, `cosine` and `sine` are state and drive at the start; `end_x` and `end_v` are the
-    state at the end; `matrix` is that of the flow's `fly_with_matrix`. `next_row` is the row of the impact at the end,
-    and `mirror_sign` is -1 if this is its mirror image, else 1. `contact_map` is the `ContactMap` at the start.
+    Attributes
+    ----------
+    time : Array
+        Duration.
+    x, v, cosine, sine : Array
+        State, and cosine and sine of the drive's phase, at the start.
+    end_x, end_v : Array
+        State at the end.
+    matrix : tuple of Array
+        Flight matrix, as the flow's `fly_with_matrix` returns it.
+    next_row : Array of int
+        Row of the impact at the end.
+    mirror_sign : Array
+        -1 if the flight ends at the mirror image of that impact, else 1.
+    contact_map : ContactMap
+        Contact map of the impact before the flight.
     """
 
     time: Float[Array, " rows"]
@@ -105,16 +118,24 @@ def compute_flights(coeffs, sequence):
         The flights after the impacts.
     """
     sides, row_index = sequence.sides, jnp.arange(len(sequence.sides))
-    last_row = jnp.sum(sides != 0) - 1
-    next_row = jnp.where(row_index < last_row, row_index + 1, 0)
+    last_row_index = jnp.sum(sides != 0) - 1
+    next_row = jnp.where(row_index < last_row_index, row_index + 1, 0)
     one = jnp.ones((), sequence.times.dtype)
-    mirror_sign = jnp.where(row_index == last_row, one if sequence.closure_sign is None else sequence.closure_sign, one)
-    angle = sequence.phase + coeffs.frequency * sequence.times
-    contact_map = evaluate_contact_map(
-        coeffs, sides, jnp.cos(angle), jnp.sin(angle), sequence.speeds, sequence.grazing, sequence.min_contact_time
+    mirror_sign = jnp.where(
+        row_index == last_row_index, one if sequence.closure_sign is None else sequence.closure_sign, one
     )
-    wrap_time = jnp.where(row_index == last_row, sequence.periods * coeffs.period, 0.0)
-    time = _next_values(sequence, sequence.times, next_row) - sequence.times + wrap_time
+    drive_phase = sequence.phase + coeffs.frequency * sequence.times
+    contact_map = evaluate_contact_map(
+        coeffs,
+        sides,
+        jnp.cos(drive_phase),
+        jnp.sin(drive_phase),
+        sequence.speeds,
+        sequence.grazing,
+        sequence.min_contact_time,
+    )
+    wrap_time = jnp.where(row_index == last_row_index, sequence.periods * coeffs.period, 0.0)
+    time = _values_at_next_impact(sequence, sequence.times, next_row) - sequence.times + wrap_time
     time = time if contact_map.contact_time is None else time - contact_map.contact_time
     has_flight = sides != 0 if sequence.releases is None else (sides != 0) & (sequence.releases[next_row] == 0)
     time = jnp.where(has_flight, jnp.maximum(time, 0.0), 0.0)
@@ -123,9 +144,9 @@ def compute_flights(coeffs, sequence):
     return Flights(time, x, v, cosine, sine, end_x, end_v, matrix, next_row, mirror_sign, contact_map)
 
 
-def _next_values(sequence, values, next_row):
-    """Return the values of the next impacts."""
-    next_values = values[next_row]
+def _values_at_next_impact(sequence, impact_values, next_row):
+    """Return values at the impact that follows each row, with derivatives scaled by `sequence.multiplier`."""
+    next_values = impact_values[next_row]
     if sequence.multiplier is None:
         return next_values
     return next_values + jnp.where(next_row == 0, sequence.multiplier - 1.0, 0.0) * (
@@ -133,17 +154,17 @@ def _next_values(sequence, values, next_row):
     )
 
 
-def unroll_sequence(sequence, period, changes):
-    """Append the first impact once more after the last.
+def append_first_impact(sequence, drive_period, scaled_changes):
+    """Append a copy of the first impact after the last impact.
 
     Parameters
     ----------
     sequence : ImpactSequence
         The impacts.
-    period : float
+    drive_period : float
         Drive period, in t.
-    changes : sequence of tuple
-        (change of the unknowns, factor of this change at the repeated impact), to be added.
+    scaled_changes : sequence of tuple
+        Pairs (change to add to the unknowns, factor of this change at the repeated impact).
 
     Returns
     -------
@@ -152,22 +173,33 @@ def unroll_sequence(sequence, period, changes):
     """
     n_rows, n_impacts = len(sequence.sides), jnp.sum(sequence.sides != 0)
     row_index = jnp.arange(n_rows + 1)
-    is_repeat, source = row_index == n_impacts, jnp.where(row_index < n_impacts, row_index, 0)
-    times = sequence.times[source] + jnp.where(is_repeat, sequence.periods * period, 0.0)
-    speeds = sequence.speeds[source] + 0.0
-    for change, repeat_factor in changes:
-        factor = jnp.where(is_repeat, repeat_factor, 1.0)
-        times, speeds = times + factor * change[:n_rows][source], speeds + factor * change[n_rows:][source]
+    is_appended_row, source_row = row_index == n_impacts, jnp.where(row_index < n_impacts, row_index, 0)
+    times = sequence.times[source_row] + jnp.where(is_appended_row, sequence.periods * drive_period, 0.0)
+    speeds = sequence.speeds[source_row] + 0.0
+    for change, appended_row_factor in scaled_changes:
+        row_factor = jnp.where(is_appended_row, appended_row_factor, 1.0)
+        times, speeds = (
+            times + row_factor * change[:n_rows][source_row],
+            speeds + row_factor * change[n_rows:][source_row],
+        )
     closure_sign = 1.0 if sequence.closure_sign is None else sequence.closure_sign
-    sides = jnp.where(row_index <= n_impacts, jnp.where(is_repeat, closure_sign, 1.0) * sequence.sides[source], 0.0)
+    sides = jnp.where(
+        row_index <= n_impacts, jnp.where(is_appended_row, closure_sign, 1.0) * sequence.sides[source_row], 0.0
+    )
     return ImpactSequence(times, speeds, sides, sequence.phase, sequence.periods)
 
 
 class SequenceJacobian(NamedTuple):
-    """Derivative of each row's equations, first the gap, then the speed.
+    """Derivative of the two equations of each row: the gap and the speed error at the end of the flight.
 
-    `diagonal` is ((a, b), (c, d)), with respect to the row's own time and speed. `coupling` is (e, f) of ((e, 0), (f,
-    -1)), with respect to those of the next impact. `last_row` is the row that is followed by the first.
+    Attributes
+    ----------
+    diagonal : tuple of tuple of Array
+        ((a, b), (c, d)): derivative of (gap, speed error) with respect to the row's own time and speed.
+    coupling : tuple of Array
+        (e, f) of ((e, 0), (f, -1)): derivative with respect to the time and speed of the next impact.
+    last_row : Array of int
+        Index of the row of the last impact, which precedes the first row in the cycle.
     """
 
     diagonal: tuple[
@@ -180,9 +212,10 @@ class SequenceJacobian(NamedTuple):
 def residual_and_jacobian(coeffs, sequence, flights=None):
     """Evaluate the equations of an impact sequence and their derivative.
 
-    The unknowns are u = (times, speeds). The residual is the distance of the end of each flight from its wall, and from
-    its speed. No flight ends before a release: sticking erases the past, so contact force and speed must be zero there
-    instead.
+    The unknowns are u = (times, speeds). The residual is the gap between the end of each flight and the wall of the
+    next impact, and the difference between the final speed and the speed of this impact. No flight ends at a release,
+    because the motion after a release does not depend on the motion before it. Instead, contact force and speed must be
+    zero at a release.
 
     Parameters
     ----------
@@ -203,32 +236,39 @@ def residual_and_jacobian(coeffs, sequence, flights=None):
     flights, sides = compute_flights(coeffs, sequence) if flights is None else flights, sequence.sides
     is_impact = sides != 0
 
-    def at_next(values):
-        return flights.mirror_sign * _next_values(sequence, values, flights.next_row)
+    def value_at_next_impact(impact_values):
+        return flights.mirror_sign * _values_at_next_impact(sequence, impact_values, flights.next_row)
 
-    next_side, contact_map = at_next(sides), flights.contact_map
-    relative_velocity = flights.end_v - at_next(contact_map.wall_velocity)
+    next_side, contact_map = value_at_next_impact(sides), flights.contact_map
+    relative_velocity = flights.end_v - value_at_next_impact(contact_map.wall_velocity)
     acceleration, _ = flow_of(coeffs).acceleration_and_jerk(
-        coeffs, flights.end_x, flights.end_v, at_next(contact_map.cosine), at_next(contact_map.sine)
+        coeffs,
+        flights.end_x,
+        flights.end_v,
+        value_at_next_impact(contact_map.cosine),
+        value_at_next_impact(contact_map.sine),
     )
-    gap = flights.end_x - at_next(contact_map.wall_position)
-    speed_error = next_side * relative_velocity - _next_values(sequence, sequence.speeds, flights.next_row)
-    (a, c), (b, d) = (
+    gap = flights.end_x - value_at_next_impact(contact_map.wall_position)
+    speed_error = next_side * relative_velocity - _values_at_next_impact(sequence, sequence.speeds, flights.next_row)
+    (gap_by_time, speed_by_time), (gap_by_speed, speed_by_speed) = (
         flow_matrix.apply_matrix(flights.matrix, x, v)
         for x, v in (contact_map.state_by_time, contact_map.state_by_speed)
     )
-    c, d = next_side * c, next_side * d
-    diagonal = (a, b), (c, d)
-    coupling = relative_velocity, next_side * (acceleration - at_next(contact_map.wall_acceleration))
+    speed_by_time, speed_by_speed = next_side * speed_by_time, next_side * speed_by_speed
+    diagonal = (gap_by_time, gap_by_speed), (speed_by_time, speed_by_speed)
+    coupling = relative_velocity, next_side * (acceleration - value_at_next_impact(contact_map.wall_acceleration))
     if sequence.releases is not None:
-        is_sticking = sequence.releases[flights.next_row] > 0
+        precedes_release = sequence.releases[flights.next_row] > 0
         contact_force, force_rate = (
-            at_next(array) for array in contact_force_derivatives(coeffs, sides, (contact_map.cosine, contact_map.sine))
+            value_at_next_impact(force_values)
+            for force_values in contact_force_derivatives(coeffs, sides, (contact_map.cosine, contact_map.sine))
         )
-        gap = jnp.where(is_sticking, contact_force, gap)
-        speed_error = jnp.where(is_sticking, -_next_values(sequence, sequence.speeds, flights.next_row), speed_error)
-        diagonal = jax.tree.map(lambda entry: jnp.where(is_sticking, 0.0, entry), diagonal)
-        coupling = jnp.where(is_sticking, force_rate, coupling[0]), jnp.where(is_sticking, 0.0, coupling[1])
+        gap = jnp.where(precedes_release, contact_force, gap)
+        speed_error = jnp.where(
+            precedes_release, -_values_at_next_impact(sequence, sequence.speeds, flights.next_row), speed_error
+        )
+        diagonal = jax.tree.map(lambda entry: jnp.where(precedes_release, 0.0, entry), diagonal)
+        coupling = jnp.where(precedes_release, force_rate, coupling[0]), jnp.where(precedes_release, 0.0, coupling[1])
     residual = jnp.where(jnp.tile(is_impact, 2), jnp.concatenate([gap, speed_error]), 0.0)
     return residual, SequenceJacobian(diagonal, coupling, jnp.sum(is_impact) - 1)
 
@@ -236,7 +276,8 @@ def residual_and_jacobian(coeffs, sequence, flights=None):
 def solve_cyclic(jacobian, residual):
     """Solve the linear system of a Newton step row by row.
 
-    Each change follows from the one before, and the first from the closure of the cycle.
+    The change of each row follows from the change of the row before. The closure of the cycle determines the first
+    change.
 
     Parameters
     ----------
@@ -256,33 +297,47 @@ def solve_cyclic(jacobian, residual):
     ((a, b), (c, d)), (e, f) = jacobian.diagonal, jacobian.coupling
     gap, speed_error = residual[:n_rows], residual[n_rows:]
     # (e, 0; f, -1) next = residual - (a, b; c, d) own
-    transfer = (-a / e, -b / e, c - f * a / e, d - f * b / e)
-    shift = (gap / e, f * gap / e - speed_error)
+    transfer_entries = (-a / e, -b / e, c - f * a / e, d - f * b / e)
+    transfer_shifts = (gap / e, f * gap / e - speed_error)
     zero, one = jnp.zeros_like(gap[0]), jnp.ones_like(gap[0])
 
-    def compose(carry, row):
-        row_index, ((t00, t01, t10, t11), (s0, s1)) = row
-        (m00, m01, m10, m11), (h0, h1) = carry
+    def compose_transfers(carry, row_data):
+        row_index, ((t00, t01, t10, t11), (row_shift0, row_shift1)) = row_data
+        (m00, m01, m10, m11), (cycle_shift0, cycle_shift1) = carry
         new_carry = (t00 * m00 + t01 * m10, t00 * m01 + t01 * m11, t10 * m00 + t11 * m10, t10 * m01 + t11 * m11)
-        new_carry = new_carry, (t00 * h0 + t01 * h1 + s0, t10 * h0 + t11 * h1 + s1)
+        new_carry = (
+            new_carry,
+            (
+                t00 * cycle_shift0 + t01 * cycle_shift1 + row_shift0,
+                t10 * cycle_shift0 + t11 * cycle_shift1 + row_shift1,
+            ),
+        )
         return jax.tree.map(
             lambda new, old: jnp.where(row_index <= jacobian.last_row, new, old), new_carry, carry
         ), None
 
     row_indices = jnp.arange(n_rows)
-    start = (one, zero, zero, one), (zero, zero)
-    (cycle_transfer, (h0, h1)), _ = lax.scan(compose, start, (row_indices, (transfer, shift)))
+    identity_transfer = (one, zero, zero, one), (zero, zero)
+    (cycle_transfer, (cycle_shift0, cycle_shift1)), _ = lax.scan(
+        compose_transfers, identity_transfer, (row_indices, (transfer_entries, transfer_shifts))
+    )
     m00, m01, m10, m11 = cycle_transfer
     a, d = 1.0 - m00, 1.0 - m11
     determinant = a * d - m01 * m10
-    first_change = (d * h0 + m01 * h1) / determinant, (m10 * h0 + a * h1) / determinant
+    first_change = (
+        (d * cycle_shift0 + m01 * cycle_shift1) / determinant,
+        (m10 * cycle_shift0 + a * cycle_shift1) / determinant,
+    )
 
-    def advance_change(change, row):
-        row_index, ((t00, t01, t10, t11), (s0, s1)) = row
+    def advance_change(change, row_data):
+        row_index, ((t00, t01, t10, t11), (row_shift0, row_shift1)) = row_data
         row_change = jax.tree.map(lambda component: jnp.where(row_index <= jacobian.last_row, component, 0.0), change)
-        return (t00 * change[0] + t01 * change[1] + s0, t10 * change[0] + t11 * change[1] + s1), row_change
+        return (
+            t00 * change[0] + t01 * change[1] + row_shift0,
+            t10 * change[0] + t11 * change[1] + row_shift1,
+        ), row_change
 
-    _, (times, speeds) = lax.scan(advance_change, first_change, (row_indices, (transfer, shift)))
+    _, (times, speeds) = lax.scan(advance_change, first_change, (row_indices, (transfer_entries, transfer_shifts)))
     return jnp.concatenate([times, speeds]), abs(determinant) / (1.0 + abs(m00 * m11) + abs(m01 * m10))
 
 
@@ -301,9 +356,9 @@ def solve_sequence(scene, sequence):
 
 def sort_sequence(scene, sequence, unknowns):
     """Return the sequence with these unknowns, its times within the periods and in order."""
-    n_rows, total_time = len(sequence.sides), sequence.periods * 2.0 * jnp.pi / scene.frequency
+    n_rows, orbit_duration = len(sequence.sides), sequence.periods * 2.0 * jnp.pi / scene.frequency
     times, speeds = unknowns[:n_rows], unknowns[n_rows:]
-    times = jnp.where(sequence.sides != 0, times - total_time * jnp.floor(times / total_time), jnp.inf)
+    times = jnp.where(sequence.sides != 0, times - orbit_duration * jnp.floor(times / orbit_duration), jnp.inf)
     order = jnp.argsort(times)
     times = jnp.where(jnp.isfinite(times), times, 0.0)
     releases = None if sequence.releases is None else sequence.releases[order]
@@ -313,7 +368,7 @@ def sort_sequence(scene, sequence, unknowns):
 
 
 def monodromy_invariants(coeffs, flights, sides):
-    """Compute trace and determinant of the monodromy matrix from those of flights and impacts.
+    """Compute trace and determinant of the monodromy matrix from the matrices of flights and impacts.
 
     Parameters
     ----------
@@ -327,20 +382,20 @@ def monodromy_invariants(coeffs, flights, sides):
     Returns
     -------
     trace : Array
-        Trace of the product of P and Q of all flights.
+        Trace of the product of all flight matrices and saltation matrices.
     determinant : Array
-        Product of their determinants.
+        Determinant of this product.
 
     Notes
     -----
-    For orbits that stick both are zero; the function does not apply to them.
+    The function does not apply to orbits that stick, whose trace and determinant are zero.
     """
-    saltations, saltation_dets = saltation_matrices(coeffs, flights.contact_map, sides)
+    saltation_entries, saltation_dets = saltation_matrices(coeffs, flights.contact_map, sides)
 
-    def multiply_row(row, carry):
+    def multiply_flight_matrix(row, carry):
         matrix, determinant = carry
         flight_matrix = [entry[row] for entry in flights.matrix]
-        q00, q01, q10, q11 = matrix_product([entry[row] for entry in saltations], matrix)
+        q00, q01, q10, q11 = multiply_2x2_matrices([entry[row] for entry in saltation_entries], matrix)
         (m00, m10), (m01, m11) = (
             flow_matrix.apply_matrix(flight_matrix, q00, q10),
             flow_matrix.apply_matrix(flight_matrix, q01, q11),
@@ -349,11 +404,11 @@ def monodromy_invariants(coeffs, flights, sides):
         return jax.tree.map(lambda new, old: jnp.where(sides[row] != 0, new, old), new_carry, carry)
 
     one, zero = jnp.ones_like(flights.time[0]), jnp.zeros_like(flights.time[0])
-    (m00, _, _, m11), determinant = lax.fori_loop(0, len(sides), multiply_row, ((one, zero, zero, one), one))
+    (m00, _, _, m11), determinant = lax.fori_loop(0, len(sides), multiply_flight_matrix, ((one, zero, zero, one), one))
     return m00 + m11, determinant
 
 
-def states_at(coeffs, sequence, flights, time):
+def states_at(coeffs, sequence, flights, query_times):
     """Evaluate the state of a periodic orbit at given times.
 
     Parameters
@@ -364,7 +419,7 @@ def states_at(coeffs, sequence, flights, time):
         The impacts.
     flights : Flights
         Flights of the sequence.
-    time : Array
+    query_times : Array
         Times since the phase of the section, of shape (times,).
 
     Returns
@@ -372,23 +427,28 @@ def states_at(coeffs, sequence, flights, time):
     tuple of Array
         (x, v), each of shape (times,).
     """
-    total_time = sequence.periods * coeffs.period
-    elapsed_time = time[:, None] - sequence.times
+    orbit_duration = sequence.periods * coeffs.period
+    elapsed_time = query_times[:, None] - sequence.times
     elapsed_time = jnp.where(
-        sequence.sides != 0, elapsed_time - total_time * jnp.floor(elapsed_time / total_time), jnp.inf
+        sequence.sides != 0, elapsed_time - orbit_duration * jnp.floor(elapsed_time / orbit_duration), jnp.inf
     )
-    row = jnp.argmin(elapsed_time, axis=1)
-    elapsed_time = jnp.take_along_axis(elapsed_time, row[:, None], 1)[:, 0]
+    last_impact_row = jnp.argmin(elapsed_time, axis=1)
+    elapsed_time = jnp.take_along_axis(elapsed_time, last_impact_row[:, None], 1)[:, 0]
     flight_time = (
         elapsed_time
         if flights.contact_map.contact_time is None
-        else jnp.maximum(elapsed_time - flights.contact_map.contact_time[row], 0.0)
+        else jnp.maximum(elapsed_time - flights.contact_map.contact_time[last_impact_row], 0.0)
     )
     state = flow_of(coeffs).fly(
-        coeffs, flights.x[row], flights.v[row], flights.cosine[row], flights.sine[row], flight_time
+        coeffs,
+        flights.x[last_impact_row],
+        flights.v[last_impact_row],
+        flights.cosine[last_impact_row],
+        flights.sine[last_impact_row],
+        flight_time,
     )[:2]
     return (
         state
         if flights.contact_map.contact_time is None
-        else state_in_contact(coeffs, flights.contact_map, sequence.sides, row, elapsed_time, state)
+        else state_in_contact(coeffs, flights.contact_map, sequence.sides, last_impact_row, elapsed_time, state)
     )

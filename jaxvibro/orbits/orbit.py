@@ -1,4 +1,4 @@
-"""Periodic orbit record, the error without one, and Floquet multipliers from trace and determinant."""
+"""Define the record of a periodic orbit and its error, and compute multipliers from trace and determinant."""
 
 from dataclasses import dataclass, field
 
@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Complex
 
 from ..maps import itinerary as words
-from ..maps.sticking_phases import NO_STICKING
+from ..maps.sticking_phase_intervals import NO_STICKING
 from ..output.table_text import align_columns, column_header, multipliers_text
 from ..output.units import LENGTH, SPEED, TIME, unit_in_system
 from ..scene.scene import SIDES, Scene
@@ -24,7 +24,7 @@ class OrbitError(ValueError):
     status : str
         Reason in a few words.
     residual : float
-        Distance of the last iterate from an orbit, in lengths of the scene; nan if there is none.
+        Residual or return distance of the last iterate, in lengths of the scene; nan if there is none.
     advice : str
         Possible remedy.
 
@@ -62,8 +62,9 @@ class Orbit:
     periods : int
         Smallest number n of drive periods after which the motion repeats.
     state : State
-        State on the orbit at the phase of the section. The section lies at the requested phase, unless an impact is
-        within a thousandth of a period of it; then it is in the middle of the longest flight.
+        State on the orbit at the phase of the section. The section lies at the requested phase, unless the phase of an
+        impact differs from it by less than a thousandth of a period. In this case the section lies in the middle of the
+        widest gap between the phases of impacts.
     impacts : Impacts
         Impacts in n periods from `state`, without empty slots.
     itinerary : tuple of str
@@ -85,8 +86,8 @@ class Orbit:
     mirror_of : int or None
         Index of the mirror image in the result of `find_orbits`; its own index for a symmetric orbit. None otherwise.
     rests : bool
-        True if the mass sticks to a wall for a while. Bounces of complete chatter are recorded until they are certain
-        to end.
+        True if the mass sticks to a wall during part of the orbit. Bounces of complete chatter are recorded until it is
+        certain that the mass will stick.
 
     See Also
     --------
@@ -152,7 +153,7 @@ class Orbit:
             (f"{time_scale * time:.9g}", SIDES[int(side > 0)], f"{speed_scale * speed:.9g}")
             for time, side, speed in impacts
         ]
-        heading = (
+        summary_line = (
             f"{self.label}, {'stable' if self.stable else 'unstable'}, multipliers {multipliers_text(self.multipliers)}"
         )
         x_text, v_text = f"{length_scale * self.state.x:.12g}", f"{speed_scale * self.state.v:.12g}"
@@ -160,7 +161,7 @@ class Orbit:
             f"{column_header('x', length_unit, units)} {x_text}, {column_header('v', speed_unit, units)}"
             f" {v_text} at phase {self.state.phase:.9g}"
         )
-        return "\n".join([heading, state_text, align_columns(rows)])
+        return "\n".join([summary_line, state_text, align_columns(rows)])
 
 
 def eigenvalue_pair(trace, determinant):
@@ -182,7 +183,7 @@ def eigenvalue_pair(trace, determinant):
 def eigenvalue_pairs(trace, determinant):
     """Compute the eigenvalues of 2 by 2 matrices from traces and determinants.
 
-    The larger is computed without cancellation, the smaller from the determinant.
+    The larger eigenvalue is computed without cancellation, the smaller one from the determinant.
 
     Parameters
     ----------
@@ -198,8 +199,10 @@ def eigenvalue_pairs(trace, determinant):
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         half_trace = 0.5 * trace
         discriminant = half_trace * half_trace - determinant
-        larger = half_trace + np.copysign(np.sqrt(np.maximum(discriminant, 0.0)), half_trace)
-        real_pairs = np.stack([larger, np.where(larger != 0, determinant / larger, 0.0)], 1)
+        larger_eigenvalue = half_trace + np.copysign(np.sqrt(np.maximum(discriminant, 0.0)), half_trace)
+        real_pairs = np.stack(
+            [larger_eigenvalue, np.where(larger_eigenvalue != 0, determinant / larger_eigenvalue, 0.0)], 1
+        )
         complex_pairs = half_trace[:, None] + 1j * np.sqrt(np.maximum(-discriminant, 0.0))[:, None] * np.array(
             [1.0, -1.0]
         )
@@ -207,7 +210,7 @@ def eigenvalue_pairs(trace, determinant):
     return np.where(np.isfinite(eigenvalues).all(axis=1)[:, None], eigenvalues, np.inf)
 
 
-def make_orbit(scene, state, impacts, itinerary, multipliers, residual, unknowns, sticking=NO_STICKING):
+def make_orbit(scene, state, impacts, itinerary, multipliers, residual, unknowns, sticking_record=NO_STICKING):
     """Assemble an `Orbit`; derive its label and its stability.
 
     Parameters
@@ -226,7 +229,7 @@ def make_orbit(scene, state, impacts, itinerary, multipliers, residual, unknowns
         Largest residual of the equations.
     unknowns : {"impacts", "state"}
         Unknowns that were solved for.
-    sticking : StickingPhases, optional
+    sticking_record : StickingPhaseIntervals, optional
         Sticking phases of the orbit.
 
     Returns
@@ -235,7 +238,7 @@ def make_orbit(scene, state, impacts, itinerary, multipliers, residual, unknowns
         The orbit.
     """
     return Orbit(
-        label=words.label(itinerary, sticking.chatter_walls),
+        label=words.format_label(itinerary, sticking_record.chatter_walls),
         periods=len(itinerary),
         state=state,
         impacts=impacts,
@@ -247,12 +250,12 @@ def make_orbit(scene, state, impacts, itinerary, multipliers, residual, unknowns
         least_clearance=impacts.least_clearance,
         unknowns=unknowns,
         scene=scene,
-        rests=sticking.has_sticking,
+        rests=sticking_record.has_sticking,
     )
 
 
-def is_area_preserving(trace, determinant):
-    """Test that the product of the multipliers of each orbit is 1.
+def has_unit_determinants(trace, determinant):
+    """Test whether the product of the multipliers of each orbit is 1.
 
     Parameters
     ----------

@@ -1,8 +1,8 @@
 """Compare orbits by their impacts, as points (wall, phase, speed).
 
-An impact determines all motion that follows. So orbits are the same if their impacts are, whatever impact or period
-comes first and however often the orbit is traversed. The mirror image of an orbit exchanges the walls and is half a
-drive period later, with the same speeds.
+An impact determines all motion that follows. Therefore two orbits are the same if their impacts are the same, whichever
+impact or period comes first and however often the orbit is traversed. The impacts of the mirror image are on the other
+walls, half a drive period later, with the same speeds.
 """
 
 import numpy as np
@@ -19,7 +19,8 @@ def impacts_as_points(frequency, time, side, speed, speed_scale):
     frequency : float
         Frequency of the drive.
     time, side, speed : numpy.ndarray
-        Impacts in periods that start with `time` 0 at phase 0, as in `Impacts`, slots last.
+        Impacts in arrays of one shape, with side 0 in empty slots. `time` is the time since phase 0, up to
+        multiples of the drive period.
     speed_scale : float
         Large speed of the scene, in lengths per t.
 
@@ -34,7 +35,7 @@ def impacts_as_points(frequency, time, side, speed, speed_scale):
 
 
 def mirror_points(points):
-    """Compute the points of the mirror image: the other wall, half a drive period later.
+    """Compute the points of the mirror image: impacts on the other walls, half a drive period later.
 
     Parameters
     ----------
@@ -50,10 +51,10 @@ def mirror_points(points):
 
 
 def is_same_orbit(points, other_points, tolerance=None):
-    """Test that two periodic orbits of a scene are the same, or one is a multiple of the other.
+    """Test whether two periodic orbits of a scene are the same, possibly traversed several times.
 
-    Each impact must be near one of the other orbit. Impacts with zero speed are ignored. Orbits without impacts are the
-    same.
+    Each impact must be near an impact of the other orbit. Impacts whose scaled speed is at most the tolerance are
+    ignored. Orbits without further impacts are the same.
 
     Parameters
     ----------
@@ -69,12 +70,13 @@ def is_same_orbit(points, other_points, tolerance=None):
     """
     tolerance = np.finfo(points.dtype).eps ** 0.25 if tolerance is None else tolerance
     points, other_points = (
-        _weight_phases(point_set[point_set[:, -1] > tolerance]) for point_set in (points, other_points)
+        _weight_phases_by_speed(impact_points[impact_points[:, -1] > tolerance])
+        for impact_points in (points, other_points)
     )
     if not len(points) or not len(other_points):
         return len(points) == len(other_points)
-    distances = abs(points[:, None] - other_points).max(axis=-1)
-    return bool(max(distances.min(axis=0).max(), distances.min(axis=1).max()) <= tolerance)
+    pair_distances = abs(points[:, None] - other_points).max(axis=-1)
+    return bool(max(pair_distances.min(axis=0).max(), pair_distances.min(axis=1).max()) <= tolerance)
 
 
 def repetition_count(points, periods, tolerance):
@@ -83,7 +85,7 @@ def repetition_count(points, periods, tolerance):
     Parameters
     ----------
     points : numpy.ndarray
-        Impacts as points, in order of time. Impacts with zero speed are ignored.
+        Impacts as points, in order of time. Impacts whose scaled speed is at most `tolerance` are ignored.
     periods : int
         Number of drive periods.
     tolerance : float
@@ -94,7 +96,7 @@ def repetition_count(points, periods, tolerance):
     int
         Number of repetitions. Without impacts the motion is the response to the drive, which repeats every period.
     """
-    points = _weight_phases(points[points[:, -1] > tolerance])
+    points = _weight_phases_by_speed(points[points[:, -1] > tolerance])
     n_impacts = len(points)
     if not n_impacts:
         return periods
@@ -111,16 +113,17 @@ def repetition_count(points, periods, tolerance):
     )
 
 
-def _weight_phases(points):
+def _weight_phases_by_speed(points):
     """Weight the phases by the speed where it is small: the times of slow impacts are less accurate."""
     return np.concatenate([points[:, :1], points[:, 1:3] * np.minimum(points[:, 3:], 1.0), points[:, 3:]], axis=1)
 
 
-def is_same_set(points, other_points):
-    """Test that two long samples of impacts, in order of time, fill the same set.
+def samples_fill_same_set(points, other_points):
+    """Test whether two long samples of impacts, in order of time, fill the same set.
 
-    The median distance from one to the other must be at most three times the median distance between the halves of a
-    sample. One direction is enough, for an orbit that still explores part of a set.
+    The median distance from the points of one sample to the other sample must be at most three times the median
+    distance between the halves of the other sample. One direction is sufficient, because an orbit may still explore
+    part of a set.
 
     Parameters
     ----------
@@ -133,18 +136,18 @@ def is_same_set(points, other_points):
         True if they fill the same set.
     """
     return bool(
-        _median_distance(points, other_points) <= 3.0 * _distance_of_halves(other_points)
-        or _median_distance(other_points, points) <= 3.0 * _distance_of_halves(points)
+        _median_distance(points, other_points) <= 3.0 * _sample_half_distance(other_points)
+        or _median_distance(other_points, points) <= 3.0 * _sample_half_distance(points)
     )
 
 
-def _distance_of_halves(points):
-    half_count = len(points) // 2
-    return _median_distance(points[half_count:], points[:half_count])
+def _sample_half_distance(points):
+    n_half = len(points) // 2
+    return _median_distance(points[n_half:], points[:n_half])
 
 
 def _median_distance(points, other_points):
-    """Return the median distance from a sample of the points to the other points; inf without any."""
+    """Return the median distance from a subset of the points to the other points; inf without points."""
     distances = _nearest_distances(points[:: max(1, len(points) // MAX_QUERIES)], other_points)
     return np.median(distances) if len(distances) else np.inf
 

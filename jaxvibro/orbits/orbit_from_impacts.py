@@ -1,7 +1,8 @@
 """Solve for an `Orbit` from a guess of its impacts by Newton's method, or report why there is none.
 
 The unknowns are times and speeds of the impacts, for walls hit in a given order. A solution of the equations is an
-orbit only if no flight passes through a wall, and if certified flights from each impact meet the expected wall next.
+orbit only if no flight passes through a wall. In addition, certified motions from the middle of each flight must reach
+the next two impacts at the expected walls and times.
 """
 
 from functools import partial
@@ -17,8 +18,8 @@ from continuation.array_type import Array
 from continuation.persistent_jit import FAST_COMPILE, persistent_jit
 from continuation.problem import call_directly
 
-from ..compiled.kernels import call_as_kernel
-from ..flight.coefficients import flow_coefficients
+from ..compiled.kernel_calls import call_as_kernel
+from ..flight.flight_coefficients import flow_coefficients
 from ..maps import itinerary as words
 from ..maps.iterate import MAX_RECORDED_PERIODS, iterate
 from ..scene.codes import Status
@@ -38,9 +39,22 @@ TIME_TOLERANCE = 1e-6  # of a drive period: tolerance of impact times in certifi
 class SequenceSolution(NamedTuple):
     """Impact sequence after Newton's method, with its diagnostics.
 
-    `section_states` are (x, v) at the section over `MAX_RECORDED_PERIODS` periods, and `midflight_states` are (x, v)
-    halfway along each flight. `closest_approaches` are clearance and time of the closest approach of each flight to
-    each wall. `trace` and `determinant` are those of the monodromy matrix.
+    Attributes
+    ----------
+    sequence : ImpactSequence
+        Impacts of the solution.
+    newton_result : newton.NewtonSolution
+        Result of Newton's method.
+    flights : Flights
+        Flights of the sequence.
+    section_states : tuple of Array
+        (x, v) at the section over `MAX_RECORDED_PERIODS` periods.
+    midflight_states : tuple of Array
+        (x, v) halfway along each flight.
+    closest_approaches : tuple of Array
+        Clearance and time of the closest approach of each flight to each wall.
+    trace, determinant : Array
+        Trace and determinant of the monodromy matrix.
     """
 
     sequence: ImpactSequence
@@ -53,10 +67,10 @@ class SequenceSolution(NamedTuple):
     determinant: Float[Array, ""]
 
 
-def _solve_guess(scene, guess, call=call_directly):
-    newton_result = call(impact_equations.solve_sequence, scene, guess)
-    return call(
-        _measure_solution, scene, impact_equations.sort_sequence(scene, guess, newton_result.unknowns), newton_result
+def _solve_guess(scene, guess, call_function=call_directly):
+    newton_result = call_function(impact_equations.solve_sequence, scene, guess)
+    return call_function(
+        _diagnose_solution, scene, impact_equations.sort_sequence(scene, guess, newton_result.unknowns), newton_result
     )
 
 
@@ -66,7 +80,7 @@ def solve_guess(scene, guess):
     return _solve_guess(scene, guess, call_as_kernel)
 
 
-def _measure_solution(scene, sequence, newton_result):
+def _diagnose_solution(scene, sequence, newton_result):
     coeffs = flow_coefficients(scene)
     flights = impact_equations.compute_flights(coeffs, sequence)
     section_states = impact_equations.states_at(
@@ -102,25 +116,32 @@ def orbit_from_impacts(scene, times, speeds, sides, phase, periods):
     drive_period = 2.0 * np.pi / float(scene.frequency)
     solution = jax.device_get(solve_guess(scene, padded_sequence(scene, times, speeds, sides, phase, periods)))
     _require_converged(solution)
-    count = len(times)
-    times, speeds, sides = (column[:count] for column in solution.sequence[:3])
-    minimal = _minimal_period(times, speeds, sides, periods, drive_period)
-    if minimal < periods:
-        n_kept = count * minimal // periods
-        return orbit_from_impacts(scene, times[:n_kept], speeds[:n_kept], sides[:n_kept], phase, minimal)
+    n_impacts = len(times)
+    times, speeds, sides = (column[:n_impacts] for column in solution.sequence[:3])
+    minimal_period = _minimal_period(times, speeds, sides, periods, drive_period)
+    if minimal_period < periods:
+        n_minimal_impacts = n_impacts * minimal_period // periods
+        return orbit_from_impacts(
+            scene,
+            times[:n_minimal_impacts],
+            speeds[:n_minimal_impacts],
+            sides[:n_minimal_impacts],
+            phase,
+            minimal_period,
+        )
     section_delay = _section_delay(times, drive_period)
     if section_delay:
         shifted_times = np.mod(times - section_delay, periods * drive_period)
         order = np.argsort(shifted_times)
         phase = float(np.mod(phase + float(scene.frequency) * section_delay, 2.0 * np.pi))
         return orbit_from_impacts(scene, shifted_times[order], speeds[order], sides[order], phase, periods)
-    _require_admissible(scene, solution, count)
-    _require_certified(scene, solution, count, drive_period)
-    return _orbit_of_solution(scene, solution, count, drive_period)
+    _require_admissible(scene, solution, n_impacts)
+    _require_certified(scene, solution, n_impacts, drive_period)
+    return _orbit_of_solution(scene, solution, n_impacts, drive_period)
 
 
 def orbit_of_exact_impacts(scene, times, speeds, sides, periods, residual):
-    """Assemble the orbit with exactly these impacts; nothing is solved or refused.
+    """Assemble the orbit with exactly these impacts, which are neither corrected nor checked.
 
     Parameters
     ----------
@@ -136,92 +157,93 @@ def orbit_of_exact_impacts(scene, times, speeds, sides, periods, residual):
     Returns
     -------
     Orbit
-        The orbit. Its section is at phase 0 unless an impact is near it.
+        The orbit. Its section is at phase 0 unless an impact is near this phase.
     """
     drive_period = 2.0 * np.pi / float(scene.frequency)
     section_delay = _section_delay(np.mod(times, periods * drive_period), drive_period)
     shifted_times = np.mod(times - section_delay, periods * drive_period)
     order = np.argsort(shifted_times)
     phase = np.mod(float(scene.frequency) * section_delay, 2.0 * np.pi)
-    return _orbit_without_solving(scene, shifted_times[order], speeds[order], sides[order], phase, periods, residual)
+    return _assemble_orbit(scene, shifted_times[order], speeds[order], sides[order], phase, periods, residual)
 
 
-def read_from_phase_zero(orbit, itinerary):
+def move_section_to_phase_0(orbit, itinerary):
     """Move the section of an orbit to phase 0 of its first drive period.
 
-    The period to which an impact near phase 0 belongs is uncertain; it follows the given itinerary.
+    Rounding may shift an impact near phase 0 to the adjacent drive period. Such impacts are assigned to the periods
+    that give the itinerary of the result, if possible.
 
     Parameters
     ----------
     orbit : Orbit
         Orbit that was solved by its impacts.
     itinerary : tuple of str
-        Itinerary that the result is to have.
+        Itinerary of the result.
 
     Returns
     -------
     Orbit
-        The same orbit with its section at phase 0. Nothing is solved.
+        The same orbit with its section at phase 0. The impacts are not corrected.
     """
     scene, impacts, n_periods = orbit.scene, orbit.impacts, orbit.periods
     drive_period = 2.0 * np.pi / float(scene.frequency)
-    total_time, min_time = n_periods * drive_period, float(np.finfo(scene.dtype).eps) * drive_period
+    orbit_duration, smallest_positive_time = n_periods * drive_period, float(np.finfo(scene.dtype).eps) * drive_period
     times, tolerance = (
-        np.mod(impacts.time + orbit.state.phase / float(scene.frequency), total_time),
+        np.mod(impacts.time + orbit.state.phase / float(scene.frequency), orbit_duration),
         TIME_TOLERANCE * drive_period,
     )
     time_choices = [
         times,
-        np.where(times < tolerance, total_time, times),
-        np.where(times > total_time - tolerance, min_time, times),
+        np.where(times < tolerance, orbit_duration, times),
+        np.where(times > orbit_duration - tolerance, smallest_positive_time, times),
     ]
-    orders = [np.argsort(candidate_times, kind="stable") for candidate_times in time_choices]
-    matching_choices = (
-        choice
-        for choice, (candidate_times, order) in enumerate(zip(time_choices, orders, strict=True))
-        if words.words_of_impacts(candidate_times[order], impacts.side[order], n_periods, drive_period) == itinerary
+    sort_orders = [np.argsort(candidate_times, kind="stable") for candidate_times in time_choices]
+    matching_indices = (
+        choice_index
+        for choice_index, (candidate_times, order) in enumerate(zip(time_choices, sort_orders, strict=True))
+        if words.itinerary_of_impacts(candidate_times[order], impacts.side[order], n_periods, drive_period) == itinerary
     )
-    choice = next(matching_choices, 0)
-    times, order = time_choices[choice], orders[choice]
-    return _orbit_without_solving(
+    choice_index = next(matching_indices, 0)
+    times, order = time_choices[choice_index], sort_orders[choice_index]
+    return _assemble_orbit(
         scene, times[order], impacts.speed[order], impacts.side[order], 0.0, n_periods, orbit.residual
     )
 
 
-def _orbit_without_solving(scene, times, speeds, sides, phase, periods, residual):
-    """Assemble the orbit with these impacts, times since the section's phase; nothing is solved."""
+def _assemble_orbit(scene, times, speeds, sides, phase, periods, residual):
+    """Assemble the orbit with these impacts, at times since the section's phase, without correcting them."""
     sequence = padded_sequence(scene, times, speeds, sides, phase, periods)
     newton_fields = (np.asarray(value, scene.dtype) for value in ([], residual, 0.0, 1.0))
     newton_result = newton.NewtonSolution(*newton_fields, np.asarray(newton.OK))
     drive_period = 2.0 * np.pi / float(scene.frequency)
     return _orbit_of_solution(
-        scene, jax.device_get(_measure_compiled(scene, sequence, newton_result)), len(times), drive_period
+        scene, jax.device_get(_diagnose_compiled(scene, sequence, newton_result)), len(times), drive_period
     )
 
 
-_measure_compiled = persistent_jit(_measure_solution, compiler_options=FAST_COMPILE, numpy_first=True)
+_diagnose_compiled = persistent_jit(_diagnose_solution, compiler_options=FAST_COMPILE, numpy_first=True)
 
 
 def _orbit_of_solution(scene, solution, n_impacts, drive_period):
-    """Assemble the orbit of a solution, its itinerary rotated to the canonical start."""
+    """Assemble the orbit of a solution and rotate its itinerary to the canonical start."""
     times, speeds, sides, phase, periods = solution.sequence[:5]
     itinerary, section_points = (
-        words.words_of_impacts(times[:n_impacts], sides[:n_impacts], int(periods), drive_period),
+        words.itinerary_of_impacts(times[:n_impacts], sides[:n_impacts], int(periods), drive_period),
         np.stack(solution.section_states, 1),
     )
-    shift = words.canonical_start(itinerary, section_points[: int(periods)])
-    times_after_start = np.mod(times[:n_impacts] - shift * drive_period, float(periods) * drive_period)
+    period_shift = words.canonical_start_period(itinerary, section_points[: int(periods)])
+    times_after_start = np.mod(times[:n_impacts] - period_shift * drive_period, float(periods) * drive_period)
     order = np.argsort(times_after_start)
-    rows = times_after_start[order], sides[order].astype(np.int8), speeds[order]
+    impact_columns = times_after_start[order], sides[order].astype(np.int8), speeds[order]
     min_clearance = float(solution.closest_approaches[0][:n_impacts].min(initial=np.inf))
-    impacts = Impacts(*rows, n_impacts, float(rows[2].min()), min_clearance, Status.OK)
-    state = State(*section_points[shift].tolist(), float(phase), 0.0)
+    impacts = Impacts(*impact_columns, n_impacts, float(impact_columns[2].min()), min_clearance, Status.OK)
+    state = State(*section_points[period_shift].tolist(), float(phase), 0.0)
     multiplier_pair = eigenvalue_pair(float(solution.trace), float(solution.determinant))
     return make_orbit(
         scene,
         state,
         impacts,
-        words.rotate(itinerary, shift),
+        words.rotate_periods(itinerary, period_shift),
         multiplier_pair,
         float(solution.newton_result.residual),
         "impacts",
@@ -242,72 +264,86 @@ def _minimal_period(times, speeds, sides, periods, drive_period):
 
 
 def _section_delay(times, drive_period):
-    """Return the delay by which to move the section: 0 unless an impact is near it.
+    """Return the delay by which to move the section: 0 unless an impact is near the section.
 
     The section moves to the middle of the widest gap between impacts; the first of equally wide gaps is used.
     """
-    phases = np.sort(np.mod(times, drive_period))
-    if min(phases[0], drive_period - phases[-1]) >= MIN_SECTION_GAP * drive_period:
+    times_in_period = np.sort(np.mod(times, drive_period))
+    if min(times_in_period[0], drive_period - times_in_period[-1]) >= MIN_SECTION_GAP * drive_period:
         return 0.0
-    gaps = np.diff(phases, append=phases[0] + drive_period)
-    gap_middles = np.mod(phases + 0.5 * gaps, drive_period)
-    return float(gap_middles[gaps >= gaps.max() - MIN_SECTION_GAP * drive_period].min())
+    time_gaps = np.diff(times_in_period, append=times_in_period[0] + drive_period)
+    gap_middles = np.mod(times_in_period + 0.5 * time_gaps, drive_period)
+    return float(gap_middles[time_gaps >= time_gaps.max() - MIN_SECTION_GAP * drive_period].min())
 
 
 def _require_admissible(scene, solution, n_impacts):
     """Raise OrbitError for impacts with zero speed and for flights behind a wall."""
     speeds, (clearances, approach_times) = (
         solution.sequence.speeds[:n_impacts],
-        (array[:n_impacts] for array in solution.closest_approaches),
+        (approach_array[:n_impacts] for approach_array in solution.closest_approaches),
     )
     residual, slowest_index = float(solution.newton_result.residual), int(np.argmin(speeds))
     if not speeds[slowest_index] > 0:
         reason = f"impact {slowest_index + 1} of {n_impacts} would have the speed {speeds[slowest_index]:.3g}"
         raise OrbitError(f"not admissible: {reason}", residual, ADVICE_BRANCH_ENDED)
-    flight, wall = np.unravel_index(int(np.argmin(clearances)), clearances.shape)
-    if clearances[flight, wall] < 0:
-        side = list(scene.walls)[wall]
+    flight_index, wall_index = np.unravel_index(int(np.argmin(clearances)), clearances.shape)
+    if clearances[flight_index, wall_index] < 0:
+        wall_name = list(scene.walls)[wall_index]
         reason = (
-            f"flight {flight + 1} of {n_impacts} passes through the {side} wall, {-clearances[flight, wall]:.3g} deep"
+            f"flight {flight_index + 1} of {n_impacts} passes through the {wall_name} wall,"
+            f" {-clearances[flight_index, wall_index]:.3g} deep"
         )
-        reason += f", {approach_times[flight, wall]:.6g} after its start"
+        reason += f", {approach_times[flight_index, wall_index]:.6g} after its start"
         raise OrbitError(f"not admissible: {reason}", residual, ADVICE_BRANCH_ENDED)
 
 
 def _require_certified(scene, solution, n_impacts, drive_period):
     """Raise OrbitError unless certified flights confirm the impacts.
 
-    Each certified flight starts halfway along a flight and ends after the next flight, so that none begins or ends on a
-    wall.
+    Each certified motion starts in the middle of a flight, so that it does not start on a wall. Its first two impacts
+    must be on the expected walls at the expected times.
     """
     times, _, sides, phase = solution.sequence[:4]
     flights, next_row = solution.flights, solution.flights.next_row[:n_impacts]
-    flight_times = flights.time[:n_impacts]
-    contact_times = (
-        np.zeros_like(flight_times)
+    flight_durations = flights.time[:n_impacts]
+    contact_durations = (
+        np.zeros_like(flight_durations)
         if flights.contact_map.contact_time is None
         else flights.contact_map.contact_time[:n_impacts]
     )
-    start_phases = phase + np.asarray(scene.frequency) * (times[:n_impacts] + contact_times + 0.5 * flight_times)
-    starts = State(
+    midflight_phases = phase + np.asarray(scene.frequency) * (
+        times[:n_impacts] + contact_durations + 0.5 * flight_durations
+    )
+    midflight_start_states = State(
         solution.midflight_states[0][:n_impacts],
         solution.midflight_states[1][:n_impacts],
-        start_phases,
-        np.zeros_like(start_phases),
+        midflight_phases,
+        np.zeros_like(midflight_phases),
     )
-    expected_times = 0.5 * flight_times
-    expected_times = np.stack([expected_times, expected_times + (contact_times + flight_times)[next_row]], axis=1)
-    iterates = iterate(scene, starts, max(1, int(np.ceil(expected_times.max() / drive_period + TIME_TOLERANCE))))
-    impact_times = iterates.time + drive_period * np.arange(len(iterates.time))[:, None, None]
-    impact_times = np.where(iterates.side != 0, impact_times, np.inf).transpose(1, 0, 2).reshape(n_impacts, -1)
-    first_two = impact_times.argsort(axis=1)[:, :2]
-    impact_sides = np.take_along_axis(iterates.side.transpose(1, 0, 2).reshape(n_impacts, -1), first_two, 1)
-    is_time_wrong = abs(np.take_along_axis(impact_times, first_two, 1) - expected_times) > TIME_TOLERANCE * drive_period
-    failures = np.flatnonzero(
-        (is_time_wrong | (impact_sides != sides[np.stack([next_row, next_row[next_row]], axis=1)])).any(axis=1)
+    expected_impact_times = 0.5 * flight_durations
+    expected_impact_times = np.stack(
+        [expected_impact_times, expected_impact_times + (contact_durations + flight_durations)[next_row]], axis=1
     )
-    if failures.size:
-        reason = f"the flight after impact {failures[0] + 1} of {n_impacts}"
+    iterates = iterate(
+        scene, midflight_start_states, max(1, int(np.ceil(expected_impact_times.max() / drive_period + TIME_TOLERANCE)))
+    )
+    flown_impact_times = iterates.time + drive_period * np.arange(len(iterates.time))[:, None, None]
+    flown_impact_times = (
+        np.where(iterates.side != 0, flown_impact_times, np.inf).transpose(1, 0, 2).reshape(n_impacts, -1)
+    )
+    first_two_indices = flown_impact_times.argsort(axis=1)[:, :2]
+    flown_impact_sides = np.take_along_axis(
+        iterates.side.transpose(1, 0, 2).reshape(n_impacts, -1), first_two_indices, 1
+    )
+    is_time_wrong = (
+        abs(np.take_along_axis(flown_impact_times, first_two_indices, 1) - expected_impact_times)
+        > TIME_TOLERANCE * drive_period
+    )
+    wrong_flight_indices = np.flatnonzero(
+        (is_time_wrong | (flown_impact_sides != sides[np.stack([next_row, next_row[next_row]], axis=1)])).any(axis=1)
+    )
+    if wrong_flight_indices.size:
+        reason = f"the flight after impact {wrong_flight_indices[0] + 1} of {n_impacts}"
         reason += " does not meet the expected wall at the expected time"
         raise OrbitError(
             f"not admissible: {reason}", float(solution.newton_result.residual), "start nearer to an orbit"
@@ -327,32 +363,32 @@ def _solve_guesses_compiled(scene, guess):
 
 
 def orbit_from_random_guesses(scene, itinerary, state, max_speed):
-    """Solve for an orbit with an itinerary from random guesses of its impacts; return the nearest to the state.
+    """Solve for orbits with an itinerary from random guesses of the impacts; return the orbit nearest to the state.
 
     `max_speed` is a large speed of the scene. If no guess leads to an orbit, the last OrbitError is raised.
     """
-    letters, periods = "".join(itinerary), len(itinerary)
-    if not letters:
+    wall_letters, periods = "".join(itinerary), len(itinerary)
+    if not wall_letters:
         raise OrbitError("the motion from the state hits walls", np.nan, "start a motion that hits no wall")
     drive_period = 2.0 * np.pi / float(scene.frequency)
     rng = np.random.default_rng(0)
-    impact_periods = np.repeat(np.arange(periods), [len(word) for word in itinerary])
-    times = np.sort(impact_periods + rng.random((N_GUESSES, len(letters))), axis=1) * drive_period
+    period_indices = np.repeat(np.arange(periods), [len(word) for word in itinerary])
+    times = np.sort(period_indices + rng.random((N_GUESSES, len(wall_letters))), axis=1) * drive_period
     speeds = max_speed * rng.random(times.shape)
-    sides = np.broadcast_to(words.wall_sides(itinerary), times.shape)
+    sides = np.broadcast_to(words.sides_of_itinerary(itinerary), times.shape)
     guesses = [
         padded_sequence(scene, *arrays, state.phase, periods) for arrays in zip(times, speeds, sides, strict=True)
     ]
     sequences, newton_results = solve_guesses(scene, jax.tree.map(lambda *arrays: np.stack(arrays), *guesses))
     last_error = OrbitError("no guess leads to a solution with this itinerary", np.nan, "give a state near the orbit")
-    keys, orbits = set(), []
+    known_keys, orbits = set(), []
     for guess_index in np.flatnonzero(newton_results.status == newton.OK):
         key = tuple(np.round(sequences.times[guess_index], 6))
-        if key not in keys:
-            keys.add(key)
+        if key not in known_keys:
+            known_keys.add(key)
             try:
                 orbit = orbit_from_impacts(
-                    scene, *(arrays[guess_index][: len(letters)] for arrays in sequences[:3]), state.phase, periods
+                    scene, *(arrays[guess_index][: len(wall_letters)] for arrays in sequences[:3]), state.phase, periods
                 )
             except OrbitError as error:
                 last_error = error

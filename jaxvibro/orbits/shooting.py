@@ -1,7 +1,7 @@
-"""Solve for an `Orbit` from a state on the section by shooting: Newton's method with the strobe.
+"""Solve for an `Orbit` from a state on the section by shooting: Newton's method with the stroboscopic map.
 
-Shooting finds any orbit, also one that sticks or has no impact. Near grazing it is less accurate than the equations of
-the impacts (`orbit_from_impacts`).
+Shooting also finds orbits that stick or have no impact. Near a grazing it is less accurate than the equations of the
+impacts (`orbit_from_impacts`).
 """
 
 import jax
@@ -11,14 +11,14 @@ from continuation import newton
 from continuation.linear_solver import solve
 from continuation.persistent_jit import FAST_COMPILE, persistent_jit
 
-from ..compiled.compiler_hints import COMPILER_OPTIONS
-from ..compiled.kernels import call_as_kernel
+from ..compiled.kernel_calls import call_as_kernel
+from ..compiled.lane_arithmetic import COMPILER_OPTIONS
 from ..maps import itinerary as words
 from ..maps.monodromy import strobe_with_monodromy
-from ..maps.one_period import REPLAY_SLOTS
-from ..maps.sticking_phases import NO_STICKING, find_sticking_phases, may_stick
+from ..maps.reference_strobe import REPLAY_SLOTS
+from ..maps.sticking_phase_intervals import NO_STICKING, find_sticking_phases, may_stick
 from ..scene.codes import Status
-from ..scene.state import Impacts, State, state_arrays
+from ..scene.state import Impacts, State, make_state_arrays
 from .orbit import OrbitError, eigenvalue_pair, make_orbit
 
 MAX_NEWTON_STEPS = 12
@@ -26,66 +26,71 @@ MAX_SLOTS = 512  # recorded impacts of a period with more than `REPLAY_SLOTS`
 
 
 def orbit_from_state(scene, state, periods):
-    """Solve for the orbit near a state of plain numbers at its phase. Raises OrbitError."""
-    eps, step = float(np.finfo(scene.dtype).eps), np.inf
+    """Solve for the orbit near a single state, with the section at the phase of this state. Raises OrbitError."""
+    eps, step_size = float(np.finfo(scene.dtype).eps), np.inf
     for _ in range(MAX_NEWTON_STEPS):
-        points, period_results, matrix = _shoot(scene, state, periods)
-        residual = points[-1] - points[0]
-        scale = 1.0 + abs(points).max()
-        if step <= eps**0.7 * scale or not residual.any():
+        section_points, period_results, monodromy_matrix = _fly_periods(scene, state, periods)
+        residual = section_points[-1] - section_points[0]
+        state_scale = 1.0 + abs(section_points).max()
+        if step_size <= eps**0.7 * state_scale or not residual.any():
             break
-        state, step = _newton_step(state, period_results[-1][0], residual, matrix)
-    if residual.any() and (step > eps**0.7 * scale or abs(residual).max() > eps**0.4 * scale):
+        state, step_size = _newton_step(state, period_results[-1][0], residual, monodromy_matrix)
+    if residual.any() and (step_size > eps**0.7 * state_scale or abs(residual).max() > eps**0.4 * state_scale):
         raise OrbitError(
             newton.STATUS_TEXTS[newton.NOT_CONVERGED], float(abs(residual).max()), newton.ADVICE[newton.NOT_CONVERGED]
         )
-    minimal = next(
-        (n for n in range(1, periods) if periods % n == 0 and _is_close(points[n], points[0], scale)), periods
+    minimal_period = next(
+        (
+            n_periods
+            for n_periods in range(1, periods)
+            if periods % n_periods == 0 and _are_states_close(section_points[n_periods], section_points[0], state_scale)
+        ),
+        periods,
     )
-    if minimal < periods:
-        return orbit_from_state(scene, state, minimal)
-    itinerary = tuple(words.words_of_rows(period_impacts.side[None])[0] for _, period_impacts in period_results)
-    shift = words.canonical_start(itinerary, points[:-1])
-    state = period_results[shift - 1][0] if shift else state
-    impacts = _join_impacts(
-        words.rotate([period_impacts for _, period_impacts in period_results], shift),
+    if minimal_period < periods:
+        return orbit_from_state(scene, state, minimal_period)
+    itinerary = tuple(words.itinerary_of_rows(period_impacts.side[None])[0] for _, period_impacts in period_results)
+    period_shift = words.canonical_start_period(itinerary, section_points[:-1])
+    state = period_results[period_shift - 1][0] if period_shift else state
+    impacts = _join_period_impacts(
+        words.rotate_periods([period_impacts for _, period_impacts in period_results], period_shift),
         2.0 * np.pi / float(scene.frequency),
     )
-    multiplier_pair = eigenvalue_pair(float(np.trace(matrix)), float(np.linalg.det(matrix)))
+    multiplier_pair = eigenvalue_pair(float(np.trace(monodromy_matrix)), float(np.linalg.det(monodromy_matrix)))
     state = jax.tree.map(float, state)
     can_stick = may_stick(
         scene,
         [period_impacts.status for _, period_impacts in period_results],
-        [end.contact for end, _ in period_results],
+        [end_state.contact for end_state, _ in period_results],
     )
-    sticking = find_sticking_phases(scene, state, periods) if can_stick else NO_STICKING
+    sticking_record = find_sticking_phases(scene, state, periods) if can_stick else NO_STICKING
     return make_orbit(
         scene,
         state,
         impacts,
-        words.rotate(itinerary, shift),
+        words.rotate_periods(itinerary, period_shift),
         multiplier_pair,
         float(abs(residual).max()),
         "state",
-        sticking,
+        sticking_record,
     )
 
 
-def _is_close(point, other, scale):
-    return abs(point - other).max() <= 1e-8 * scale
+def _are_states_close(point, other_point, state_scale):
+    return abs(point - other_point).max() <= 1e-8 * state_scale
 
 
 def strobe_period(scene, state):
     """Return (State, Impacts with the least clearance, monodromy matrix) after a drive period, as NumPy arrays."""
-    state = state_arrays(scene, state)
-    end, impacts, (a, b, c, d) = _strobe_compiled(scene, state)
+    state = make_state_arrays(scene, state)
+    end, impacts, (a, b, c, d) = _strobe_period_compiled(scene, state)
     if impacts.count > REPLAY_SLOTS:
         end, impacts, (a, b, c, d) = jax.device_get(_strobe_many_impacts(scene, state))
     return end, impacts, np.array([[a, b], [c, d]])
 
 
 @persistent_jit(compiler_options=COMPILER_OPTIONS, numpy_first=True)
-def _strobe_compiled(scene, state):
+def _strobe_period_compiled(scene, state):
     return call_as_kernel(strobe_with_monodromy, scene, state, periods=1, slots=REPLAY_SLOTS, clearance=True)
 
 
@@ -97,41 +102,42 @@ def _strobe_many_impacts(scene, state):
 _solve_linear = persistent_jit(solve, compiler_options=FAST_COMPILE, numpy_first=True)
 
 
-def _shoot(scene, state, periods):
+def _fly_periods(scene, state, periods):
     """Return (points on the section, of shape (periods + 1, 2); (state, impacts) of each period; monodromy matrix)."""
-    points, period_results, matrix = [(float(state.x), float(state.v))], [], np.eye(2)
+    section_points, period_results, monodromy_matrix = [(float(state.x), float(state.v))], [], np.eye(2)
     for _ in range(periods):
         state, impacts, period_matrix = strobe_period(scene, state)
-        matrix = period_matrix @ matrix
+        monodromy_matrix = period_matrix @ monodromy_matrix
         if impacts.status >= Status.CAP:
             reason = f"the motion from the state cannot be computed ({Status(int(impacts.status)).word})"
             raise OrbitError(reason, np.nan, "start between the walls, nearer to an orbit")
-        points.append((float(state.x), float(state.v)))
+        section_points.append((float(state.x), float(state.v)))
         period_results.append((state, impacts))
-    return np.array(points), period_results, matrix
+    return np.array(section_points), period_results, monodromy_matrix
 
 
-def _newton_step(state, end, residual, matrix):
+def _newton_step(state, end_state, residual, monodromy_matrix):
     """Return (next state, step size). The next state is the final state if that is independent of the initial state."""
-    if not matrix.any():
-        return end, float(abs(residual).max())
-    step, pivot_ratio, _ = _solve_linear(np.eye(2) - matrix, residual)
+    if not monodromy_matrix.any():
+        return end_state, float(abs(residual).max())
+    step, pivot_ratio, _ = _solve_linear(np.eye(2) - monodromy_matrix, residual)
     if not pivot_ratio > newton.SINGULAR_PIVOT_RATIO * np.finfo(step.dtype).eps:
         status = newton.SINGULAR
         raise OrbitError(newton.STATUS_TEXTS[status], float(abs(residual).max()), newton.ADVICE[status])
     return State(float(state.x) + step[0], float(state.v) + step[1], state.phase, 0.0), float(abs(step).max())
 
 
-def _join_impacts(period_impacts, drive_period):
+def _join_period_impacts(period_impacts, drive_period):
     """Join the impacts of several periods, without empty slots."""
     rows = [
-        (impacts.time + period * drive_period, impacts.side, impacts.speed)
-        for period, impacts in enumerate(period_impacts)
+        (impacts.time + period_index * drive_period, impacts.side, impacts.speed)
+        for period_index, impacts in enumerate(period_impacts)
     ]
     is_impact = np.concatenate([side != 0 for _, side, _ in rows])
     time, side, speed = (np.concatenate(row)[is_impact] for row in zip(*rows, strict=True))
     least_speed, least_clearance = (
-        min(float(getattr(impacts, name)) for impacts in period_impacts) for name in ("least_speed", "least_clearance")
+        min(float(getattr(impacts, field_name)) for impacts in period_impacts)
+        for field_name in ("least_speed", "least_clearance")
     )
     status = max(int(impacts.status) for impacts in period_impacts)
     return Impacts(

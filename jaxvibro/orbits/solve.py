@@ -12,17 +12,17 @@ from jaxtyping import Complex, Float, Int
 
 from continuation import newton
 from continuation.array_type import Array
-from continuation.implicit_function import forward_differentiable, implicit_root, loop_over_lanes
+from continuation.implicit_function import force_forward_mode, make_implicit_root, make_lane_loop_function
 
-from ..compiled.kernels import call_as_kernel
+from ..compiled.kernel_calls import call_as_kernel
 from ..flight import flow_matrix
-from ..flight.coefficients import flow_coefficients
+from ..flight.flight_coefficients import flow_coefficients
 from ..maps import itinerary as words
 from ..maps.strobe import strobe
 from ..scene import check
 from ..scene.codes import SolutionStatus, Status
 from ..scene.scene import Scene
-from ..scene.state import State, state_arrays
+from ..scene.state import State, make_state_arrays
 from . import impact_equations
 from .flight_clearance import impact_free_flight, is_admissible
 from .impact_equations import ImpactSequence
@@ -90,8 +90,8 @@ def solve_orbits(
     scenes : Scene
         Oscillator, drive and walls. A single scene or a batch.
     guesses : State or tuple of array
-        Guesses that broadcast with `scenes`. A `State` whose flight hits these walls, starting with any of its impacts.
-        Or (times, speeds) of the impacts since phase 0, each of shape (..., impacts).
+        Guesses that broadcast with `scenes`: a `State` whose motion hits these walls, in the given order from one of
+        its impacts on, or (times, speeds) of the impacts since phase 0, each of shape (..., impacts).
     itinerary : sequence of str
         Walls to be hit: a word of "L" and "R" for each period, as ``("LR",)`` or ``("LRL", "R")``. Empty words mean the
         motion without impacts.
@@ -132,52 +132,56 @@ def solve_orbits(
     valid_itinerary = words.validate_itinerary(itinerary, periods)
     if not isinstance(scenes, Scene):
         raise check.ArgumentError("scenes", "must be a Scene", scenes)
-    leaves, tree = jax.tree.flatten(scenes)
-    task = OrbitTask(tree, valid_itinerary)
-    sides = task.sides
+    leaves, scene_tree = jax.tree.flatten(scenes)
+    structure = OrbitStructure(scene_tree, valid_itinerary)
+    sides = structure.sides
     if isinstance(guesses, State):
-        phase, start = _guess_from_state(scenes, state_arrays(scenes, guesses), sides, len(valid_itinerary))
+        phase, start_unknowns = _guess_from_state(
+            scenes, make_state_arrays(scenes, guesses), sides, len(valid_itinerary)
+        )
     else:
-        phase, start = jnp.zeros((), scenes.dtype), _guess_rows(guesses, len(sides), scenes.dtype)
-    shape = jnp.broadcast_shapes(scenes.shape, jnp.shape(phase), start.shape[:-1])
-    leaf_rows = jnp.stack([jnp.broadcast_to(leaf, shape).reshape(-1) for leaf in leaves], 1)
+        phase, start_unknowns = jnp.zeros((), scenes.dtype), _join_guesses(guesses, len(sides), scenes.dtype)
+    shape = jnp.broadcast_shapes(scenes.shape, jnp.shape(phase), start_unknowns.shape[:-1])
+    scene_numbers = jnp.stack([jnp.broadcast_to(leaf, shape).reshape(-1) for leaf in leaves], 1)
     phase = jnp.broadcast_to(phase, shape).reshape(-1)
-    start = jnp.broadcast_to(start, (*shape, start.shape[-1])).reshape(-1, start.shape[-1])
-    solutions = solve_lanes(task, leaf_rows, phase, start)
+    start_unknowns = jnp.broadcast_to(start_unknowns, (*shape, start_unknowns.shape[-1])).reshape(
+        -1, start_unknowns.shape[-1]
+    )
+    solutions = solve_lanes(structure, scene_numbers, phase, start_unknowns)
     return jax.tree.map(lambda leaf: leaf.reshape(*shape, *leaf.shape[1:]), solutions)
 
 
-class OrbitTask(NamedTuple):
-    """Static description of orbits: number tree of the scene and itinerary.
+class OrbitStructure(NamedTuple):
+    """Static description of an orbit: pytree structure of the scene, and itinerary.
 
     Attributes
     ----------
     tree : jax.tree_util.PyTreeDef
-        Tree of the numbers of a scene.
-    words : tuple of str
+        Pytree structure of the numbers of a scene.
+    itinerary : tuple of str
         Itinerary: a word of "L" and "R" for each period.
     """
 
     tree: jax.tree_util.PyTreeDef
-    words: tuple[str, ...]
+    itinerary: tuple[str, ...]
 
     @property
     def sides(self) -> Float[np.ndarray, " impacts"]:
         """Sides of the impacts: -1 left, 1 right."""
-        return words.wall_sides(self.words)
+        return words.sides_of_itinerary(self.itinerary)
 
     @property
     def periods(self) -> int:
         """Number of drive periods."""
-        return len(self.words)
+        return len(self.itinerary)
 
 
-def _guess_rows(guesses, n_impacts, dtype):
+def _join_guesses(guesses, n_impacts, dtype):
     """Validate guesses of times and speeds and join them in rows. Raises ArgumentError."""
     if not isinstance(guesses, tuple | list) or len(guesses) != 2:
         raise check.ArgumentError("guesses", "must be a State, or (times, speeds)", guesses)
     rows = [
-        check.real_array(f"guesses.{name}", array, dtype)
+        check.check_real_array(f"guesses.{name}", array, dtype)
         for name, array in zip(("times", "speeds"), guesses, strict=True)
     ]
     for name, row in zip(("times", "speeds"), rows, strict=True):
@@ -191,9 +195,10 @@ def _guess_rows(guesses, n_impacts, dtype):
 
 
 def _guess_from_state(scenes, guesses, sides, periods):
-    """Return (phase of the section, times and speeds of the impacts after the states), or x and v without impacts.
+    """Return the phase of the section and the initial unknowns.
 
-    The rows begin with the first impact from which the itinerary matches; they are nan if none does.
+    The unknowns are the times and speeds of the impacts after the states, or x and v without impacts. The first impact
+    is the earliest from which the walls match the itinerary. The unknowns are nan if there is no such impact.
     """
     scenes, guesses = lax.stop_gradient((scenes, guesses))
     if not len(sides):
@@ -204,31 +209,33 @@ def _guess_from_state(scenes, guesses, sides, periods):
     _, impacts = strobe(scenes, guesses, periods, len(sides))
     has_all_impacts = (impacts.count == len(sides)) & (impacts.status < Status.CAP)
     next_times = impacts.time + (2.0 * jnp.pi * periods / scenes.frequency)[..., None]
-    two_rounds = (
+    two_traversals = (
         jnp.concatenate([impacts.time, next_times], -1),
         *(jnp.tile(component, 2) for component in (impacts.speed, impacts.side)),
     )
-    start = jnp.full((*impacts.time.shape[:-1], 2 * len(sides)), jnp.nan, scenes.dtype)
-    for shift in reversed(range(len(sides))):
-        times, speeds, impact_sides = (component[..., shift : shift + len(sides)] for component in two_rounds)
-        matches = has_all_impacts & (impact_sides == sides.astype(np.int8)).all(-1)
-        start = jnp.where(matches[..., None], jnp.concatenate([times, speeds], -1), start)
-    return guesses.phase, start
+    start_unknowns = jnp.full((*impacts.time.shape[:-1], 2 * len(sides)), jnp.nan, scenes.dtype)
+    for first_impact_index in reversed(range(len(sides))):
+        times, speeds, impact_sides = (
+            component[..., first_impact_index : first_impact_index + len(sides)] for component in two_traversals
+        )
+        matches_itinerary = has_all_impacts & (impact_sides == sides.astype(np.int8)).all(-1)
+        start_unknowns = jnp.where(matches_itinerary[..., None], jnp.concatenate([times, speeds], -1), start_unknowns)
+    return guesses.phase, start_unknowns
 
 
 @partial(jax.jit, static_argnums=0)
-def solve_lanes(task, leaf_rows, phases, starts):
+def solve_lanes(structure, scene_numbers, phases, start_unknowns):
     """Solve for the orbits of lanes along one axis.
 
     Parameters
     ----------
-    task : OrbitTask
+    structure : OrbitStructure
         Static description of the orbits.
-    leaf_rows : array
+    scene_numbers : array
         Numbers of the scenes, of shape (lanes, numbers).
     phases : array
         Phases of the sections, of shape (lanes,), in rad.
-    starts : array
+    start_unknowns : array
         Guesses of the unknowns, of shape (lanes, unknowns): times, then speeds; or x and v without impacts.
 
     Returns
@@ -237,37 +244,40 @@ def solve_lanes(task, leaf_rows, phases, starts):
         The orbits of the lanes.
     """
     residual_of, find_root, test_admissible = (
-        partial(function, task) for function in (orbit_residual, _solve_newton, _is_admissible)
+        partial(function_of_structure, structure)
+        for function_of_structure in (orbit_residual, _solve_newton, _is_admissible)
     )
-    find_root, test_admissible, measure = (
-        implicit_root(residual_of, find_root, call_as_kernel),
-        loop_over_lanes(test_admissible, call_as_kernel),
-        forward_differentiable(partial(_section_and_invariants, task), call_as_kernel),
+    find_root, test_admissible, measure_orbit = (
+        make_implicit_root(residual_of, find_root, call_as_kernel),
+        make_lane_loop_function(test_admissible, call_as_kernel),
+        force_forward_mode(partial(_section_and_invariants, structure), call_as_kernel),
     )
 
-    def solve_lane(leaf_row, phase, start):
-        constants = phase, start
-        unknowns, (residual, status) = find_root(leaf_row, constants)
-        x, v, trace, determinant = measure(jnp.concatenate([unknowns, leaf_row]), constants)
-        is_real = test_admissible(*lax.stop_gradient((leaf_row, phase, unknowns)))
+    def solve_lane(lane_numbers, phase, guess_unknowns):
+        phase_and_guess = phase, guess_unknowns
+        unknowns, (residual, status) = find_root(lane_numbers, phase_and_guess)
+        x, v, trace, determinant = measure_orbit(jnp.concatenate([unknowns, lane_numbers]), phase_and_guess)
+        is_orbit_admissible = test_admissible(*lax.stop_gradient((lane_numbers, phase, unknowns)))
         status = jnp.where(
-            status == newton.OK, jnp.where(is_real, SolutionStatus.OK, SolutionStatus.VIRTUAL), SolutionStatus.NONE
+            status == newton.OK,
+            jnp.where(is_orbit_admissible, SolutionStatus.OK, SolutionStatus.VIRTUAL),
+            SolutionStatus.NONE,
         )
-        nan_mask = jnp.where(status == SolutionStatus.NONE, jnp.nan, 1.0)
-        times, speeds = jnp.split(unknowns * nan_mask, 2) if len(task.sides) else (unknowns[:0], unknowns[:0])
-        state = State(x * nan_mask, v * nan_mask, phase, 0.0 * phase)
-        multipliers = _multiplier_pair(trace, determinant) * nan_mask
-        return OrbitSolutions(state, times, speeds, multipliers, residual, status, task.words)
+        nan_factor = jnp.where(status == SolutionStatus.NONE, jnp.nan, 1.0)
+        times, speeds = jnp.split(unknowns * nan_factor, 2) if len(structure.sides) else (unknowns[:0], unknowns[:0])
+        state = State(x * nan_factor, v * nan_factor, phase, 0.0 * phase)
+        multipliers = _multiplier_pair(trace, determinant) * nan_factor
+        return OrbitSolutions(state, times, speeds, multipliers, residual, status, structure.itinerary)
 
-    return jax.vmap(solve_lane)(leaf_rows, phases, starts)
+    return jax.vmap(solve_lane)(scene_numbers, phases, start_unknowns)
 
 
-def sequence_of(task, unknowns, phase):
-    """Assemble the impact sequence of a task from its unknowns.
+def sequence_of(structure, unknowns, phase):
+    """Assemble the impact sequence of an orbit from the unknowns.
 
     Parameters
     ----------
-    task : OrbitTask
+    structure : OrbitStructure
         Static description of the orbit.
     unknowns : array
         Times, then speeds of the impacts.
@@ -280,21 +290,21 @@ def sequence_of(task, unknowns, phase):
         The sequence of impacts.
     """
     times, speeds = jnp.split(unknowns, 2)
-    return ImpactSequence(times, speeds, jnp.asarray(task.sides), phase, jnp.asarray(float(task.periods)))
+    return ImpactSequence(times, speeds, jnp.asarray(structure.sides), phase, jnp.asarray(float(structure.periods)))
 
 
-def orbit_residual(task, unknowns, scene_leaves, constants):
+def orbit_residual(structure, unknowns, scene_leaves, phase_and_guess):
     """Evaluate the residual of the equations of an orbit.
 
     Parameters
     ----------
-    task : OrbitTask
+    structure : OrbitStructure
         Static description of the orbit.
     unknowns : array
         Times, then speeds of the impacts; or x and v without impacts.
     scene_leaves : array
-        Numbers of the scene in the order of ``task.tree``.
-    constants : tuple
+        Numbers of the scene in the order of ``structure.tree``.
+    phase_and_guess : tuple
         (phase of the section, guess of the unknowns).
 
     Returns
@@ -302,51 +312,61 @@ def orbit_residual(task, unknowns, scene_leaves, constants):
     array
         Residual, of the shape of `unknowns`.
     """
-    scene, (phase, _) = task.tree.unflatten(list(scene_leaves)), constants
-    if len(task.sides):
-        return impact_equations.residual_and_jacobian(flow_coefficients(scene), sequence_of(task, unknowns, phase))[0]
-    return jnp.stack(_free_flight(task, scene, phase, unknowns)[0]) - unknowns
+    scene, (phase, _) = structure.tree.unflatten(list(scene_leaves)), phase_and_guess
+    if len(structure.sides):
+        return impact_equations.residual_and_jacobian(
+            flow_coefficients(scene), sequence_of(structure, unknowns, phase)
+        )[0]
+    return jnp.stack(_fly_without_walls(structure, scene, phase, unknowns)[0]) - unknowns
 
 
-def _free_flight(task, scene, phase, state):
-    """Return ((x, v), flight matrix) after the periods, without walls."""
-    return flow_matrix.fly_with_matrix(scene, state[0], state[1], phase, task.periods * 2.0 * jnp.pi / scene.frequency)
+def _fly_without_walls(structure, scene, phase, state):
+    """Return ((x, v), flight matrix) after a flight over all periods of the orbit without walls."""
+    return flow_matrix.fly_with_matrix(
+        scene, state[0], state[1], phase, structure.periods * 2.0 * jnp.pi / scene.frequency
+    )
 
 
-def _solve_newton(task, scene_leaves, constants):
-    phase, start = constants
-    if len(task.sides):
-        scene = task.tree.unflatten(list(scene_leaves))
-        newton_result = impact_equations.solve_sequence(scene, sequence_of(task, start, phase))
+def _solve_newton(structure, scene_leaves, phase_and_guess):
+    phase, guess_unknowns = phase_and_guess
+    if len(structure.sides):
+        scene = structure.tree.unflatten(list(scene_leaves))
+        newton_result = impact_equations.solve_sequence(scene, sequence_of(structure, guess_unknowns, phase))
     else:
-        residual_of = partial(orbit_residual, task)
+        residual_of = partial(orbit_residual, structure)
         newton_result = newton.newton(
-            lambda u: (residual_of(u, scene_leaves, constants), jax.jacfwd(residual_of)(u, scene_leaves, constants)),
-            start,
+            lambda u: (
+                residual_of(u, scene_leaves, phase_and_guess),
+                jax.jacfwd(residual_of)(u, scene_leaves, phase_and_guess),
+            ),
+            guess_unknowns,
         )
     return newton_result.unknowns, (newton_result.residual, newton_result.status.astype(scene_leaves.dtype))
 
 
-def _is_admissible(task, scene_leaves, phase, unknowns):
-    scene = task.tree.unflatten(list(scene_leaves))
+def _is_admissible(structure, scene_leaves, phase, unknowns):
+    scene = structure.tree.unflatten(list(scene_leaves))
     coeffs = flow_coefficients(scene)
-    if len(task.sides):
-        sequence = sequence_of(task, unknowns, phase)
+    if len(structure.sides):
+        sequence = sequence_of(structure, unknowns, phase)
         return is_admissible(coeffs, impact_equations.compute_flights(coeffs, sequence), sequence.speeds)
     return is_admissible(
-        coeffs, impact_free_flight(coeffs, phase, task.periods, *unknowns), jnp.ones_like(unknowns[:1])
+        coeffs, impact_free_flight(coeffs, phase, structure.periods, *unknowns), jnp.ones_like(unknowns[:1])
     )
 
 
-def _section_and_invariants(task, unknowns_and_leaves, constants):
-    """Return x and v at the section, trace and determinant; the input joins unknowns and scene numbers."""
-    phase, start = constants
-    unknowns, scene = unknowns_and_leaves[: len(start)], task.tree.unflatten(list(unknowns_and_leaves[len(start) :]))
-    if not len(task.sides):
-        _, matrix = _free_flight(task, scene, phase, unknowns)
+def _section_and_invariants(structure, unknowns_and_leaves, phase_and_guess):
+    """Return x and v at the section, trace and determinant, from an array of the unknowns and the scene's numbers."""
+    phase, guess_unknowns = phase_and_guess
+    unknowns, scene = (
+        unknowns_and_leaves[: len(guess_unknowns)],
+        structure.tree.unflatten(list(unknowns_and_leaves[len(guess_unknowns) :])),
+    )
+    if not len(structure.sides):
+        _, matrix = _fly_without_walls(structure, scene, phase, unknowns)
         p00, _, _, p11 = flow_matrix.matrix_by_rows(matrix)
         return jnp.stack([*unknowns, p00 + p11, flow_matrix.determinant(matrix)])
-    coeffs, sequence = flow_coefficients(scene), sequence_of(task, unknowns, phase)
+    coeffs, sequence = flow_coefficients(scene), sequence_of(structure, unknowns, phase)
     flights = impact_equations.compute_flights(coeffs, sequence)
     x, v = impact_equations.states_at(coeffs, sequence, flights, jnp.zeros(1, unknowns.dtype))
     return jnp.stack([x[0], v[0], *impact_equations.monodromy_invariants(coeffs, flights, sequence.sides)])
@@ -356,8 +376,10 @@ def _multiplier_pair(trace, determinant):
     """Compute the multipliers, the larger first, of shape (2,) and complex; smooth unless they coincide."""
     half_trace = 0.5 * trace
     discriminant = half_trace * half_trace - determinant
-    root_size = jnp.sqrt(jnp.where(discriminant == 0, 1.0, abs(discriminant))) * jnp.where(discriminant == 0, 0.0, 1.0)
-    larger = half_trace + jnp.where(half_trace < 0, -root_size, root_size)
-    smaller = determinant / jnp.where(larger == 0, 1.0, larger)
-    real_pair = jnp.stack([larger, smaller]) + 0j
-    return jnp.where(discriminant < 0, half_trace + 1j * root_size * jnp.array([1.0, -1.0]), real_pair)
+    discriminant_root = jnp.sqrt(jnp.where(discriminant == 0, 1.0, abs(discriminant))) * jnp.where(
+        discriminant == 0, 0.0, 1.0
+    )
+    larger_multiplier = half_trace + jnp.where(half_trace < 0, -discriminant_root, discriminant_root)
+    smaller_multiplier = determinant / jnp.where(larger_multiplier == 0, 1.0, larger_multiplier)
+    real_pair = jnp.stack([larger_multiplier, smaller_multiplier]) + 0j
+    return jnp.where(discriminant < 0, half_trace + 1j * discriminant_root * jnp.array([1.0, -1.0]), real_pair)

@@ -10,7 +10,7 @@ from continuation.persistent_jit import persistent_jit
 
 from ..maps.strobe import strobe
 from ..scene import check
-from .orbit import Orbit, is_area_preserving
+from .orbit import Orbit, has_unit_determinants
 
 RESONANCE_TOLERANCE = 1e-6  # of the multiplier's cube from 1, at the resonance 1:3
 
@@ -47,7 +47,8 @@ def twist(orbit: Orbit) -> float:
     (x, v) at a phase. On such a curve a return turns by ``angle + twist * J``, where J, the action, is the enclosed
     area divided by 2 pi. The curves persist if the twist is not 0 (Moser's twist theorem).
 
-    The twist is the first coefficient of the Birkhoff normal form, computed from the third derivatives of the map [1]_.
+    The twist is the first coefficient of the Birkhoff normal form, computed from the derivatives of the map up to order
+    three [1]_.
 
     References
     ----------
@@ -61,55 +62,64 @@ def twist(orbit: Orbit) -> float:
     -0.402
     """
     multiplier = orbit.multipliers[0]
-    preserves_area = is_area_preserving(np.sum(orbit.multipliers), np.prod(orbit.multipliers))
+    preserves_area = has_unit_determinants(np.sum(orbit.multipliers), np.prod(orbit.multipliers))
     if orbit.rests or not preserves_area or not multiplier.imag:
         raise check.ArgumentError("orbit", "must be elliptic, its multipliers on the unit circle", orbit.multipliers)
     if abs(multiplier**3 - 1.0) < RESONANCE_TOLERANCE:
         raise check.ArgumentError("orbit", "must not be at the resonance 1:3", orbit.multipliers)
-    point = np.array([np.asarray(orbit.state.x), np.asarray(orbit.state.v)])
+    section_point = np.array([np.asarray(orbit.state.x), np.asarray(orbit.state.v)])
     return _birkhoff_coefficient(
-        *(np.asarray(tensor) for tensor in _return_derivatives(orbit.scene, orbit.state, point, orbit.periods))
+        *(np.asarray(tensor) for tensor in _return_derivatives(orbit.scene, orbit.state, section_point, orbit.periods))
     )
 
 
 @persistent_jit(static_argnums=3)
-def _return_derivatives(scene, state, point, periods):
+def _return_derivatives(scene, state, section_point, periods):
     """Compute the first, second and third derivatives of the return map with respect to (x, v)."""
 
-    def return_map(start):
-        end, _ = strobe(scene, replace(state, x=start[0], v=start[1]), periods, 0)
-        return jnp.stack([end.x, end.v])
+    def return_map(start_point):
+        end_state, _ = strobe(scene, replace(state, x=start_point[0], v=start_point[1]), periods, 0)
+        return jnp.stack([end_state.x, end_state.v])
 
-    derivatives = [return_map]
+    derivative_functions = [return_map]
     for _ in range(3):
-        derivatives.append(jax.jacfwd(derivatives[-1]))
-    return [derivative(point) for derivative in derivatives[1:]]
+        derivative_functions.append(jax.jacfwd(derivative_functions[-1]))
+    return [derivative_function(section_point) for derivative_function in derivative_functions[1:]]
 
 
-def _birkhoff_coefficient(matrix, second_derivs, third_derivs):
+def _birkhoff_coefficient(return_matrix, second_derivs, third_derivs):
     """Compute the first Birkhoff coefficient from the derivatives of the return map."""
-    eigenvalues, eigenvectors = np.linalg.eig(matrix)
-    left_eigenvalues, left_eigenvectors = np.linalg.eig(matrix.T)
-    multiplier, q, p = (
+    eigenvalues, eigenvectors = np.linalg.eig(return_matrix)
+    left_eigenvalues, left_eigenvectors = np.linalg.eig(return_matrix.T)
+    multiplier, right_eigenvector, left_eigenvector = (
         eigenvalues[eigenvalues.imag > 0][0],
         eigenvectors[:, eigenvalues.imag > 0][:, 0],
         left_eigenvectors[:, left_eigenvalues.imag < 0][:, 0],
     )
-    p = p / np.vdot(q, p)
+    left_eigenvector = left_eigenvector / np.vdot(right_eigenvector, left_eigenvector)
 
     def multilinear_form(tensor, *vectors):
         for vector in vectors:
             tensor = tensor @ vector
-        return np.vdot(p, tensor)
+        return np.vdot(left_eigenvector, tensor)
 
-    conjugate = multiplier.conjugate()
+    conjugate_multiplier = multiplier.conjugate()
     g20, g11, g02 = (
-        multilinear_form(second_derivs, q, q),
-        multilinear_form(second_derivs, q, q.conj()),
-        multilinear_form(second_derivs, q.conj(), q.conj()),
+        multilinear_form(second_derivs, right_eigenvector, right_eigenvector),
+        multilinear_form(second_derivs, right_eigenvector, right_eigenvector.conj()),
+        multilinear_form(second_derivs, right_eigenvector.conj(), right_eigenvector.conj()),
     )
-    cubic = multilinear_form(third_derivs, q, q, q.conj()) / 2.0
-    cubic += g20 * g11 * (conjugate - 3.0 + 2.0 * multiplier) / (2.0 * (multiplier**2 - multiplier) * (conjugate - 1.0))
-    cubic += abs(g11) ** 2 / (1.0 - conjugate) + abs(g02) ** 2 / (2.0 * (multiplier**2 - conjugate))
-    area = 2.0 * abs(np.linalg.det(np.stack([q.real, q.imag])))
-    return float((conjugate * cubic).imag / area)
+    cubic_coefficient = (
+        multilinear_form(third_derivs, right_eigenvector, right_eigenvector, right_eigenvector.conj()) / 2.0
+    )
+    cubic_coefficient += (
+        g20
+        * g11
+        * (conjugate_multiplier - 3.0 + 2.0 * multiplier)
+        / (2.0 * (multiplier**2 - multiplier) * (conjugate_multiplier - 1.0))
+    )
+    cubic_coefficient += abs(g11) ** 2 / (1.0 - conjugate_multiplier) + abs(g02) ** 2 / (
+        2.0 * (multiplier**2 - conjugate_multiplier)
+    )
+    eigenvector_area = 2.0 * abs(np.linalg.det(np.stack([right_eigenvector.real, right_eigenvector.imag])))
+    return float((conjugate_multiplier * cubic_coefficient).imag / eigenvector_area)

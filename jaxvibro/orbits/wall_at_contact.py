@@ -1,6 +1,6 @@
 """Motion of the walls and contact forces at impacts, for the equations of the impacts."""
 
-from ..flight.flows import flow_of
+from ..flight.flow_dispatch import flow_of
 from ..flight.wall_motion import select_lists_by_side, wall_jet_on_side
 
 
@@ -28,6 +28,8 @@ def wall_derivatives(coeffs, sides, cosine, sine, order=2):
 
 
 def contact_force_derivatives(coeffs, sides, phasor, order=1):
-    """Return the force along x on a sticking mass relative to its wall, and its derivatives up to an order."""
-    wall_forces = [flow_of(coeffs).contact_force(coeffs, wall, *phasor, order)[: order + 1] for wall in coeffs.walls]
-    return select_lists_by_side(sides, coeffs.walls, wall_forces)
+    """Return the force along x on a sticking mass in the frame of the wall, with time derivatives up to an order."""
+    force_derivs_by_wall = [
+        flow_of(coeffs).contact_force(coeffs, wall, *phasor, order)[: order + 1] for wall in coeffs.walls
+    ]
+    return select_lists_by_side(sides, coeffs.walls, force_derivs_by_wall)

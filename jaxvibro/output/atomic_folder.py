@@ -1,9 +1,12 @@
-"""Create folders that are complete or absent: made under a unique name beside their place, then renamed into it.
+"""Create folders that are either complete or absent.
 
-A lock file beside the temporary folder shows whether its process is alive: the process holds a lock on it, which the
-system releases when the process ends. So the temporary folder of a dead process can be removed, and that of a live
-process never is, whichever host or container it runs in. If the file system has no locks, there is no lock file, and
-the temporary folder of a killed process remains.
+A folder is created under a unique temporary name in the same parent folder. It is renamed when it is complete.
+
+A lock file beside the temporary folder shows whether the process that creates the folder is alive. This process holds a
+lock on the file, and the system releases the lock when the process ends. Other processes can therefore remove the
+temporary folder of a dead process, and never remove that of a live process, even on another host or in another
+container. If the file system does not support locks, there is no lock file, and the temporary folder of a killed
+process remains.
 """
 
 import os
@@ -13,18 +16,18 @@ import shutil
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from .file_lock import LockUnavailable, try_lock
+from .file_lock import LocksUnsupported, try_lock
 
 PARTIAL_SUFFIX, LOCK_SUFFIX = ".partial", ".lock"
 TOKEN_PATTERN = "[0-9a-f]{16}"
 
 
 @contextmanager
-def complete_folder(path):
-    """Yield a new temporary folder that takes the place of `path` when the block ends without an error.
+def create_folder_atomically(path):
+    """Yield the name of a temporary folder that is renamed to `path` if the block ends without an error.
 
-    If several processes create the same folder, the first to finish wins. The others discard their own folder, so that
-    afterwards `path` exists and its content may be another process's.
+    If several processes create the same folder, the folder of the first process to finish remains. The others discard
+    their own folders. `path` then exists, but another process may have written its content.
 
     Parameters
     ----------
@@ -34,77 +37,85 @@ def complete_folder(path):
     Yields
     ------
     Path
-        Name of the temporary folder, which the caller creates and fills.
+        Temporary folder. The caller creates and fills it.
 
     Raises
     ------
     OSError
-        If the folder cannot be made beside its place, or cannot be moved into it and nothing else exists there.
+        If the temporary folder cannot be created, or cannot be renamed although `path` does not exist.
     """
-    temporary, lock, descriptor = _reserve_temporary(path)
+    temporary_folder, lock_path, lock_descriptor = _reserve_folder_name(path)
     try:
-        yield temporary
+        yield temporary_folder
         try:
-            os.rename(temporary, path)
+            os.rename(temporary_folder, path)
         except OSError:
             if not os.path.lexists(path):
                 raise
     finally:
-        shutil.rmtree(temporary, ignore_errors=True)
+        shutil.rmtree(temporary_folder, ignore_errors=True)
         with suppress(OSError):
-            os.unlink(lock)
-        if descriptor is not None:
-            os.close(descriptor)
+            os.unlink(lock_path)
+        if lock_descriptor is not None:
+            os.close(lock_descriptor)
 
 
-def remove_abandoned(path: Path) -> None:
-    """Remove the temporary folders that dead processes left beside `path`; those of live processes stay.
+def remove_abandoned_folders(path: Path) -> None:
+    """Remove the temporary folders of `path` whose processes have ended.
 
     Parameters
     ----------
     path : Path
-        Folder beside whose place they are.
+        Folder that these processes were creating.
     """
-    pattern = re.compile(rf"{re.escape(f'.{path.name}.')}{TOKEN_PATTERN}{re.escape(LOCK_SUFFIX)}")
+    lock_name_pattern = re.compile(rf"{re.escape(f'.{path.name}.')}{TOKEN_PATTERN}{re.escape(LOCK_SUFFIX)}")
     try:
-        locks = [path.with_name(name) for name in os.listdir(path.parent) if pattern.fullmatch(name)]
+        lock_paths = [
+            path.with_name(file_name) for file_name in os.listdir(path.parent) if lock_name_pattern.fullmatch(file_name)
+        ]
     except OSError:
         return
-    for lock in locks:
-        with suppress(OSError, LockUnavailable):  # removed in the meantime, or owned by another user
-            descriptor = os.open(lock, os.O_RDWR)
+    for lock_path in lock_paths:
+        with suppress(OSError, LocksUnsupported):  # removed in the meantime, or owned by another user
+            lock_descriptor = os.open(lock_path, os.O_RDWR)
             try:
-                temporary = lock.with_suffix(PARTIAL_SUFFIX)
-                if try_lock(descriptor):
-                    shutil.rmtree(temporary, ignore_errors=True)
-                    if not os.path.lexists(temporary):
-                        os.unlink(lock)
+                temporary_folder = lock_path.with_suffix(PARTIAL_SUFFIX)
+                if try_lock(lock_descriptor):
+                    shutil.rmtree(temporary_folder, ignore_errors=True)
+                    if not os.path.lexists(temporary_folder):
+                        os.unlink(lock_path)
             finally:
-                os.close(descriptor)
+                os.close(lock_descriptor)
 
 
-def _reserve_temporary(path):
-    """Return (temporary folder, its lock file, descriptor that holds the lock or None) under unused names."""
+def _reserve_folder_name(path):
+    """Reserve an unused name; return (temporary folder, lock file, descriptor that holds the lock).
+
+    The descriptor is None if the file system does not support locks.
+    """
     while True:
-        stem = f".{path.name}.{secrets.token_hex(8)}"
-        temporary, lock = path.with_name(stem + PARTIAL_SUFFIX), path.with_name(stem + LOCK_SUFFIX)
+        name_stem = f".{path.name}.{secrets.token_hex(8)}"
+        temporary_folder, lock_path = (
+            path.with_name(name_stem + PARTIAL_SUFFIX),
+            path.with_name(name_stem + LOCK_SUFFIX),
+        )
         try:
-            descriptor = os.open(lock, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o600)
+            lock_descriptor = os.open(lock_path, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o600)
         except OSError as error:
             raise OSError(error.errno, error.strerror, str(path)) from None
         try:
-            if try_lock(descriptor) and _still_has_name(descriptor, lock):
-                return temporary, lock, descriptor
-        except LockUnavailable:
-            os.close(descriptor)
-            os.unlink(lock)
-            return temporary, lock, None
-        os.close(descriptor)  # `remove_abandoned` of another process preceded the lock
+            if try_lock(lock_descriptor) and _is_still_at_path(lock_descriptor, lock_path):
+                return temporary_folder, lock_path, lock_descriptor
+        except LocksUnsupported:
+            os.close(lock_descriptor)
+            os.unlink(lock_path)
+            return temporary_folder, lock_path, None
+        os.close(lock_descriptor)  # `remove_abandoned_folders` of another process preceded the lock
 
 
-def _still_has_name(descriptor, path):
-    """Return True if an open file still has its name."""
+def _is_still_at_path(lock_descriptor, path):
+    """Return True if the open file is still the file at `path`."""
     try:
-        return os.path.samestat(os.fstat(descriptor), os.stat(path))
+        return os.path.samestat(os.fstat(lock_descriptor), os.stat(path))
     except FileNotFoundError:
         return False

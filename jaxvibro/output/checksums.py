@@ -1,7 +1,8 @@
 """Protect saved files with a format number and a checksum over all their bytes.
 
-The checksum is stored in the file itself, as an attribute or a key: SHA-256 of the file's bytes with a blank checksum
-in its place. So every flipped bit is detected, also in padding, and any reader of NetCDF or JSON reads the file.
+The checksum is stored in the file itself, as an attribute or a key. It is the SHA-256 digest of the file's bytes, with
+a blank checksum in place of the checksum. Every flipped bit is therefore detected, even in padding. Any
+reader of NetCDF or JSON can read the file.
 """
 
 import hashlib
@@ -22,29 +23,29 @@ HEADER_ATTRIBUTES = {
     "checksum": BLANK_CHECKSUM,
 }  # first attributes of a file, so that no similar bytes precede them
 _CHECKSUM_PATTERN = re.compile(rb"sha256:[0-9a-f]{64}")
-_CHECKSUM_TRACES = (b"sha256:", b"checksum")  # no single damage removes both
+_CHECKSUM_MARKERS = (b"sha256:", b"checksum")  # no single damage removes both
 
 
-def seal(content):
-    """Return the bytes of a file that holds `HEADER_ATTRIBUTES`, with the checksum filled in.
+def fill_in_checksum(content):
+    """Replace the blank checksum in the content of a file by the checksum of this content.
 
     Parameters
     ----------
     content : bytes
-        File with a blank checksum.
+        Content with `HEADER_ATTRIBUTES`, whose checksum is blank.
 
     Returns
     -------
     bytes
-        File with its checksum.
+        Content with the checksum.
     """
     return content.replace(BLANK_CHECKSUM.encode(), b"sha256:" + sha256_hex(content).encode(), 1)
 
 
 def netcdf_bytes(data):
-    """Return a Dataset as the bytes of a sealed NetCDF file (classic format).
+    """Return a Dataset as the bytes of a NetCDF file (classic format) with a checksum.
 
-    The format has no dimensions of size 0, so datasets of orbits without impacts are padded with one impact of zeros.
+    The format has no dimensions of size 0. A dataset without impacts is therefore padded with one impact of zeros.
 
     Parameters
     ----------
@@ -56,55 +57,56 @@ def netcdf_bytes(data):
     bytes
         Content of the file.
     """
-    padding = {"impact": (0, 1)} if data.sizes.get("impact") == 0 else {}
-    dataset = data.pad(padding, constant_values=0).assign_attrs()
-    dataset.attrs = HEADER_ATTRIBUTES | data.attrs | HEADER_ATTRIBUTES
-    return seal(bytes(dataset.to_netcdf(engine="scipy")))
+    impact_padding = {"impact": (0, 1)} if data.sizes.get("impact") == 0 else {}
+    padded_dataset = data.pad(impact_padding, constant_values=0).assign_attrs()
+    padded_dataset.attrs = HEADER_ATTRIBUTES | data.attrs | HEADER_ATTRIBUTES
+    return fill_in_checksum(bytes(padded_dataset.to_netcdf(engine="scipy")))
 
 
 def has_valid_checksum(content, path):
-    """Return True if a file has a checksum and it is right; False for a file of format 1.
+    """Check the checksum of a file; return False for a file of format 1, which has none.
 
     Parameters
     ----------
     content : bytes
         Content of the file.
     path : path_like
-        Name of the file, for the error.
+        Name of the file, for the error message.
 
     Returns
     -------
     bool
-        True for a valid checksum, False without one.
+        True if the file has a valid checksum, False if it has no checksum.
 
     Raises
     ------
     ArgumentError
         If the checksum is wrong.
     """
-    match = _CHECKSUM_PATTERN.search(content)
-    if match is None and not any(trace in content for trace in _CHECKSUM_TRACES):
+    checksum_match = _CHECKSUM_PATTERN.search(content)
+    if checksum_match is None and not any(checksum_marker in content for checksum_marker in _CHECKSUM_MARKERS):
         return False
     if (
-        match is None
-        or match[0] != b"sha256:" + sha256_hex(content.replace(match[0], BLANK_CHECKSUM.encode(), 1)).encode()
+        checksum_match is None
+        or checksum_match[0]
+        != b"sha256:" + sha256_hex(content.replace(checksum_match[0], BLANK_CHECKSUM.encode(), 1)).encode()
     ):
         raise ArgumentError("path", "must be unchanged since it was written; its checksum does not match", str(path))
     return True
 
 
-def read_checked(path, parse):
-    """Return parse(content, path) of a file after checking its checksum.
+def parse_checked_file(path, parse):
+    """Check the checksum of a file and return parse(content, path).
 
-    A file of format 1 that can be parsed causes a warning. It names the user's line if this function is called by a
-    public function that `host_only` decorates.
+    A file of format 1 has no checksum; if it can be parsed, the function issues a warning. The warning points to the
+    user's line if the caller is a public function that `host_only` decorates.
 
     Parameters
     ----------
     path : path_like
         File.
     parse : callable
-        Function of the bytes and the path.
+        Function of the content, in bytes, and the path.
 
     Returns
     -------
@@ -120,15 +122,15 @@ def read_checked(path, parse):
     return result
 
 
-def require_format(format_number, path):
-    """Raise ArgumentError for an invalid format number or one of a later version; None is that of format 1.
+def require_known_format(format_number, path):
+    """Raise ArgumentError if a format number is invalid or belongs to a later version.
 
     Parameters
     ----------
     format_number : int or None
-        Format number in the file.
+        Format number in the file. None means format 1.
     path : path_like
-        Name of the file, for the error.
+        Name of the file, for the error message.
     """
     if format_number is not None and (
         np.ndim(format_number) or isinstance(format_number, bool) or format_number not in range(1, FORMAT_NUMBER + 1)
@@ -140,7 +142,7 @@ def require_format(format_number, path):
 
 @host_only("use data that were loaded before")
 def load_data(path: str | PathLike[str]) -> xr.Dataset:
-    """Load a dataset that `run` or `paper` saved, after checking its checksum.
+    """Load a dataset from a NetCDF file of jaxvibro, after checking its checksum.
 
     A file of format 1, which has no checksum, is loaded with a warning.
 
@@ -157,7 +159,7 @@ def load_data(path: str | PathLike[str]) -> xr.Dataset:
     Raises
     ------
     ArgumentError
-        If the file is damaged or is not a NetCDF file.
+        If the file is damaged, is not a NetCDF file, or has the format of a later version.
     OSError
         If the file cannot be read.
 
@@ -170,17 +172,17 @@ def load_data(path: str | PathLike[str]) -> xr.Dataset:
     >>> data["amplitude"].shape == branch.values.shape
     True
     """
-    return read_checked(path, parse_dataset)
+    return parse_checked_file(path, parse_dataset)
 
 
 def parse_dataset(content, path):
-    """Return the Dataset of a NetCDF file's bytes; raise ArgumentError if it cannot be read."""
+    """Parse the content of a NetCDF file; raise ArgumentError if it is invalid."""
     try:
-        data = xr.load_dataset(content, engine="scipy")
+        dataset = xr.load_dataset(content, engine="scipy")
     except Exception as error:  # readers raise different errors for different kinds of damage
         raise ArgumentError("path", f"must be a NetCDF file ({type(error).__name__})", str(path)) from None
-    require_format(data.attrs.get("format"), path)
-    return data
+    require_known_format(dataset.attrs.get("format"), path)
+    return dataset
 
 
 def sha256_hex(content):

@@ -1,4 +1,4 @@
-"""Find runs of equal entries."""
+"""Find runs of equal consecutive entries of an array."""
 
 from itertools import pairwise
 
@@ -6,7 +6,7 @@ import numpy as np
 
 
 def find_equal_runs(entries):
-    """Return the runs of equal entries of an array.
+    """Return the maximal runs of equal consecutive entries of an array.
 
     Parameters
     ----------
@@ -18,5 +18,5 @@ def find_equal_runs(entries):
     list of tuple of int
         First index and one past the last index of each run.
     """
-    edges = [0, *(np.flatnonzero(entries[1:] != entries[:-1]) + 1).tolist(), len(entries)]
-    return [(start, stop) for start, stop in pairwise(edges) if stop > start]
+    run_boundaries = [0, *(np.flatnonzero(entries[1:] != entries[:-1]) + 1).tolist(), len(entries)]
+    return [(start, stop) for start, stop in pairwise(run_boundaries) if stop > start]

@@ -1,4 +1,4 @@
-"""Advisory locks on open files, released by the system when the process that holds them ends."""
+"""Lock files with advisory locks, which the system releases when the process that holds them ends."""
 
 import errno
 import os
@@ -12,8 +12,8 @@ except ImportError:  # not available on this system
     fcntl = None
 
 
-class LockUnavailable(Exception):
-    """Error: the system or the file system has no such locks."""
+class LocksUnsupported(Exception):
+    """Error for a system or a file system that does not support locks."""
 
 
 def try_lock(descriptor: int) -> bool:
@@ -27,32 +27,32 @@ def try_lock(descriptor: int) -> bool:
     Returns
     -------
     bool
-        True if the lock is held.
+        True if this process holds the lock.
 
     Raises
     ------
-    LockUnavailable
-        If the file cannot be locked at all.
+    LocksUnsupported
+        If the system or the file system does not support locks.
     """
     if fcntl is None:
-        raise LockUnavailable
+        raise LocksUnsupported
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError as error:
         if error.errno in (errno.EWOULDBLOCK, errno.EACCES):
             return False
-        raise LockUnavailable from None
+        raise LocksUnsupported from None
     return True
 
 
 @contextmanager
 def shared_lock(path):
-    """Hold a shared lock on a file within the block, or no lock if the file cannot be locked.
+    """Hold a shared lock on a file within the block; continue without a lock if the file cannot be locked.
 
     Parameters
     ----------
     path : path_like
-        File.
+        File to lock.
     """
     try:
         descriptor = os.open(path, os.O_RDONLY)
@@ -75,12 +75,12 @@ def exclusive_lock(path):
     Parameters
     ----------
     path : path_like
-        File.
+        File to lock.
 
     Yields
     ------
     bool
-        True if the lock is held.
+        True if the block holds the lock.
     """
     try:
         descriptor = os.open(path, os.O_RDWR)
@@ -90,7 +90,7 @@ def exclusive_lock(path):
     try:
         try:
             has_lock = try_lock(descriptor)
-        except LockUnavailable:
+        except LocksUnsupported:
             has_lock = False
         yield has_lock
     finally:

@@ -1,4 +1,8 @@
-"""Encode labels as integers, for large arrays: P n p q is 1,000,000 n + 1,000 p + q, with 999 for inf."""
+"""Encode orbit labels as integers, for large arrays.
+
+The label P n p q denotes an orbit with n drive periods, p impacts on the left wall and q on the right wall. Its code is
+1,000,000 n + 1,000 p + q. The count 999 stands for infinitely many impacts.
+"""
 
 import re
 
@@ -12,50 +16,50 @@ PERIODS_FACTOR, LEFT_FACTOR = 1_000_000, 1_000
 CODE_RULE = "1000000 n + 1000 p + q for P n p q, 999 for inf; 1 chaotic, 0 undecided, -1 not done"
 
 
-def encode_labels(
+def label_code_from_counts(
     periods: Int[ArrayLike, "..."],
     n_left: Int[ArrayLike, "..."],
     n_right: Int[ArrayLike, "..."],
-    chatter_walls: Int[ArrayLike, "..."] = 0,
+    chatter_wall_codes: Int[ArrayLike, "..."] = 0,
 ) -> Int[np.ndarray, "..."]:
     """Encode the labels of orbits.
 
     Parameters
     ----------
     periods : array_like
-        Drive periods.
+        Number of drive periods of each orbit.
     n_left : array_like
-        Impacts on the left wall; more than 998 count as 998.
+        Number of impacts on the left wall; numbers above 998 are encoded as 998.
     n_right : array_like
-        Impacts on the right wall; more than 998 count as 998.
-    chatter_walls : array_like, optional
-        Walls at which the mass sticks after complete chatter: 1 left, 2 right, 3 both.
+        Number of impacts on the right wall; numbers above 998 are encoded as 998.
+    chatter_wall_codes : array_like, optional
+        Walls at which the mass sticks after complete chatter: 0 none, 1 left, 2 right, 3 both.
 
     Returns
     -------
     ndarray
-        Codes.
+        Label codes.
     """
-    chatters_by_wall = [np.asarray(chatter_walls) & bit for bit in (1, 2)]
+    has_chatter_by_wall = [np.asarray(chatter_wall_codes) & wall_bit for wall_bit in (1, 2)]
     n_left, n_right = (
-        np.where(chatters, INFINITE_COUNT, np.minimum(n_impacts, INFINITE_COUNT - 1))
-        for chatters, n_impacts in zip(chatters_by_wall, (n_left, n_right), strict=True)
+        np.where(has_chatter, INFINITE_COUNT, np.minimum(n_impacts, INFINITE_COUNT - 1))
+        for has_chatter, n_impacts in zip(has_chatter_by_wall, (n_left, n_right), strict=True)
     )
     return np.asarray(PERIODS_FACTOR * np.asarray(periods) + LEFT_FACTOR * n_left + n_right, np.int32)
 
 
 def period_of(code: Int[ArrayLike, "..."]) -> Int[np.ndarray, "..."]:
-    """Return the drive periods of the orbits with these codes; 0 for chaotic and undecided ones.
+    """Return the number of drive periods of each label code, 0 for codes of no periodic orbit.
 
     Parameters
     ----------
     code : array_like
-        Codes.
+        Label codes.
 
     Returns
     -------
     ndarray
-        Drive periods.
+        Numbers of drive periods.
     """
     return np.asarray(np.maximum(code, 0) // PERIODS_FACTOR)
 
@@ -76,9 +80,9 @@ def label_of(code: int | np.integer) -> str:
     code = int(code)
     if code in CODE_WORDS:
         return CODE_WORDS[code]
-    counts = code // PERIODS_FACTOR, code // LEFT_FACTOR % 1000, code % 1000
-    numbers = ["inf" if count == INFINITE_COUNT else str(count) for count in counts]
-    return "P" + ("" if all(len(number) == 1 for number in numbers) else "-").join(numbers)
+    label_counts = code // PERIODS_FACTOR, code // LEFT_FACTOR % 1000, code % 1000
+    count_texts = ["inf" if label_count == INFINITE_COUNT else str(label_count) for label_count in label_counts]
+    return "P" + ("" if all(len(count_text) == 1 for count_text in count_texts) else "-").join(count_texts)
 
 
 def code_of(label: str) -> int:
@@ -92,13 +96,17 @@ def code_of(label: str) -> int:
     Returns
     -------
     int
-        Code; that of ``"undecided"`` for an invalid label.
+        Code. The code of ``"undecided"`` for an invalid label.
     """
-    for code, word in CODE_WORDS.items():
-        if label == word:
+    for code, code_word in CODE_WORDS.items():
+        if label == code_word:
             return code
-    match = re.fullmatch(r"P(\d)(\d)(\d)|P(\d+)-(\d+|inf)-(\d+|inf)", label)
-    if match is None:
+    label_match = re.fullmatch(r"P(\d)(\d)(\d)|P(\d+)-(\d+|inf)-(\d+|inf)", label)
+    if label_match is None:
         return UNDECIDED
-    n, p, q = (INFINITE_COUNT if part == "inf" else int(part) for part in match.groups() if part is not None)
-    return PERIODS_FACTOR * n + LEFT_FACTOR * p + q
+    n_periods, n_left, n_right = (
+        INFINITE_COUNT if count_text == "inf" else int(count_text)
+        for count_text in label_match.groups()
+        if count_text is not None
+    )
+    return PERIODS_FACTOR * n_periods + LEFT_FACTOR * n_left + n_right

@@ -1,60 +1,60 @@
-"""Format numbers as text for tables."""
+"""Format tables and numbers as text."""
 
 
 def align_columns(rows):
-    """Format rows of texts and numbers as aligned columns.
+    """Format the rows of a table as text with aligned columns.
 
     Parameters
     ----------
     rows : sequence of sequence
-        Rows of equal length.
+        Rows of equal length, with texts and numbers as cells.
 
     Returns
     -------
     str
         One line per row.
     """
-    texts = [[f"{entry:.6g}" if isinstance(entry, float) else str(entry) for entry in row] for row in rows]
-    widths = [max(map(len, column)) for column in zip(*texts, strict=True)]
-    return "\n".join("  ".join(map(str.ljust, row, widths)).rstrip() for row in texts)
+    cell_texts = [[f"{cell:.6g}" if isinstance(cell, float) else str(cell) for cell in row] for row in rows]
+    column_widths = [max(map(len, column)) for column in zip(*cell_texts, strict=True)]
+    return "\n".join("  ".join(map(str.ljust, row, column_widths)).rstrip() for row in cell_texts)
 
 
 def column_header(name, unit, units):
-    """Return a column's name, followed by its unit if that is a physical one.
+    """Return the name of a column, followed by its unit in brackets if the table has physical units.
 
     Parameters
     ----------
     name : str
-        Name.
+        Name of the column.
     unit : str
-        Unit.
+        Unit of the column, ``""`` or ``"1"`` for none.
     units : {"scene", "physical"}
-        Units of the table.
+        Unit system of the table.
 
     Returns
     -------
     str
-        Heading.
+        Column header.
     """
     return f"{name} ({unit})" if units == "physical" and unit not in ("", "1") else name
 
 
-def multipliers_text(multipliers, digits=6):
-    """Format two multipliers, real ones separately and a complex pair as one text.
+def multipliers_text(multipliers, n_digits=6):
+    """Format two Floquet multipliers: two real numbers, or a complex pair as ``a +- bi``.
 
     Parameters
     ----------
     multipliers : sequence of complex
-        Two multipliers.
-    digits : int, optional
-        Significant digits.
+        Two real multipliers or a complex-conjugate pair.
+    n_digits : int, optional
+        Number of significant digits.
 
     Returns
     -------
     str
         Text.
     """
-    first, second = multipliers
-    if first.imag:
-        return f"{first.real:.{digits}g} +- {abs(first.imag):.{digits}g}i"
-    return f"{first.real:.{digits}g}, {second.real:.{digits}g}"
+    first_multiplier, second_multiplier = multipliers
+    if first_multiplier.imag:
+        return f"{first_multiplier.real:.{n_digits}g} +- {abs(first_multiplier.imag):.{n_digits}g}i"
+    return f"{first_multiplier.real:.{n_digits}g}, {second_multiplier.real:.{n_digits}g}"

@@ -1,8 +1,8 @@
-"""Define the units of results, as attributes of their variables.
+"""Define the units of results and convert them to physical units.
 
-Lengths are in the unit of the walls' positions. w0 is the frequency of the free oscillator without damping, and t is w0
-times the time. M and K are the oscillator's mass and stiffness. If a scene has `Scales`, each unit corresponds to one
-of N, Hz, mm, m/s, s, W, N/m, N s/m: `PHYSICAL_UNITS`.
+The unit of length is that of the positions of the walls. w0 is the natural frequency of the oscillator without damping,
+and the dimensionless time t is w0 times the time. M and K are the mass and the stiffness of the oscillator. If a scene
+has `Scales`, `PHYSICAL_UNITS` maps each unit except rad and 1 to one of N, Hz, mm, m/s, s, W, N/m, N s/m.
 """
 
 from collections.abc import Callable
@@ -30,14 +30,14 @@ SCALES_ATTRIBUTE = "scales"  # attribute of a Dataset with M, K, d
 
 
 class PhysicalUnit(NamedTuple):
-    """Unit of measuring instruments.
+    """Physical unit, as used by measuring instruments.
 
-    Parameters
+    Attributes
     ----------
     text : str
-        Name.
+        Symbol of the unit.
     size : callable
-        Function from `Scales` to the size of the scene's unit in this one.
+        Function of `Scales` that returns the size of the scene's unit in this physical unit.
     """
 
     text: str
@@ -68,23 +68,26 @@ _PARAMETER_UNITS = {
 }
 
 
-def unit_of(name: str) -> str:
+def unit_of(parameter_name: str) -> str:
     """Return the unit of a scene's parameter.
 
     Parameters
     ----------
-    name : str
-        Parameter.
+    parameter_name : str
+        Name of the parameter, for example ``"left.position"``.
 
     Returns
     -------
     str
-        Unit; ``""`` for a parameter of a user-defined force, whose unit is that of its function.
+        Unit in the scene. ``""`` for a parameter of a user-defined force or contact law, whose unit depends on its
+        function.
     """
-    owner, _, parameter = name.partition(".")
-    if owner == "force" or ".law." in name:
+    before_first_dot, _, after_first_dot = parameter_name.partition(".")
+    if before_first_dot == "force" or ".law." in parameter_name:
         return ""
-    return _PARAMETER_UNITS.get(parameter.partition(".")[2] if owner == "drive" else parameter or owner, "")
+    return _PARAMETER_UNITS.get(
+        after_first_dot.partition(".")[2] if before_first_dot == "drive" else after_first_dot or before_first_dot, ""
+    )
 
 
 def display_unit(unit: str, scales: Scales | None) -> tuple[str, float]:
@@ -100,9 +103,9 @@ def display_unit(unit: str, scales: Scales | None) -> tuple[str, float]:
     Returns
     -------
     text : str
-        Name of the physical unit if there is one, else of the scene's unit.
+        Symbol of the physical unit if there is one, else the scene's unit.
     factor : float
-        Size of the scene's unit in it.
+        Size of the scene's unit in the displayed unit.
     """
     if scales is None or unit not in PHYSICAL_UNITS:
         return unit, 1.0
@@ -110,56 +113,56 @@ def display_unit(unit: str, scales: Scales | None) -> tuple[str, float]:
 
 
 def quantity_text(scales, unit, value):
-    """Format a quantity of a scene as ``"4.65"``, or with scales as ``"12 N"``.
+    """Format a quantity in the scene's units as ``"4.65"``, or in physical units as ``"12 N"``.
 
     Parameters
     ----------
     scales : Scales or None
-        Scales of the scene.
+        Scales of the scene. None keeps the scene's unit.
     unit : str
         Unit in the scene.
     value : float
-        Value in the scene.
+        Value in the scene's unit.
 
     Returns
     -------
     str
         Text.
     """
-    unit_text, factor = display_unit(unit, scales)
-    return f"{factor * value:g}" + _unit_suffix(scales, unit_text)
+    unit_text, unit_factor = display_unit(unit, scales)
+    return f"{unit_factor * value:g}" + _unit_suffix(scales, unit_text)
 
 
 def range_text(scales, unit, lower, upper):
-    """Format a range of a scene as ``"from -1 to 1"``, or with scales as ``"from -0.5 to 0.5 mm"``.
+    """Format a range as ``"from -1 to 1"``, or in physical units as ``"from -0.5 to 0.5 mm"``.
 
     Parameters
     ----------
     scales : Scales or None
-        Scales of the scene.
+        Scales of the scene. None keeps the scene's unit.
     unit : str
         Unit in the scene.
     lower : float
-        Lower end in the scene.
+        Lower end in the scene's unit.
     upper : float
-        Upper end in the scene.
+        Upper end in the scene's unit.
 
     Returns
     -------
     str
         Text.
     """
-    unit_text, factor = display_unit(unit, scales)
-    return f"from {factor * lower:.4g} to {factor * upper:.4g}" + _unit_suffix(scales, unit_text)
+    unit_text, unit_factor = display_unit(unit, scales)
+    return f"from {unit_factor * lower:.4g} to {unit_factor * upper:.4g}" + _unit_suffix(scales, unit_text)
 
 
 def _unit_suffix(scales, unit_text):
-    """Return the unit with a leading space, or an empty text."""
+    """Return a space and the physical unit, or ``""`` for the scene's units and dimensionless quantities."""
     return "" if scales is None or unit_text in ("", DIMENSIONLESS) else f" {unit_text}"
 
 
 def require_unit_system(units):
-    """Return the requested unit system, checked.
+    """Return a unit system if it is valid; raise ArgumentError otherwise.
 
     Parameters
     ----------
@@ -174,7 +177,7 @@ def require_unit_system(units):
     Raises
     ------
     ArgumentError
-        If it is unknown.
+        If `units` is unknown.
     """
     if not isinstance(units, str) or units not in UNIT_SYSTEMS:
         raise check.ArgumentError("units", f"must be one of {', '.join(UNIT_SYSTEMS)}", units)
@@ -182,7 +185,7 @@ def require_unit_system(units):
 
 
 def unit_in_system(scene: Scene, unit: str, units: str) -> tuple[str, float]:
-    """Return `display_unit` in the requested unit system.
+    """Return the unit in which a quantity is displayed in a unit system.
 
     Parameters
     ----------
@@ -196,21 +199,21 @@ def unit_in_system(scene: Scene, unit: str, units: str) -> tuple[str, float]:
     Returns
     -------
     text : str
-        Name of the unit.
+        Symbol of the unit.
     factor : float
-        Size of the scene's unit in it.
+        Size of the scene's unit in the displayed unit.
 
     Raises
     ------
     ArgumentError
-        If `units` is unknown, or physical units are requested of a scene without scales.
+        If `units` is unknown, or is "physical" for a scene without scales.
     """
     require_unit_system(units)
     return display_unit(unit, None if units == "scene" else require_scales(scene))
 
 
 def scales_attributes(scene):
-    """Return the attributes that store a scene's scales in a Dataset; empty without scales.
+    """Return the Dataset attributes that store the scales of a scene; empty for a scene without scales.
 
     Parameters
     ----------
@@ -226,7 +229,7 @@ def scales_attributes(scene):
 
 
 def read_scales(data):
-    """Return the scales in a Dataset's attributes.
+    """Read the scales of a scene from the attributes of a Dataset.
 
     Parameters
     ----------
@@ -241,7 +244,7 @@ def read_scales(data):
     Raises
     ------
     ArgumentError
-        If there are none.
+        If the Dataset has no scales.
     """
     if not isinstance(data, xr.Dataset) or SCALES_ATTRIBUTE not in data.attrs:
         rule = "must be a Dataset of a scene with scales; make the scene with scene_from_physical"
@@ -264,13 +267,13 @@ def to_physical(data: xr.Dataset) -> xr.Dataset:
     Returns
     -------
     xarray.Dataset
-        New dataset. Each variable whose attribute ``units`` is a unit of the scene is multiplied and has its new unit.
-        All other variables and the attributes are unchanged.
+        New dataset. Each variable whose attribute ``units`` is a unit of the scene is converted, and its ``units`` is
+        the physical unit. All other variables and the attributes of the dataset are unchanged.
 
     Raises
     ------
     ArgumentError
-        If `data` is not such a dataset, or its scene has no scales.
+        If `data` is not a dataset, or its scene has no scales.
 
     See Also
     --------
@@ -286,12 +289,14 @@ def to_physical(data: xr.Dataset) -> xr.Dataset:
     scales = read_scales(data)
     physical_data = data.copy()
     for name, variable in data.variables.items():
-        unit, factor = display_unit(variable.attrs.get("units", ""), scales)
-        if factor != 1.0 or unit != variable.attrs.get("units", ""):
-            new_variable = xr.Variable(variable.dims, variable.values * factor, {**variable.attrs, "units": unit})
+        unit, unit_factor = display_unit(variable.attrs.get("units", ""), scales)
+        if unit_factor != 1.0 or unit != variable.attrs.get("units", ""):
+            physical_variable = xr.Variable(
+                variable.dims, variable.values * unit_factor, {**variable.attrs, "units": unit}
+            )
             physical_data = (
-                physical_data.assign_coords({name: new_variable})
+                physical_data.assign_coords({name: physical_variable})
                 if name in data.coords
-                else physical_data.assign({name: new_variable})
+                else physical_data.assign({name: physical_variable})
             )
     return physical_data

@@ -1,7 +1,6 @@
 """Draw results with matplotlib.
 
-Each function draws into the Axes that it is given, or into those of a new figure, and returns the Axes. No function
-shows a figure.
+Each function draws into given Axes, or into the Axes of a new figure, and returns the Axes. No function shows a figure.
 """
 
 from .basins import basins

@@ -12,7 +12,7 @@ from .style import (
     WALL_COLOUR,
     axes_or_new,
     cell_edges,
-    checked_picture,
+    check_plot_options,
     escape_formulas,
     phase_plane_axes,
     require_dataset,
@@ -28,13 +28,13 @@ MIRROR_MARKERS = (("<", ">"), ("^", "v"), ("$\\subset$", "$\\supset$"), ("P", "X
 SINGLE_MARKERS = ("o", "s", "D", "p", "h", "8")
 
 
-@checked_picture
+@check_plot_options
 def basins(dataset: xr.Dataset, ax: Axes | None = None, legend: bool = True, units: str = "scene") -> Axes:
     """Draw basins of attraction in the plane of position and velocity.
 
-    Each attractor has its own colour, from light to dark, and its own marker. Basins of chaotic attractors are white or
-    grey, and the points of the attractors are dots. Initial states without an attractor are nearly black, those beyond
-    a wall grey.
+    Each periodic attractor has a marker. The colours of the basins become darker in the order of the attractors. Basins
+    of chaotic attractors are white or grey, with dots at the points of the chaotic attractors. Initial states whose
+    attractor is not certain are nearly black. States beyond a wall are grey.
 
     Parameters
     ----------
@@ -75,40 +75,55 @@ def basins(dataset: xr.Dataset, ax: Axes | None = None, legend: bool = True, uni
     require_dataset("basins", "basins", ("label", "fraction", "x", "v"), dataset)
     x_axis, y_axis = phase_plane_axes(scales_of(dataset, units))
     ax = axes_or_new(ax)
-    colours, markers = _attractor_styles(dataset)
-    palette = [WALL_COLOUR, UNRESOLVED_COLOUR, *colours]
-    norm = BoundaryNorm(np.arange(OUTSIDE - 0.5, len(colours)), len(palette))
-    borders = [cell_edges(axis.factor * dataset[name].values) for axis, name in ((x_axis, "x"), (y_axis, "v"))]
-    image = ax.pcolorfast(*borders, dataset["label"].values, cmap=ListedColormap(palette), norm=norm, zorder=0)
-    image.set_rasterized(True)
-    for index, marker in enumerate(markers):
-        points = x_axis.factor * dataset["point_x"].values[index], y_axis.factor * dataset["point_v"].values[index]
-        ax.plot(*points, **_marker_style(marker, colours[index]), gid="attractor", zorder=3 if marker == "." else 3.5)
+    attractor_colours, attractor_markers = _attractor_styles(dataset)
+    palette = [WALL_COLOUR, UNRESOLVED_COLOUR, *attractor_colours]
+    colour_norm = BoundaryNorm(np.arange(OUTSIDE - 0.5, len(attractor_colours)), len(palette))
+    cell_borders = [
+        cell_edges(axis.factor * dataset[coordinate_name].values)
+        for axis, coordinate_name in ((x_axis, "x"), (y_axis, "v"))
+    ]
+    cell_image = ax.pcolorfast(
+        *cell_borders, dataset["label"].values, cmap=ListedColormap(palette), norm=colour_norm, zorder=0
+    )
+    cell_image.set_rasterized(True)
+    for attractor_index, marker in enumerate(attractor_markers):
+        attractor_points = (
+            x_axis.factor * dataset["point_x"].values[attractor_index],
+            y_axis.factor * dataset["point_v"].values[attractor_index],
+        )
+        ax.plot(
+            *attractor_points,
+            **_marker_style(marker, attractor_colours[attractor_index]),
+            gid="attractor",
+            zorder=3 if marker == "." else 3.5,
+        )
     ax.set(xlabel=x_axis.label, ylabel=y_axis.label)
-    ax.set(xlim=borders[0][[0, -1]], ylim=borders[1][[0, -1]])
+    ax.set(xlim=cell_borders[0][[0, -1]], ylim=cell_borders[1][[0, -1]])
     if legend:
-        handles = _legend_handles(dataset, colours, markers)
+        handles = _legend_handles(dataset, attractor_colours, attractor_markers)
         ax.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.14), ncols=2, frameon=False)
     return ax
 
 
 def _attractor_styles(dataset):
-    """Return (colours, markers) of the attractors, with the marker "." for chaotic ones."""
+    """Return (colours, markers) of the attractors, with the marker "." for attractors that are not periodic."""
     colours, markers = [], [None] * dataset.sizes["attractor"]
-    marker_pairs, single_markers, pale_colours, chaos_colours = (
+    marker_pairs, single_markers, periodic_basin_colours, chaos_basin_colours = (
         iter(MIRROR_MARKERS * 8),
         iter(SINGLE_MARKERS * 8),
         iter(PALE_COLOURS * 8),
         iter(CHAOS_COLOURS * 8),
     )
-    for index, (kind, mirror_index) in enumerate(zip(dataset["kind"].values, dataset["mirror_of"].values, strict=True)):
-        colours.append(next(chaos_colours if kind == "chaotic" else pale_colours))
-        if kind != "periodic":
-            markers[index] = "."
-        elif markers[index] is None and mirror_index > index:
-            markers[index], markers[mirror_index] = next(marker_pairs)
-        elif markers[index] is None:
-            markers[index] = next(single_markers)
+    for attractor_index, (attractor_kind, mirror_index) in enumerate(
+        zip(dataset["kind"].values, dataset["mirror_of"].values, strict=True)
+    ):
+        colours.append(next(chaos_basin_colours if attractor_kind == "chaotic" else periodic_basin_colours))
+        if attractor_kind != "periodic":
+            markers[attractor_index] = "."
+        elif markers[attractor_index] is None and mirror_index > attractor_index:
+            markers[attractor_index], markers[mirror_index] = next(marker_pairs)
+        elif markers[attractor_index] is None:
+            markers[attractor_index] = next(single_markers)
     return colours, markers
 
 
@@ -120,21 +135,28 @@ def _marker_style(marker, colour):
 
 
 def _legend_handles(dataset, colours, markers):
-    """Return the legend entries: one per attractor, and those of states without one."""
+    """Return the legend entries of the attractors, of uncertain initial states and of states beyond a wall."""
     handles = []
-    for index, marker in enumerate(markers):
-        if dataset["kind"].values[index] == "unresolved":
+    for attractor_index, marker in enumerate(markers):
+        if dataset["kind"].values[attractor_index] == "unresolved":
             continue
-        text = f"{escape_formulas(str(dataset['name'].values[index]))}: {100 * float(dataset['fraction'][index]):.1f} %"
+        legend_text = (
+            f"{escape_formulas(str(dataset['name'].values[attractor_index]))}:"
+            f" {100 * float(dataset['fraction'][attractor_index]):.1f} %"
+        )
         if marker == ".":
             handles.append(
-                Patch(facecolor=colours[index], edgecolor=_marker_style(marker, colours[index])["color"], label=text)
+                Patch(
+                    facecolor=colours[attractor_index],
+                    edgecolor=_marker_style(marker, colours[attractor_index])["color"],
+                    label=legend_text,
+                )
             )
         else:
-            handles.append(Line2D([], [], label=text, **_marker_style(marker, colours[index])))
-    labels = dataset["label"].values
-    if (labels == UNRESOLVED).any():
+            handles.append(Line2D([], [], label=legend_text, **_marker_style(marker, colours[attractor_index])))
+    cell_labels = dataset["label"].values
+    if (cell_labels == UNRESOLVED).any():
         handles.append(Patch(facecolor=UNRESOLVED_COLOUR, label="not certain"))
-    if (labels == OUTSIDE).any():
+    if (cell_labels == OUTSIDE).any():
         handles.append(Patch(facecolor=WALL_COLOUR, label="beyond a wall"))
     return handles

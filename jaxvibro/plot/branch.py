@@ -10,20 +10,20 @@ from matplotlib.font_manager import FontProperties
 from matplotlib.typing import ColorType
 
 from ..branches.branch import KIND_NAMES, Branch
-from ..output.labels import translate_label
+from ..output.label_translation import translate_label
 from .smooth_line import smooth_line
 from .style import (
     COLOURS,
     WALL_COLOUR,
     add_legend,
     axes_or_new,
-    checked_picture,
+    check_plot_options,
     escape_formulas,
     parameter_axis,
+    rc_scaled_line_width,
     require_axes,
     require_record,
     require_records,
-    scaled_line_width,
     scales_of,
     variable_axis,
 )
@@ -53,7 +53,7 @@ OVERLAP_TOLERANCE = 1e-3  # relative to the extent: lines that are closer are dr
 TICK_FONT_SIZE = "x-small"  # of the tick texts
 
 
-@checked_picture
+@check_plot_options
 def branch(
     one: Branch,
     variable: str = "x",
@@ -72,8 +72,9 @@ def branch(
     one : Branch
         Branch to draw.
     variable : {"x", "v", "speed", "least_speed", "clearance", "peak"}, optional
-        Quantity on the y axis: ``"x"`` or ``"v"`` at phase 0 of each drive period, or one value per orbit: the largest
-        or the least speed before an impact, the least clearance, or the largest ``|x|``.
+        Quantity on the y axis. ``"x"`` and ``"v"`` are the position and velocity at phase 0 of each drive period. The
+        others are one value per orbit: the largest or least speed before an impact, the least clearance, or the largest
+        ``|x|``.
     ax : Axes, optional
         Axes to draw into. None makes a new figure, whose Axes get a legend.
     colour : colour, optional
@@ -113,87 +114,107 @@ def branch(
     'drive amplitude'
     """
     require_record("branch", Branch, one)
-    scales, curves, is_new = scales_of(one, units), one.curves(variable), ax is None
+    scales, branch_curves, is_new_axes = scales_of(one, units), one.curves(variable), ax is None
     x_axis, y_axis = parameter_axis(scales, one.name), variable_axis(scales, variable)
     ax, branch_label = axes_or_new(ax), branch_name(one)
-    label_colours = {
+    colour_by_label = {
         str(line.get_label()).lstrip("_"): line.get_color() for line in ax.lines if line.get_gid() == "branch"
     }
-    colour = colour or label_colours.get(branch_label, BRANCH_COLOURS[len(label_colours) % len(BRANCH_COLOURS)])
-    covering_lines, has_new_line = [], False
-    for piece in curves.pieces:
+    colour = colour or colour_by_label.get(branch_label, BRANCH_COLOURS[len(colour_by_label) % len(BRANCH_COLOURS)])
+    covering_lines, has_uncovered_line = [], False
+    for curve_piece in branch_curves.pieces:
         line_style: dict[str, Any] = {
             "color": colour,
-            "linewidth": scaled_line_width(LINE_WIDTHS[piece.stable]),
-            "linestyle": LINE_STYLES[piece.stable],
+            "linewidth": rc_scaled_line_width(LINE_WIDTHS[curve_piece.stable]),
+            "linestyle": LINE_STYLES[curve_piece.stable],
             "zorder": 3,
         }
-        for x_part, y_part in _split_at_turns(piece, curves.points.get("SB") if variable not in ("x", "v") else None):
+        for x_part, y_part in _split_at_sb_points(
+            curve_piece, branch_curves.points.get("SB") if variable not in ("x", "v") else None
+        ):
             line = smooth_line(x_part * x_axis.factor, y_part * y_axis.factor)
             covering_line = find_covering_line(ax, line[0], line[1], line_style["linewidth"])
             covering_lines += [] if covering_line is None else [covering_line]
             if covering_line is None:
-                has_new_line = True
+                has_uncovered_line = True
                 ax.plot(*line, label="_" + branch_label, gid="branch", solid_capstyle="butt", **line_style)
-    if branch_label not in label_colours:
+    if branch_label not in colour_by_label:
         legend_text, legend_colour = (
             (branch_label, colour)
-            if has_new_line or not covering_lines
+            if has_uncovered_line or not covering_lines
             else (f"{branch_label}, on {_line_label(covering_lines[0])}", covering_lines[0].get_color())
         )
         ax.plot(
-            [], [], label=legend_text, gid="branch", color=legend_colour, linewidth=scaled_line_width(LINE_WIDTHS[True])
+            [],
+            [],
+            label=legend_text,
+            gid="branch",
+            color=legend_colour,
+            linewidth=rc_scaled_line_width(LINE_WIDTHS[True]),
         )
     add_stability_legend(ax)
-    _draw_special_points(ax, curves.points, x_axis.factor, y_axis.factor, labels)
+    _draw_special_points(ax, branch_curves.points, x_axis.factor, y_axis.factor, labels)
     if variable in ("x", "peak"):
         _draw_walls(ax, one, y_axis.factor)
     ax.set(xlabel=x_axis.label, ylabel=y_axis.label)
     ax.margins(x=0.01)
-    add_legend(ax, is_new)
+    add_legend(ax, is_new_axes)
     return ax
 
 
-def _split_at_turns(piece, turning_marks):
-    """Yield (values, column) of each line of a `Piece`, cut at the `Marks` where it turns back on itself.
+def _split_at_sb_points(curve_piece, sb_points):
+    """Yield (parameter values, ordinates) of the lines of a `Piece`, cut at the points of symmetry breaking.
 
-    On the two sides of a symmetry breaking the orbits are mirror images. None as `turning_marks` cuts nowhere.
+    Orbits on the two sides of a symmetry breaking are mirror images, so that their lines may coincide. `sb_points`
+    contains the points of symmetry breaking. If `sb_points` is None, the lines are not cut.
     """
-    cut_indices = [] if turning_marks is None else np.flatnonzero(np.isin(piece.values, turning_marks.values))
-    breaks = [0, *(int(index) for index in cut_indices if 0 < index < len(piece.values) - 1), len(piece.values) - 1]
-    for column in piece.columns.T:
-        for start, stop in pairwise(breaks):
-            yield piece.values[start : stop + 1], column[start : stop + 1]
+    cut_indices = [] if sb_points is None else np.flatnonzero(np.isin(curve_piece.values, sb_points.values))
+    part_boundary_indices = [
+        0,
+        *(int(index) for index in cut_indices if 0 < index < len(curve_piece.values) - 1),
+        len(curve_piece.values) - 1,
+    ]
+    for y_values in curve_piece.columns.T:
+        for first_index, last_index in pairwise(part_boundary_indices):
+            yield curve_piece.values[first_index : last_index + 1], y_values[first_index : last_index + 1]
 
 
-def find_covering_line(ax: Axes, x: Float[np.ndarray, " points"], y: Float[np.ndarray, " points"], width: float) -> Any:
-    """Find a line of a branch of this width in the Axes that covers all points of a new line; None without one."""
-    points = np.stack([x, y])[:, np.isfinite(y)]
-    points = points[:, :: max(1, points.shape[1] // MAX_CHECK_POINTS)]
+def find_covering_line(
+    ax: Axes, x: Float[np.ndarray, " points"], y: Float[np.ndarray, " points"], required_line_width: float
+) -> Any:
+    """Find a branch line of this width in the Axes that covers all points of a new line; None if no line does."""
+    new_line_data = np.stack([x, y])[:, np.isfinite(y)]
+    new_line_data = new_line_data[:, :: max(1, new_line_data.shape[1] // MAX_CHECK_POINTS)]
     for line in ax.lines:
-        if line.get_gid() != "branch" or line.get_linewidth() != width or not points.size:
+        if line.get_gid() != "branch" or line.get_linewidth() != required_line_width or not new_line_data.size:
             continue
-        line_points = np.array(line.get_data(), float)
-        if line_points.shape[1] > 1 and _lies_on_line(points, line_points):
+        drawn_line_data = np.array(line.get_data(), float)
+        if drawn_line_data.shape[1] > 1 and _lies_on_line(new_line_data, drawn_line_data):
             return line
     return None
 
 
-def _lies_on_line(points, line_points):
-    """Return True if points lie on a line, both of shape (2, points), within `OVERLAP_TOLERANCE` of its extent."""
-    extent = np.maximum(np.nanmax(line_points, axis=1) - np.nanmin(line_points, axis=1), np.ptp(points, axis=1))[
-        :, None
-    ]
-    extent = np.where(extent > 0, extent, 1.0)
-    points, line_points = points / extent, line_points / extent
-    starts, directions = line_points[:, :-1, None], np.diff(line_points, axis=1)[:, :, None]
-    squared_lengths = (directions**2).sum(axis=0)
-    offsets = points[:, None, :] - starts
+def _lies_on_line(new_line_data, drawn_line_data):
+    """Return True if points lie on a line, within `OVERLAP_TOLERANCE` of the extent; both have shape (2, points)."""
+    extent_per_axis = np.maximum(
+        np.nanmax(drawn_line_data, axis=1) - np.nanmin(drawn_line_data, axis=1), np.ptp(new_line_data, axis=1)
+    )[:, None]
+    extent_per_axis = np.where(extent_per_axis > 0, extent_per_axis, 1.0)
+    new_line_data, drawn_line_data = new_line_data / extent_per_axis, drawn_line_data / extent_per_axis
+    segment_starts, segment_vectors = drawn_line_data[:, :-1, None], np.diff(drawn_line_data, axis=1)[:, :, None]
+    squared_segment_lengths = (segment_vectors**2).sum(axis=0)
+    offsets_from_starts = new_line_data[:, None, :] - segment_starts
     with np.errstate(invalid="ignore", divide="ignore"):
-        fraction = np.clip(
-            np.where(squared_lengths > 0, (offsets * directions).sum(axis=0) / squared_lengths, 0.0), 0.0, 1.0
+        segment_fraction = np.clip(
+            np.where(
+                squared_segment_lengths > 0,
+                (offsets_from_starts * segment_vectors).sum(axis=0) / squared_segment_lengths,
+                0.0,
+            ),
+            0.0,
+            1.0,
         )
-    distances = np.hypot(*(offsets - fraction * directions))
+    distances = np.hypot(*(offsets_from_starts - segment_fraction * segment_vectors))
     return bool((np.where(np.isnan(distances), np.inf, distances).min(axis=0) < OVERLAP_TOLERANCE).all())
 
 
@@ -209,22 +230,24 @@ def branch_name(branch):
 def add_stability_legend(ax):
     """Add the legend entries of stable and unstable lines, once in the Axes."""
     if not any(line.get_gid() == "stability" for line in ax.lines):
-        for stable, text in ((True, "stable"), (False, "unstable")):
+        for is_stable, text in ((True, "stable"), (False, "unstable")):
             line_style = {
                 "color": WALL_COLOUR,
-                "linewidth": scaled_line_width(LINE_WIDTHS[stable]),
-                "linestyle": LINE_STYLES[stable],
+                "linewidth": rc_scaled_line_width(LINE_WIDTHS[is_stable]),
+                "linestyle": LINE_STYLES[is_stable],
             }
             ax.plot([], [], label=text, gid="stability", **line_style)
 
 
-def _draw_special_points(ax, points, x_factor, y_factor, labels):
+def _draw_special_points(ax, points_by_kind, x_factor, y_factor, label_system):
     known_labels = [line.get_label() for line in ax.lines if line.get_gid() == "special"]
-    for kind, marks in points.items():
-        y = y_factor * marks.columns
-        x = np.broadcast_to(x_factor * marks.values[:, None], y.shape)
-        text = escape_formulas(f"{translate_label(kind, labels)}: {KIND_NAMES[kind]}" if kind in KIND_NAMES else kind)
-        legend_text = text if text not in known_labels else "_" + text
+    for kind, kind_points in points_by_kind.items():
+        y = y_factor * kind_points.columns
+        x = np.broadcast_to(x_factor * kind_points.values[:, None], y.shape)
+        kind_text = escape_formulas(
+            f"{translate_label(kind, label_system)}: {KIND_NAMES[kind]}" if kind in KIND_NAMES else kind
+        )
+        legend_text = kind_text if kind_text not in known_labels else "_" + kind_text
         marker_style = {
             "marker": _kind_marker(kind),
             "markersize": 5.5,
@@ -235,33 +258,33 @@ def _draw_special_points(ax, points, x_factor, y_factor, labels):
 
 
 def _kind_marker(kind):
-    """Return the marker of a kind; that of a monitor depends on its name only and is the same in every figure."""
+    """Return the marker of a kind; the marker of a monitor depends only on its name and is the same in all figures."""
     return MARKERS.get(kind) or MONITOR_MARKERS[sum(map(ord, kind)) % len(MONITOR_MARKERS)]
 
 
-def _draw_walls(ax, branch, factor):
-    """Draw each fixed wall once as a line, unless the parameter moves it or it is far from the drawing."""
-    lower, upper = ax.get_ylim()
-    tolerance = (upper - lower) / 4
+def _draw_walls(ax, branch, position_factor):
+    """Draw each fixed wall once as a line, unless the parameter moves the wall or the wall is far from the curves."""
+    y_min, y_max = ax.get_ylim()
+    axis_margin = (y_max - y_min) / 4
     known_positions = [
         line.get_ydata()[0] for line in ax.lines if line.get_color() == WALL_COLOUR and len(line.get_ydata())
     ]
     for side, wall in branch.scene.walls.items():
         if wall.motion is not None or branch.name == f"{side}.position":
             continue
-        position = factor * float(wall.position)
-        if position not in known_positions and lower - tolerance <= position <= upper + tolerance:
+        position = position_factor * float(wall.position)
+        if position not in known_positions and y_min - axis_margin <= position <= y_max + axis_margin:
             ax.axhline(position, color=WALL_COLOUR, linewidth=0.8, zorder=0)
 
 
-@checked_picture
+@check_plot_options
 def mark_points(
     branches: tuple[Branch, ...] | list[Branch], ax: Axes, units: str = "scene", labels: str = "jaxvibro"
 ) -> Axes:
     """Write kind and value of the special points of branches along the top of the Axes.
 
-    Points with the same value are written once. Points that lie too close for separate ticks share a tick, which lists
-    the first of them.
+    Points of the same kind and value are written once. Points that are too close for separate ticks share a tick, which
+    lists the first of these points. The ends of branches and points outside the range of the x axis are omitted.
 
     Parameters
     ----------
@@ -297,42 +320,47 @@ def mark_points(
     """
     require_records("mark_points", Branch, branches)
     require_axes(ax)
-    lower, upper = ax.get_xlim()
-    line_spacing = _tick_line_width(ax) * (upper - lower)
-    digits = max(0, 3 - int(np.floor(np.log10(upper - lower))))  # resolves about a thousandth of the range
-    factors = [parameter_axis(scales_of(branch, units), branch.name).factor for branch in branches]
-    points = [
-        (item.kind, factor * item.value)
-        for branch, factor in zip(branches, factors, strict=True)
-        for item in branch.special
+    x_min, x_max = ax.get_xlim()
+    tick_line_spacing = _tick_width_fraction(ax) * (x_max - x_min)
+    n_decimals = max(0, 3 - int(np.floor(np.log10(x_max - x_min))))  # resolves about a thousandth of the range
+    x_factor_by_branch = [parameter_axis(scales_of(branch, units), branch.name).factor for branch in branches]
+    kinds_and_values = [
+        (special_point.kind, x_factor * special_point.value)
+        for branch, x_factor in zip(branches, x_factor_by_branch, strict=True)
+        for special_point in branch.special
     ]
-    unique_points = {(kind, f"{value:.{digits}f}"): value for kind, value in points}
-    ticks: list[tuple[float, list[str]]] = []  # value, lines
-    for (kind, text), value in sorted(unique_points.items(), key=lambda item: item[1]):
-        if kind == "EP" or not lower <= value <= upper:
+    value_by_kind_and_text = {(kind, f"{value:.{n_decimals}f}"): value for kind, value in kinds_and_values}
+    ticks_with_lines: list[tuple[float, list[str]]] = []  # value, lines
+    for (kind, value_text), value in sorted(value_by_kind_and_text.items(), key=lambda item: item[1]):
+        if kind == "EP" or not x_min <= value <= x_max:
             continue
-        if not ticks or value - ticks[-1][0] >= line_spacing * min(MAX_TICK_LINES, len(ticks[-1][1])):
-            ticks.append((value, []))
-        ticks[-1][1].append(f"{escape_formulas(translate_label(kind, labels))} {text}")
+        if not ticks_with_lines or value - ticks_with_lines[-1][0] >= tick_line_spacing * min(
+            MAX_TICK_LINES, len(ticks_with_lines[-1][1])
+        ):
+            ticks_with_lines.append((value, []))
+        ticks_with_lines[-1][1].append(f"{escape_formulas(translate_label(kind, labels))} {value_text}")
     top_axis = ax.secondary_xaxis("top")
     top_axis.set_xticks(
-        [value for value, _ in ticks], [_tick_text(item) for _, item in ticks], rotation=90, fontsize=TICK_FONT_SIZE
+        [value for value, _ in ticks_with_lines],
+        [_tick_text(tick_lines) for _, tick_lines in ticks_with_lines],
+        rotation=90,
+        fontsize=TICK_FONT_SIZE,
     )
-    for tick_label, (_, item) in zip(top_axis.get_xticklabels(), ticks, strict=True):
-        tick_label.set_horizontalalignment("left" if len(item) > 1 else "center")  # the first line at the tick
+    for tick_label, (_, tick_lines) in zip(top_axis.get_xticklabels(), ticks_with_lines, strict=True):
+        tick_label.set_horizontalalignment("left" if len(tick_lines) > 1 else "center")  # the first line at the tick
     return ax
 
 
-def _tick_line_width(ax):
-    """Return the width of one line of tick text, as a fraction of the width of the Axes."""
-    axes_width = ax.figure.get_figwidth() * ax.get_position().width
-    return 1.3 * FontProperties(size=TICK_FONT_SIZE).get_size_in_points() / (72.0 * axes_width)
+def _tick_width_fraction(ax):
+    """Return the line spacing of vertical tick text, as a fraction of the width of the Axes."""
+    axes_width_inches = ax.figure.get_figwidth() * ax.get_position().width
+    return 1.3 * FontProperties(size=TICK_FONT_SIZE).get_size_in_points() / (72.0 * axes_width_inches)
 
 
-def _tick_text(texts):
+def _tick_text(text_lines):
     """Return the text of one tick."""
     return "\n".join(
-        texts
-        if len(texts) <= MAX_TICK_LINES
-        else [*texts[: MAX_TICK_LINES - 1], f"and {len(texts) - MAX_TICK_LINES + 1} more"]
+        text_lines
+        if len(text_lines) <= MAX_TICK_LINES
+        else [*text_lines[: MAX_TICK_LINES - 1], f"and {len(text_lines) - MAX_TICK_LINES + 1} more"]
     )

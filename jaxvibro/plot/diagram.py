@@ -7,21 +7,21 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.markers import TICKLEFT, TICKRIGHT
 
+from ..attractors.basin_fraction_bounds import format_share
 from ..attractors.find import Attractor
-from ..attractors.shares import share_text
 from ..scene.check import require_choice
 from .style import (
     COLOURS,
     WALL_COLOUR,
     add_legend,
     axes_or_new,
-    checked_picture,
+    check_plot_options,
     escape_formulas,
     lighten,
     parameter_axis,
     require_dataset,
+    require_finite_position,
     require_records,
-    require_value,
     scales_of,
     variable_axis,
 )
@@ -34,14 +34,15 @@ MARKERS = "osD^vP*X"
 SWEEP_GID = "swept"  # group id of the dots of sweeps
 
 
-@checked_picture
+@check_plot_options
 def diagram(
     swept: xr.Dataset, variable: str = "x", ax: Axes | None = None, faint: bool = False, units: str = "scene"
 ) -> Axes:
     """Draw a coordinate of a sweep against its parameter.
 
-    A dimension besides the parameter and ``period``, such as ``lane`` or ``leg``, makes one leg of each of its entries.
-    Each leg has its own colour and dot size.
+    A leg is one pass through the values of the parameter. If the Dataset has a dimension besides the parameter and
+    ``period``, such as ``lane`` or ``leg``, each entry of this dimension is a leg. Each leg has its own colour; the
+    first three legs also have different dot sizes.
 
     Parameters
     ----------
@@ -86,59 +87,72 @@ def diagram(
     """
     require_dataset("diagram", "sweep", ("swept", "x", "v"), swept)
     require_choice("variable", variable, ("x", "v"))
-    is_new, scales = ax is None, scales_of(swept, units)
-    ax, parameter = axes_or_new(ax), swept.attrs["swept"]
-    x_axis, y_axis = parameter_axis(scales, parameter), variable_axis(scales, variable)
-    step, *leg_dims = (dim for dim in swept[variable].dims if dim != "period")
-    legs = (
+    is_new_axes, scales = ax is None, scales_of(swept, units)
+    ax, parameter_name = axes_or_new(ax), swept.attrs["swept"]
+    x_axis, y_axis = parameter_axis(scales, parameter_name), variable_axis(scales, variable)
+    step_dim, *leg_dims = (dim for dim in swept[variable].dims if dim != "period")
+    sweep_legs = (
         [swept]
         if not leg_dims
         else [swept.isel({leg_dims[0]: leg_index}) for leg_index in range(swept.sizes[leg_dims[0]])]
     )
     n_earlier_legs = sum(line.get_gid() == SWEEP_GID and np.size(line.get_xdata()) > 0 for line in ax.lines)
-    first_size = float(np.clip(DOT_SPACING * _axes_width(ax) / len(swept[step]), *DOT_SIZES))
-    for leg_index, leg in enumerate(legs, n_earlier_legs):
-        x = np.broadcast_to(x_axis.factor * leg[parameter].values[:, None], leg[variable].shape)
-        y = y_axis.factor * leg[variable].transpose(step, "period").values
+    first_dot_size = float(np.clip(DOT_SPACING * _axes_width_in_points(ax) / len(swept[step_dim]), *DOT_SIZES))
+    for leg_index, sweep_leg in enumerate(sweep_legs, n_earlier_legs):
+        x = np.broadcast_to(x_axis.factor * sweep_leg[parameter_name].values[:, None], sweep_leg[variable].shape)
+        y = y_axis.factor * sweep_leg[variable].transpose(step_dim, "period").values
         _draw_dots(
-            ax, x, y, leg_index, first_size, _leg_prefix(leg, leg_dims) + f"from {x[0, 0]:g} to {x[-1, 0]:g}", faint
+            ax,
+            x,
+            y,
+            leg_index,
+            first_dot_size,
+            _leg_label_prefix(sweep_leg, leg_dims) + f"from {x[0, 0]:g} to {x[-1, 0]:g}",
+            faint,
         )
     if variable == "x":
         _draw_walls(ax, swept.attrs, y_axis.factor)
     ax.set(xlabel=x_axis.label, ylabel=y_axis.label)
     ax.margins(x=0.01)
-    add_legend(ax, is_new)
+    add_legend(ax, is_new_axes)
     return ax
 
 
-def _leg_prefix(leg, leg_dims):
-    return escape_formulas(f"{leg[leg_dims[0]].values}: ") if leg_dims and leg_dims[0] in leg.coords else ""
+def _leg_label_prefix(sweep_leg, leg_dims):
+    return escape_formulas(f"{sweep_leg[leg_dims[0]].values}: ") if leg_dims and leg_dims[0] in sweep_leg.coords else ""
 
 
-def _draw_walls(ax, attrs, factor):
-    lower, upper = ax.get_ylim()
-    tolerance = (upper - lower) / 4
+def _draw_walls(ax, sweep_attrs, position_factor):
+    y_min, y_max = ax.get_ylim()
+    axis_margin = (y_max - y_min) / 4
     for side in ("left", "right"):
-        position = attrs.get(f"{side}.position")
-        is_fixed = position is not None and f"{side}.motion.amplitude" not in attrs
-        if is_fixed and lower - tolerance <= factor * position <= upper + tolerance:
-            ax.axhline(factor * position, color=WALL_COLOUR, linewidth=0.8, zorder=0)
+        position = sweep_attrs.get(f"{side}.position")
+        is_fixed_wall = position is not None and f"{side}.motion.amplitude" not in sweep_attrs
+        if is_fixed_wall and y_min - axis_margin <= position_factor * position <= y_max + axis_margin:
+            ax.axhline(position_factor * position, color=WALL_COLOUR, linewidth=0.8, zorder=0)
 
 
-def _axes_width(ax):
+def _axes_width_in_points(ax):
     """Return the width of Axes in points."""
     return 72.0 * ax.figure.get_figwidth() * ax.get_position().width
 
 
-def _draw_dots(ax, x, y, leg_index, first_size, text, faint):
-    size, colour = first_size * LEG_SIZE_RATIO ** min(leg_index, 2), COLOURS[leg_index % len(COLOURS)]
-    style = {"linestyle": "none", "marker": "o", "markeredgewidth": 0, "color": lighten(colour) if faint else colour}
-    size, style["zorder"] = (FAINT_SIZE_RATIO * size, 2.0) if faint else (size, 4.0)
-    ax.plot(x.ravel(), y.ravel(), markersize=size, rasterized=True, label="_" + text, gid=SWEEP_GID, **style)
-    ax.plot([], [], markersize=7 / (1 + 0.4 * leg_index), label=text, **style)
+def _draw_dots(ax, x, y, leg_index, first_dot_size, legend_text, is_faint):
+    dot_size, dot_colour = first_dot_size * LEG_SIZE_RATIO ** min(leg_index, 2), COLOURS[leg_index % len(COLOURS)]
+    dot_style = {
+        "linestyle": "none",
+        "marker": "o",
+        "markeredgewidth": 0,
+        "color": lighten(dot_colour) if is_faint else dot_colour,
+    }
+    dot_size, dot_style["zorder"] = (FAINT_SIZE_RATIO * dot_size, 2.0) if is_faint else (dot_size, 4.0)
+    ax.plot(
+        x.ravel(), y.ravel(), markersize=dot_size, rasterized=True, label="_" + legend_text, gid=SWEEP_GID, **dot_style
+    )
+    ax.plot([], [], markersize=7 / (1 + 0.4 * leg_index), label=legend_text, **dot_style)
 
 
-@checked_picture
+@check_plot_options
 def mark(
     attractors: tuple[Attractor, ...] | list[Attractor],
     value: float,
@@ -148,7 +162,8 @@ def mark(
 ) -> Axes:
     """Draw attractors into a sweep diagram.
 
-    The legend lists their shares of the initial states, with 95 % bounds.
+    The legend texts of the attractors contain their shares of the initial states, with 95 % bounds. The function does
+    not draw the legend.
 
     Parameters
     ----------
@@ -181,8 +196,8 @@ def mark(
 
     Notes
     -----
-    Mirror images of each other have the same shape: the first is open, the second filled. A chaotic attractor is a row
-    of ticks to the left of the value, and its mirror image a row to the right.
+    Mirror images of each other have markers of the same shape: the first is open, the second filled. A chaotic
+    attractor is a column of ticks to the left of the value, and its mirror image is a column of ticks to the right.
 
     Examples
     --------
@@ -192,31 +207,39 @@ def mark(
     True
     """
     require_records("mark", Attractor, attractors)
-    require_value(value)
+    require_finite_position(value)
     require_choice("variable", variable, ("x", "v"))
-    factors = [variable_axis(scales_of(attractor, units), variable).factor for attractor in attractors]
+    y_factor_by_attractor = [variable_axis(scales_of(attractor, units), variable).factor for attractor in attractors]
     ax = axes_or_new(ax)
-    markers: dict[int, Any] = {}
+    marker_by_index: dict[int, Any] = {}
     ax.axvline(value, color=WALL_COLOUR, linewidth=0.8, linestyle=":", zorder=0)
-    for index, attractor in enumerate(attractors):
+    for attractor_index, attractor in enumerate(attractors):
         if attractor.kind == "unresolved":
             continue
-        mirror_index = index if attractor.mirror_of is None else attractor.mirror_of
-        first_index = min(index, mirror_index)
-        marker = markers.setdefault(first_index, MARKERS[len(markers) % len(MARKERS)])
-        y = factors[index] * attractor.points[:, "xv".index(variable)]
+        mirror_index = attractor_index if attractor.mirror_of is None else attractor.mirror_of
+        first_image_index = min(attractor_index, mirror_index)
+        marker = marker_by_index.setdefault(first_image_index, MARKERS[len(marker_by_index) % len(MARKERS)])
+        y = y_factor_by_attractor[attractor_index] * attractor.points[:, "xv".index(variable)]
         if attractor.kind == "chaotic":
             marker_style: dict[str, Any] = {
-                "marker": TICKLEFT if index == first_index else TICKRIGHT,
+                "marker": TICKLEFT if attractor_index == first_image_index else TICKRIGHT,
                 "markeredgewidth": 0.3,
                 "zorder": 4,
             }
         else:
             marker_style = {
                 "marker": marker,
-                "markerfacecolor": "white" if index == first_index else "black",
+                "markerfacecolor": "white" if attractor_index == first_image_index else "black",
                 "zorder": 5,
             }
-        text = f"{attractor.label}, {share_text(attractor)}"
-        ax.plot(np.full(len(y), value), y, color="black", markersize=5.5, linestyle="none", label=text, **marker_style)
+        legend_text = f"{attractor.label}, {format_share(attractor)}"
+        ax.plot(
+            np.full(len(y), value),
+            y,
+            color="black",
+            markersize=5.5,
+            linestyle="none",
+            label=legend_text,
+            **marker_style,
+        )
     return ax

@@ -3,13 +3,13 @@
 import numpy as np
 from matplotlib.axes import Axes
 
-from ..design.fitted import Fit
+from ..design.fit_result import Fit
 from ..design.records import ImpactRecord, SampleRecord
 from ..scene.check import ArgumentError
-from .style import COLOURS, axes_or_new, checked_picture, require_record
+from .style import COLOURS, axes_or_new, check_plot_options, require_record
 
 
-@checked_picture
+@check_plot_options
 def fit(found: Fit, record: ImpactRecord | SampleRecord, ax: Axes | None = None) -> Axes:
     """Draw the residuals of a fit against time.
 
@@ -40,8 +40,8 @@ def fit(found: Fit, record: ImpactRecord | SampleRecord, ax: Axes | None = None)
 
     Notes
     -----
-    Markers of impacts point to the wall that is hit. Dashed lines are impacts that are missing from the record, crosses
-    are spurious ones. Dots are residuals of positions, circles those of velocities.
+    The markers of impacts point to the wall of the impact. Dashed lines are impacts that are missing from the record.
+    Crosses are spurious impacts. Dots are residuals of positions, circles are residuals of velocities.
 
     Examples
     --------
@@ -57,38 +57,42 @@ def fit(found: Fit, record: ImpactRecord | SampleRecord, ax: Axes | None = None)
     ax = axes_or_new(ax)
     ax.axhline(0.0, color="0.5", linewidth=0.8)
     if len(found.residuals):
-        (_draw_impacts if isinstance(record, ImpactRecord) else _draw_samples)(ax, found, record)
+        (_draw_impact_residuals if isinstance(record, ImpactRecord) else _draw_sample_residuals)(ax, found, record)
     ax.set(xlabel=r"time $\omega_0 t$", ylabel="measured less fitted (errors)")
     if ax.get_legend_handles_labels()[0]:
         ax.legend(fontsize="small")
     return ax
 
 
-def _draw_impacts(ax, fit_result, record):
-    times, sides = np.asarray(record.times), np.asarray(record.sides)
-    valid_impacts = np.setdiff1d(np.arange(len(times)), fit_result.spurious)
+def _draw_impact_residuals(ax, fit_result, impact_record):
+    impact_times, impact_sides = np.asarray(impact_record.times), np.asarray(impact_record.sides)
+    non_spurious_indices = np.setdiff1d(np.arange(len(impact_times)), fit_result.spurious)
     for side, marker, colour in ((-1, "<", COLOURS[0]), (1, ">", COLOURS[1])):
-        is_on_wall = sides[valid_impacts] == side
-        if is_on_wall.any():
-            wall_name = f"{'left' if side < 0 else 'right'} wall"
+        is_at_wall = impact_sides[non_spurious_indices] == side
+        if is_at_wall.any():
+            wall_label = f"{'left' if side < 0 else 'right'} wall"
             ax.plot(
-                times[valid_impacts][is_on_wall],
-                fit_result.residuals[is_on_wall],
+                impact_times[non_spurious_indices][is_at_wall],
+                fit_result.residuals[is_at_wall],
                 marker,
                 color=colour,
-                label=wall_name,
+                label=wall_label,
                 markersize=4.0,
             )
-    for k, (time, _) in enumerate(fit_result.missed):
-        ax.axvline(time, color="0.3", linewidth=0.9, linestyle=(0, (4, 3)), label=None if k else "missing")
+    for missing_index, (missing_time, _) in enumerate(fit_result.missed):
+        ax.axvline(
+            missing_time, color="0.3", linewidth=0.9, linestyle=(0, (4, 3)), label=None if missing_index else "missing"
+        )
     if fit_result.spurious:
-        spurious_times = times[list(fit_result.spurious)]
+        spurious_times = impact_times[list(fit_result.spurious)]
         ax.plot(spurious_times, 0.0 * spurious_times, "x", color="black", label="spurious")
 
 
-def _draw_samples(ax, fit_result, record):
-    n_channels = record.measured[0].shape[1]
-    x, *v = fit_result.residuals.reshape(-1, n_channels).T
-    ax.plot(record.times, x, ".", color=COLOURS[0], label="x", markersize=4.0)
-    for velocity in v:
-        ax.plot(record.times, velocity, "o", color=COLOURS[1], fillstyle="none", label="v", markersize=4.0)
+def _draw_sample_residuals(ax, fit_result, sample_record):
+    n_channels = sample_record.measured[0].shape[1]
+    position_residuals, *velocity_residuals_list = fit_result.residuals.reshape(-1, n_channels).T
+    ax.plot(sample_record.times, position_residuals, ".", color=COLOURS[0], label="x", markersize=4.0)
+    for velocity_residuals in velocity_residuals_list:
+        ax.plot(
+            sample_record.times, velocity_residuals, "o", color=COLOURS[1], fillstyle="none", label="v", markersize=4.0
+        )

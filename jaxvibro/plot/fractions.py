@@ -7,12 +7,12 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.patches import Patch
 
-from ..attractors.shares import share_bounds
+from ..attractors.basin_fraction_bounds import compute_share_bounds
 from .style import (
     COLOURS,
     axes_or_new,
     cell_edges,
-    checked_picture,
+    check_plot_options,
     escape_formulas,
     lighten,
     parameter_axis,
@@ -29,14 +29,14 @@ MAX_LISTED, MAX_LABELS = 10, 3  # attractors in the legend, and labels of each
 REQUIRED_NAMES = ("swept", "share", "label", "kind", "unresolved", "starts")
 
 
-@checked_picture
+@check_plot_options
 def fractions(
     found: xr.Dataset, ax: Axes | None = None, legend: bool = True, bounds: bool = True, units: str = "scene"
 ) -> Axes:
     """Draw basin fractions along a parameter as stacked bands.
 
     Each attractor keeps its colour along the parameter; its mirror image lies beside it in a paler shade. Chaotic
-    attractors are dotted. Initial states without an attractor lie on top, hatched on grey.
+    attractors are dotted. Initial states whose attractor is not certain lie on top, hatched on grey.
 
     Parameters
     ----------
@@ -45,8 +45,8 @@ def fractions(
     ax : Axes, optional
         Axes to draw into. None makes a new figure.
     legend : bool, optional
-        Add a legend below the drawing. It lists the labels of each attractor along the parameter, for at most ten
-        attractors, those with the largest shares.
+        Add a legend below the drawing. It lists at most ten attractors, those with the largest shares, and up to three
+        labels of each.
     bounds : bool, optional
         Draw the 95 % bounds of each edge between two bands as thin vertical lines.
     units : {"scene", "physical"}, optional
@@ -68,7 +68,7 @@ def fractions(
 
     Notes
     -----
-    The bar of a value extends half way to the next value.
+    The bar of a value extends half way to the neighbouring values.
 
     Examples
     --------
@@ -77,82 +77,115 @@ def fractions(
     'share of starts'
     """
     require_dataset("fractions", "fractions", REQUIRED_NAMES, found)
-    parameter = found.attrs["swept"]
-    x_axis, ax = parameter_axis(scales_of(found, units), parameter), axes_or_new(ax)
-    x = x_axis.factor * found[parameter].values
-    borders, bottom, shares = cell_edges(x), np.zeros(len(x)), np.nan_to_num(found["share"].values)
-    order, colours = _attractor_colours(found)
-    for row, attractor in enumerate(order, 1):
-        top = bottom + shares[:, attractor]
-        ax.stairs(top, borders, baseline=bottom, fill=True, color=colours[attractor], linewidth=0, gid="attractor")
-        is_chaotic = found["kind"].values[:, attractor] == "chaotic"
+    parameter_name = found.attrs["swept"]
+    x_axis, ax = parameter_axis(scales_of(found, units), parameter_name), axes_or_new(ax)
+    x = x_axis.factor * found[parameter_name].values
+    bar_borders, band_bottom, basin_shares = cell_edges(x), np.zeros(len(x)), np.nan_to_num(found["share"].values)
+    attractor_order, attractor_colours = _order_and_colours(found)
+    for band_number, attractor_index in enumerate(attractor_order, 1):
+        band_top = band_bottom + basin_shares[:, attractor_index]
+        ax.stairs(
+            band_top,
+            bar_borders,
+            baseline=band_bottom,
+            fill=True,
+            color=attractor_colours[attractor_index],
+            linewidth=0,
+            gid="attractor",
+        )
+        is_chaotic = found["kind"].values[:, attractor_index] == "chaotic"
         if is_chaotic.any():
-            chaotic_top = np.where(is_chaotic, top, bottom)
+            chaotic_band_top = np.where(is_chaotic, band_top, band_bottom)
             ax.stairs(
-                chaotic_top,
-                borders,
-                baseline=bottom,
+                chaotic_band_top,
+                bar_borders,
+                baseline=band_bottom,
                 fill=True,
                 facecolor="none",
                 edgecolor="black",
                 hatch=CHAOS_HATCH,
                 lw=0,
             )
-        ax.stairs(np.where(shares[:, attractor] > 0, top, np.nan), borders, baseline=None, **EDGE_STYLE)
-        bottom = top
+        ax.stairs(
+            np.where(basin_shares[:, attractor_index] > 0, band_top, np.nan), bar_borders, baseline=None, **EDGE_STYLE
+        )
+        band_bottom = band_top
         if bounds:
-            has_edge = (shares[:, attractor] > 0.0) & (bottom < 1.0 - ROUNDING)
+            has_visible_edge = (basin_shares[:, attractor_index] > 0.0) & (band_bottom < 1.0 - ROUNDING)
             # Each edge has its own position inside a bar, so that the bounds do not overlap.
-            bar_positions = borders[:-1] + row / (len(order) + 1) * np.diff(borders)
-            _draw_bounds(ax, bar_positions[has_edge], bottom[has_edge], found.attrs["starts"])
-    top = bottom + found["unresolved"].values
-    ax.stairs(top, borders, baseline=bottom, fill=True, facecolor=GREY, edgecolor="0.3", hatch=UNRESOLVED_HATCH, lw=0)
-    ax.set(xlabel=x_axis.label, ylabel="share of starts", xlim=borders[[0, -1]], ylim=(0.0, 1.0))
+            bound_positions = bar_borders[:-1] + band_number / (len(attractor_order) + 1) * np.diff(bar_borders)
+            _draw_share_bounds(
+                ax, bound_positions[has_visible_edge], band_bottom[has_visible_edge], found.attrs["starts"]
+            )
+    band_top = band_bottom + found["unresolved"].values
+    ax.stairs(
+        band_top,
+        bar_borders,
+        baseline=band_bottom,
+        fill=True,
+        facecolor=GREY,
+        edgecolor="0.3",
+        hatch=UNRESOLVED_HATCH,
+        lw=0,
+    )
+    ax.set(xlabel=x_axis.label, ylabel="share of starts", xlim=bar_borders[[0, -1]], ylim=(0.0, 1.0))
     if legend:
-        handles = _legend_handles(found, order, colours)
+        handles = _legend_handles(found, attractor_order, attractor_colours)
         ax.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.18), ncols=2, frameon=False)
     return ax
 
 
-def _attractor_colours(dataset):
-    """Return (attractors from the lowest band up, colour of each), with mirror images side by side."""
-    order, colours = [], {}
-    mirrors = dataset["mirror_of"].values
-    for attractor in range(dataset.sizes["attractor"]):
-        if attractor in order:
+def _order_and_colours(dataset):
+    """Return (attractors in order of their bands from below, {attractor: colour}), with mirror images side by side."""
+    attractor_order, colours = [], {}
+    mirror_indices = dataset["mirror_of"].values
+    for attractor_index in range(dataset.sizes["attractor"]):
+        if attractor_index in attractor_order:
             continue
         colour = ATTRACTOR_COLOURS[
-            len([item for item in colours.values() if item in ATTRACTOR_COLOURS]) % len(ATTRACTOR_COLOURS)
+            len([assigned_colour for assigned_colour in colours.values() if assigned_colour in ATTRACTOR_COLOURS])
+            % len(ATTRACTOR_COLOURS)
         ]
-        order.append(attractor)
-        colours[attractor] = colour
-        twins = [int(item) for item in mirrors[:, attractor] if item >= 0 and item not in order]
-        if twins:
-            order.append(twins[0])
-            colours[twins[0]] = lighten(colour)
-    return order, colours
+        attractor_order.append(attractor_index)
+        colours[attractor_index] = colour
+        mirror_images = [
+            int(mirror_index)
+            for mirror_index in mirror_indices[:, attractor_index]
+            if mirror_index >= 0 and mirror_index not in attractor_order
+        ]
+        if mirror_images:
+            attractor_order.append(mirror_images[0])
+            colours[mirror_images[0]] = lighten(colour)
+    return attractor_order, colours
 
 
-def _draw_bounds(ax, x, edge_shares, n_starts):
-    """Draw the bounds of the edges over some bands, from the number of initial states below each edge."""
-    lower, upper = (
-        np.array([share_bounds(round(float(share) * n_starts), n_starts) for share in edge_shares]).reshape(-1, 2).T
+def _draw_share_bounds(ax, bound_positions, edge_shares, n_starts):
+    """Draw the 95 % bounds of band edges; `edge_shares` are the shares of the initial states below the edges."""
+    lower_bounds, upper_bounds = (
+        np.array([compute_share_bounds(round(float(edge_share) * n_starts), n_starts) for edge_share in edge_shares])
+        .reshape(-1, 2)
+        .T
     )
-    ax.vlines(x, lower, upper, gid="bounds", **EDGE_STYLE)
+    ax.vlines(bound_positions, lower_bounds, upper_bounds, gid="bounds", **EDGE_STYLE)
 
 
-def _legend_handles(dataset, order, colours):
-    """Return the legend entries: the attractors with the largest shares, and states without one."""
+def _legend_handles(dataset, attractor_order, colours):
+    """Return the legend entries of the attractors with the largest shares, of chaos and of uncertain states."""
     total_shares = dataset["share"].sum(dataset.attrs["swept"]).values
-    listed_attractors = set(sorted(order, key=lambda attractor: -total_shares[attractor])[:MAX_LISTED])
+    listed_attractors = set(sorted(attractor_order, key=lambda attractor: -total_shares[attractor])[:MAX_LISTED])
     handles = []
-    for attractor in (item for item in order if item in listed_attractors):
-        labels = [str(item) for item in dict.fromkeys(dataset["label"].values[:, attractor].tolist()) if item]
-        text = ", ".join(labels[:MAX_LABELS]) + (", ..." if len(labels) > MAX_LABELS else "")
-        if text in [item.get_label() for item in handles] and colours[attractor] not in ATTRACTOR_COLOURS:
-            text += " (mirror image)"
+    for attractor_index in (attractor for attractor in attractor_order if attractor in listed_attractors):
+        labels = [str(label) for label in dict.fromkeys(dataset["label"].values[:, attractor_index].tolist()) if label]
+        legend_text = ", ".join(labels[:MAX_LABELS]) + (", ..." if len(labels) > MAX_LABELS else "")
+        if (
+            legend_text in [handle.get_label() for handle in handles]
+            and colours[attractor_index] not in ATTRACTOR_COLOURS
+        ):
+            legend_text += " (mirror image)"
         handles.append(
-            Patch(facecolor=colours[attractor], edgecolor="black", linewidth=0.5, label=escape_formulas(text))
+            Patch(
+                facecolor=colours[attractor_index], edgecolor="black", linewidth=0.5, label=escape_formulas(legend_text)
+            )
         )
     if (dataset["kind"] == "chaotic").any():
         handles.append(

@@ -9,20 +9,20 @@ from ..branches.held_branch import HELD_UNITS, HeldBranch
 from ..output.equal_runs import find_equal_runs
 from ..output.units import quantity_text
 from .branch import LINE_STYLES, LINE_WIDTHS, add_stability_legend
-from .parameter_plane import artists_with_gid, plane_gid, prepare_plane
+from .plane_axes import artist_gid, artists_of_kind, prepare_plane
 from .smooth_line import smooth_line
-from .style import COLOURS, add_legend, axes_or_new, checked_picture, require_record, scaled_line_width, scales_of
+from .style import COLOURS, add_legend, axes_or_new, check_plot_options, rc_scaled_line_width, require_record, scales_of
 
 HELD_GID = "held"
 HELD_COLOURS = tuple(COLOURS[k] for k in (6, 3, 5, 7, 0))  # ordered so that they differ from those of loci
 
 
-@checked_picture
+@check_plot_options
 def held(one: HeldBranch, ax: Axes | None = None, colour: ColorType | None = None, units: str = "scene") -> Axes:
     """Draw a branch with one held quantity in the plane of its two parameters.
 
-    The first parameter is on the x axis, the second on the y axis. Stable parts are solid and thick, unstable parts
-    dashed and thin, as for a branch.
+    The first parameter is on the x axis, the second on the y axis. Stable parts are solid and thick, unstable parts are
+    dashed and thin.
 
     Parameters
     ----------
@@ -32,7 +32,8 @@ def held(one: HeldBranch, ax: Axes | None = None, colour: ColorType | None = Non
         Axes to draw into. None makes a new figure, whose Axes get a legend. The Axes may hold loci of the same
         parameters.
     colour : colour, optional
-        Colour of the line. None takes the next colour of the cycle.
+        Colour of the line. None takes the colour of a curve with the same legend text in these Axes, else the next
+        colour of the cycle.
     units : {"scene", "physical"}, optional
         Units of the axes. ``"physical"`` requires a scene with scales.
 
@@ -61,37 +62,37 @@ def held(one: HeldBranch, ax: Axes | None = None, colour: ColorType | None = Non
     'drive frequency'
     """
     require_record("held", HeldBranch, one)
-    is_new = ax is None
-    ax, factors = prepare_plane(axes_or_new(ax), one.names, scales_of(one, units))
+    is_new_axes = ax is None
+    ax, axis_factors = prepare_plane(axes_or_new(ax), one.names, scales_of(one, units))
     legend_text = f"{one.held} {quantity_text(scales_of(one, units), HELD_UNITS[one.held], one.value)} of {one.label}"
-    label_colours = {
-        str(line.get_label()).lstrip("_"): line.get_color() for line in artists_with_gid(ax.lines, HELD_GID)
+    colour_by_label = {
+        str(line.get_label()).lstrip("_"): line.get_color() for line in artists_of_kind(ax.lines, HELD_GID)
     }
-    colour = colour or label_colours.get(legend_text, HELD_COLOURS[len(label_colours) % len(HELD_COLOURS)])
-    line, is_stable = one.values * factors, one.stable[:-1] & one.stable[1:]
-    for start, stop in find_equal_runs(is_stable):
-        stable = bool(is_stable[start])
+    colour = colour or colour_by_label.get(legend_text, HELD_COLOURS[len(colour_by_label) % len(HELD_COLOURS)])
+    line_points, is_stable_interval = one.values * axis_factors, one.stable[:-1] & one.stable[1:]
+    for first_row, last_row in find_equal_runs(is_stable_interval):
+        is_stable_run = bool(is_stable_interval[first_row])
         line_style: dict[str, Any] = {
             "color": colour,
-            "linewidth": scaled_line_width(LINE_WIDTHS[stable]),
-            "linestyle": LINE_STYLES[stable],
+            "linewidth": rc_scaled_line_width(LINE_WIDTHS[is_stable_run]),
+            "linestyle": LINE_STYLES[is_stable_run],
             "zorder": 4,
         }
         ax.plot(
-            *smooth_line(*line[start : stop + 1].T),
+            *smooth_line(*line_points[first_row : last_row + 1].T),
             label="_" + legend_text,
-            gid=plane_gid(HELD_GID, one.names),
+            gid=artist_gid(HELD_GID, one.names),
             **line_style,
         )
-    if legend_text not in label_colours:
+    if legend_text not in colour_by_label:
         ax.plot(
             [],
             [],
             label=legend_text,
-            gid=plane_gid(HELD_GID, one.names),
+            gid=artist_gid(HELD_GID, one.names),
             color=colour,
-            linewidth=scaled_line_width(LINE_WIDTHS[True]),
+            linewidth=rc_scaled_line_width(LINE_WIDTHS[True]),
         )
     add_stability_legend(ax)
-    add_legend(ax, is_new)
+    add_legend(ax, is_new_axes)
     return ax

@@ -8,18 +8,18 @@ from matplotlib.axes import Axes
 from matplotlib.typing import ColorType
 
 from ..loci.locus import MEANINGS, Locus
-from ..output.labels import translate_label
+from ..output.label_translation import translate_label
 from ..scene.check import ArgumentError
-from .parameter_plane import artists_with_gid, plane_gid, prepare_plane
+from .plane_axes import artist_gid, artists_of_kind, prepare_plane
 from .smooth_line import smooth_line
 from .style import (
     COLOURS,
     add_legend,
     axes_or_new,
-    checked_picture,
+    check_plot_options,
     escape_formulas,
+    rc_scaled_line_width,
     require_record,
-    scaled_line_width,
     scales_of,
 )
 
@@ -41,7 +41,7 @@ HATCHES = ("///", "\\\\\\", "...", "xxx", "")
 LOCUS_GID, REGION_GID = "locus", "region"
 
 
-@checked_picture
+@check_plot_options
 def locus(
     one: Locus,
     ax: Axes | None = None,
@@ -52,7 +52,7 @@ def locus(
     """Draw a locus in the plane of its two parameters.
 
     The first parameter is on the x axis, the second on the y axis. Each kind of locus has its own colour and line
-    style. Each kind of codimension-two point has its own marker; the ends of the locus have none.
+    style. Each kind of codimension-two point has its own marker. The ends of the locus have no marker.
 
     Parameters
     ----------
@@ -86,7 +86,8 @@ def locus(
 
     Notes
     -----
-    The second locus of a kind in the same Axes has a thinner line than the first, and further ones are thinner still.
+    The second locus of a kind in the same Axes has a thinner line than the first. The third and all further loci have
+    an even thinner line.
 
     Examples
     --------
@@ -96,35 +97,35 @@ def locus(
     'drive frequency'
     """
     require_record("locus", Locus, one)
-    is_new = ax is None
-    ax, factors = prepare_plane(axes_or_new(ax), one.names, scales_of(one, units))
-    legend_text, (kind_colour, dashes) = locus_name(one), KIND_STYLES[one.kind]
-    lines = artists_with_gid(ax.lines, LOCUS_GID)
-    same_lines = [line for line in lines if line.get_label().lstrip("_") == legend_text]
-    earlier_labels = {line.get_label().lstrip("_") for line in lines} - {legend_text}
-    rank = sum(label.startswith(f"{one.kind} ") for label in earlier_labels)
+    is_new_axes = ax is None
+    ax, axis_factors = prepare_plane(axes_or_new(ax), one.names, scales_of(one, units))
+    legend_text, (kind_colour, kind_dash_pattern) = locus_name(one), KIND_STYLES[one.kind]
+    locus_lines = artists_of_kind(ax.lines, LOCUS_GID)
+    same_name_lines = [line for line in locus_lines if line.get_label().lstrip("_") == legend_text]
+    other_locus_names = {line.get_label().lstrip("_") for line in locus_lines} - {legend_text}
+    n_earlier_loci = sum(other_locus_name.startswith(f"{one.kind} ") for other_locus_name in other_locus_names)
     line_style: dict[str, Any] = {
         "color": colour or kind_colour,
-        "linestyle": dashes,
-        "linewidth": scaled_line_width(LINE_WIDTHS[min(rank, len(LINE_WIDTHS) - 1)]),
+        "linestyle": kind_dash_pattern,
+        "linewidth": rc_scaled_line_width(LINE_WIDTHS[min(n_earlier_loci, len(LINE_WIDTHS) - 1)]),
     }
-    if same_lines:
+    if same_name_lines:
         line_style = {
-            "linestyle": dashes,
-            "color": colour or same_lines[0].get_color(),
-            "linewidth": same_lines[0].get_linewidth(),
+            "linestyle": kind_dash_pattern,
+            "color": colour or same_name_lines[0].get_color(),
+            "linewidth": same_name_lines[0].get_linewidth(),
         }
-    is_listed = any(line.get_color() == line_style["color"] for line in same_lines)
-    line = smooth_line(*(one.values * factors).T)
+    is_in_legend = any(line.get_color() == line_style["color"] for line in same_name_lines)
+    line = smooth_line(*(one.values * axis_factors).T)
     ax.plot(
         *line,
-        label=f"_{legend_text}" if is_listed else legend_text,
-        gid=plane_gid(LOCUS_GID, one.names),
+        label=f"_{legend_text}" if is_in_legend else legend_text,
+        gid=artist_gid(LOCUS_GID, one.names),
         zorder=3,
         **line_style,
     )
-    _draw_codim2_points(ax, one, factors, labels)
-    add_legend(ax, is_new)
+    _draw_codim2_points(ax, one, axis_factors, labels)
+    add_legend(ax, is_new_axes)
     return ax
 
 
@@ -144,12 +145,12 @@ def locus_name(locus):
     return f"{locus.kind} of {locus.label}"
 
 
-def _draw_codim2_points(ax, locus, factors, labels):
+def _draw_codim2_points(ax, locus, axis_factors, label_system):
     known_labels = [line.get_label() for line in ax.lines if line.get_gid() == "codimension two"]
     for kind in dict.fromkeys(special.kind for special in locus.special if special.kind != "EP"):
-        x, y = (np.array([list(special.values.values()) for special in locus.points(kind)]) * factors).T
-        text = f"{translate_label(kind, labels)}: {MEANINGS.get(kind, f'end of a locus of {kind}')}"
-        legend_text = f"_{text}" if text in known_labels else text
+        x, y = (np.array([list(special.values.values()) for special in locus.points(kind)]) * axis_factors).T
+        kind_text = f"{translate_label(kind, label_system)}: {MEANINGS.get(kind, f'end of a locus of {kind}')}"
+        legend_text = f"_{kind_text}" if kind_text in known_labels else kind_text
         marker_style = {
             "marker": MARKERS[kind],
             "markersize": MARKER_SIZES.get(kind, 6.0),
@@ -159,7 +160,7 @@ def _draw_codim2_points(ax, locus, factors, labels):
         ax.plot(x, y, label=legend_text, gid="codimension two", **marker_style)
 
 
-@checked_picture
+@check_plot_options
 def region(
     first: Locus,
     second: Locus,
@@ -181,7 +182,8 @@ def region(
     ax : Axes, optional
         Axes to draw into. None makes a new figure.
     colour : colour, optional
-        Colour of the shade. None takes grey, with a different hatching for each region in these Axes.
+        Colour of the shade. None takes grey. Five successive regions in the same Axes differ in their hatching; the
+        fifth has no hatching.
     units : {"scene", "physical"}, optional
         Units of the axes. ``"physical"`` requires a scene with scales.
 
@@ -193,8 +195,9 @@ def region(
     Raises
     ------
     ArgumentError
-        If `first` or `second` is not a `Locus`, if their parameters differ, if no line of constant second parameter
-        meets both, or as `locus` does.
+        If `first` or `second` is not a `Locus`, if `text` is not a string, if the parameters of the loci differ, if no
+        line of constant second parameter meets both loci, if the Axes hold curves of other parameters, or if `units` is
+        unknown.
 
     See Also
     --------
@@ -202,7 +205,8 @@ def region(
 
     Notes
     -----
-    A point belongs to the region if its two neighbours on the line of constant second parameter lie on different loci.
+    Consider the line of constant second parameter through a point. The point belongs to the region if the nearest
+    crossings of this line with the loci, to the left and to the right of the point, are on different loci.
 
     Examples
     --------
@@ -218,75 +222,84 @@ def region(
         raise ArgumentError("text", "must be a string", text)
     if first.names != second.names:
         raise ArgumentError("second", f"must be a locus in {' and '.join(first.names)}, as the first", second.names)
-    ax, factors = prepare_plane(axes_or_new(ax), first.names, scales_of(first, units))
-    outlines = _outlines(first.values * factors, second.values * factors)
+    ax, axis_factors = prepare_plane(axes_or_new(ax), first.names, scales_of(first, units))
+    outlines = _region_outlines(first.values * axis_factors, second.values * axis_factors)
     if not outlines:
         raise ArgumentError("second", f"must share values of {first.names[1]} with the first", repr(second))
-    n_earlier = len({patch.get_label() for patch in artists_with_gid(ax.patches, REGION_GID)} - {"_"})
+    n_earlier_regions = len(
+        {region_patch.get_label() for region_patch in artists_of_kind(ax.patches, REGION_GID)} - {"_"}
+    )
     patch_style: dict[str, Any] = {
         "facecolor": colour or "0.5",
         "edgecolor": colour or "0.35",
-        "hatch": HATCHES[n_earlier % len(HATCHES)],
+        "hatch": HATCHES[n_earlier_regions % len(HATCHES)],
     }
     for index, outline in enumerate(outlines):
         legend_text = escape_formulas(text) if index == 0 else "_"
-        patch = ax.fill(
-            *outline.T, label=legend_text, gid=plane_gid(REGION_GID, first.names), alpha=0.22, zorder=1, **patch_style
+        region_patch = ax.fill(
+            *outline.T, label=legend_text, gid=artist_gid(REGION_GID, first.names), alpha=0.22, zorder=1, **patch_style
         )[0]
-        patch.set_linewidth(0.0)
-    x, y = _widest_point(outlines)
+        region_patch.set_linewidth(0.0)
+    x, y = _label_position(outlines)
     box_style = {"facecolor": "white", "edgecolor": "none", "alpha": 0.75, "pad": 1.5}
     ax.text(x, y, escape_formulas(text), ha="center", va="center", zorder=8, fontsize="small", bbox=box_style)
     return ax
 
 
-def _outlines(first, second):
-    """Return the corners of each part of the region between two curves of shape (points, 2), as a list of (corners, 2).
+def _region_outlines(first_curve, second_curve):
+    """Return a list with the corners of each part of the region between two curves, arrays of shape (corners, 2).
 
-    Between two levels of the second parameter at which neither curve has a point both are straight. There the pieces of
-    both are sorted from left to right, and each two neighbours of different curves bound a part of the region.
+    The curves have shape (points, 2). A level is a value of the second parameter at a point of a curve. Between two
+    consecutive levels the pieces of both curves are straight. The pieces are sorted from left to right. Two
+    neighbouring pieces of different curves bound a part of the region.
     """
-    levels = np.unique(np.concatenate([first[:, 1], second[:, 1]]))
-    parts, open_parts = [], []
-    for lower, upper in pairwise(levels):
-        pieces = [
+    levels = np.unique(np.concatenate([first_curve[:, 1], second_curve[:, 1]]))
+    outline_edges, open_outline_edges = [], []
+    for lower_level, upper_level in pairwise(levels):
+        curve_pieces = [
             (*piece, curve_index)
-            for curve_index, element in enumerate((first, second))
-            for piece in _level_crossings(element, lower, upper)
+            for curve_index, curve in enumerate((first_curve, second_curve))
+            for piece in _level_crossings(curve, lower_level, upper_level)
         ]
-        pieces.sort(key=lambda piece: piece[0] + piece[1])
-        pairs = [(element, neighbour) for element, neighbour in pairwise(pieces) if element[2] != neighbour[2]]
-        if len(pairs) != len(open_parts):
-            open_parts = [([], []) for _ in pairs]
-            parts += open_parts
-        for (left_edge, right_edge), (element, neighbour) in zip(open_parts, pairs, strict=True):
-            left_edge += [(element[0], lower), (element[1], upper)]
-            right_edge += [(neighbour[0], lower), (neighbour[1], upper)]
-    return [np.array([*left_edge, *reversed(right_edge)]) for left_edge, right_edge in parts]
+        curve_pieces.sort(key=lambda piece: piece[0] + piece[1])
+        neighbour_pairs = [
+            (left_piece, right_piece)
+            for left_piece, right_piece in pairwise(curve_pieces)
+            if left_piece[2] != right_piece[2]
+        ]
+        if len(neighbour_pairs) != len(open_outline_edges):
+            open_outline_edges = [([], []) for _ in neighbour_pairs]
+            outline_edges += open_outline_edges
+        for (left_edge, right_edge), (left_piece, right_piece) in zip(open_outline_edges, neighbour_pairs, strict=True):
+            left_edge += [(left_piece[0], lower_level), (left_piece[1], upper_level)]
+            right_edge += [(right_piece[0], lower_level), (right_piece[1], upper_level)]
+    return [np.array([*left_edge, *reversed(right_edge)]) for left_edge, right_edge in outline_edges]
 
 
-def _level_crossings(curve, lower, upper):
+def _level_crossings(curve, lower_level, upper_level):
     """Yield (x at the lower level, x at the upper level) of each piece of a curve that spans both levels."""
-    piece_levels = np.sort(np.stack([curve[:-1, 1], curve[1:, 1]]), axis=0)
-    for index in np.flatnonzero((piece_levels[0] <= lower) & (upper <= piece_levels[1])):
+    sorted_end_levels = np.sort(np.stack([curve[:-1, 1], curve[1:, 1]]), axis=0)
+    for index in np.flatnonzero((sorted_end_levels[0] <= lower_level) & (upper_level <= sorted_end_levels[1])):
         (x_start, y_start), (x_end, y_end) = curve[index : index + 2]
-        yield tuple(x_start + (level - y_start) / (y_end - y_start) * (x_end - x_start) for level in (lower, upper))
+        yield tuple(
+            x_start + (level - y_start) / (y_end - y_start) * (x_end - x_start) for level in (lower_level, upper_level)
+        )
 
 
-def _widest_point(outlines):
-    """Return a point in the middle of the widest part of the largest region, away from its ends."""
-    best_width, best_point = -np.inf, None
-    levels = np.concatenate(outlines)[:, 1]
+def _label_position(outlines):
+    """Return the point, in the middle between two edges, where the region is widest and far from the ends of a part."""
+    best_score, best_point = -np.inf, None
+    corner_levels = np.concatenate(outlines)[:, 1]
     max_width = max(np.ptp(outline[:, 0]) for outline in outlines)
     for outline in outlines:
         left_edge, right_edge = outline[: len(outline) // 2], outline[len(outline) // 2 :][::-1]
-        end_distance = np.minimum(left_edge[:, 1] - left_edge[0, 1], left_edge[-1, 1] - left_edge[:, 1]) / np.ptp(
-            levels
-        )
-        width_score = np.minimum(abs(right_edge[:, 0] - left_edge[:, 0]) / max_width, 2.0 * end_distance)
+        relative_end_distance = np.minimum(
+            left_edge[:, 1] - left_edge[0, 1], left_edge[-1, 1] - left_edge[:, 1]
+        ) / np.ptp(corner_levels)
+        width_score = np.minimum(abs(right_edge[:, 0] - left_edge[:, 0]) / max_width, 2.0 * relative_end_distance)
         index = int(np.argmax(width_score))
-        if width_score[index] > best_width:
-            best_width, best_point = (
+        if width_score[index] > best_score:
+            best_score, best_point = (
                 width_score[index],
                 (0.5 * (left_edge[index, 0] + right_edge[index, 0]), left_edge[index, 1]),
             )

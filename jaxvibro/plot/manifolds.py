@@ -12,7 +12,7 @@ from .style import (
     WALL_COLOUR,
     add_legend,
     axes_or_new,
-    checked_picture,
+    check_plot_options,
     escape_formulas,
     phase_plane_axes,
     require_dataset,
@@ -24,7 +24,7 @@ END_MARKERS = {"attractor": "o", "length": "s", "points": "D", "resolution": "^"
 KIND_STYLES = {"stable": (COLOURS[2], "-"), "unstable": (COLOURS[7], (0, (5, 2)))}
 
 
-@checked_picture
+@check_plot_options
 def manifold(
     dataset: xr.Dataset,
     ax: Axes | None = None,
@@ -67,7 +67,8 @@ def manifold(
 
     Notes
     -----
-    A marker shows each final end of the curve, and the legend states the reason. Fixed walls are grey lines.
+    A marker shows where the curve ends, and the legend states why it ends there. An end due to `max_seconds` has no
+    marker. Fixed walls are grey lines.
 
     Examples
     --------
@@ -78,16 +79,16 @@ def manifold(
     """
     require_dataset("manifold", "manifold", ("kind", "piece", "x", "v"), dataset)
     x_axis, y_axis = phase_plane_axes(scales_of(dataset, units))
-    is_new, ax = ax is None, axes_or_new(ax)
-    kind_colour, dashes = KIND_STYLES[dataset.attrs["kind"]]
-    breaks = np.flatnonzero(np.diff(dataset["piece"].values)) + 1
-    states = x_axis.factor * dataset["x"].values, y_axis.factor * dataset["v"].values
-    x, v = (np.insert(coordinate, breaks, np.nan) for coordinate in states)
+    is_new_axes, ax = ax is None, axes_or_new(ax)
+    kind_colour, kind_dash_pattern = KIND_STYLES[dataset.attrs["kind"]]
+    piece_breaks = np.flatnonzero(np.diff(dataset["piece"].values)) + 1
+    scaled_coordinates = x_axis.factor * dataset["x"].values, y_axis.factor * dataset["v"].values
+    x, v = (np.insert(coordinate, piece_breaks, np.nan) for coordinate in scaled_coordinates)
     legend_text = f"{dataset.attrs['kind']} manifold of {escape_formulas(dataset.attrs['label'])}"
-    line_style: dict[str, Any] = {"color": colour or kind_colour, "linestyle": dashes, "linewidth": 0.9}
+    line_style: dict[str, Any] = {"color": colour or kind_colour, "linestyle": kind_dash_pattern, "linewidth": 0.9}
     ax.plot(x, v, label=legend_text, gid="manifold", zorder=2, **line_style)
     if saddle:
-        start_rows = np.flatnonzero(dataset["arc"].values == 0)
+        saddle_row_indices = np.flatnonzero(dataset["arc"].values == 0)
         marker_style: dict[str, Any] = {
             "linestyle": "none",
             "marker": "X",
@@ -95,24 +96,32 @@ def manifold(
             "color": "white",
             "markeredgecolor": "black",
         }
-        ax.plot(*(coordinate[start_rows] for coordinate in states), gid="saddle", zorder=4, **marker_style)
-    _mark_ends(ax, dataset, states, line_style["color"])
+        ax.plot(
+            *(coordinate[saddle_row_indices] for coordinate in scaled_coordinates),
+            gid="saddle",
+            zorder=4,
+            **marker_style,
+        )
+    _mark_piece_ends(ax, dataset, scaled_coordinates, line_style["color"])
     _draw_walls(ax, dataset.attrs, x_axis.factor)
     ax.set(xlabel=x_axis.label, ylabel=y_axis.label)
-    add_legend(ax, is_new)
+    add_legend(ax, is_new_axes)
     return ax
 
 
-def _mark_ends(ax, dataset, states, colour):
-    """Mark the two ends of each piece, with one marker for each reason."""
-    pieces = dataset["piece"].values
+def _mark_piece_ends(ax, dataset, scaled_coordinates, colour):
+    """Mark the ends of the curve, with a separate marker for each reason in `END_MARKERS`."""
+    piece_numbers = dataset["piece"].values
     known_labels = {line.get_label() for line in ax.lines if line.get_gid() == "end"}
-    starts, stops = np.searchsorted(pieces, np.unique(pieces)), np.searchsorted(pieces, np.unique(pieces), "right") - 1
-    end_rows = np.append(starts, stops)
-    reasons = np.append(*(dataset[name].values.astype(str) for name in ("began", "ended")))
-    for reason, marker in END_MARKERS.items():
-        rows, legend_text = end_rows[reasons == reason], f"end: {reason}"
-        if not len(rows):
+    first_rows, last_rows = (
+        np.searchsorted(piece_numbers, np.unique(piece_numbers)),
+        np.searchsorted(piece_numbers, np.unique(piece_numbers), "right") - 1,
+    )
+    end_rows = np.append(first_rows, last_rows)
+    end_reasons = np.append(*(dataset[name].values.astype(str) for name in ("began", "ended")))
+    for end_reason, marker in END_MARKERS.items():
+        reason_rows, legend_text = end_rows[end_reasons == end_reason], f"end: {end_reason}"
+        if not len(reason_rows):
             continue
         marker_style = {"marker": marker, "markersize": 4.5, "markerfacecolor": "white"}
         marker_style |= {
@@ -120,16 +129,16 @@ def _mark_ends(ax, dataset, states, colour):
             "markeredgecolor": colour,
             "label": f"_{legend_text}" if legend_text in known_labels else legend_text,
         }
-        ax.plot(*(coordinate[rows] for coordinate in states), gid="end", zorder=3.5, **marker_style)
+        ax.plot(*(coordinate[reason_rows] for coordinate in scaled_coordinates), gid="end", zorder=3.5, **marker_style)
 
 
-def _draw_walls(ax, attrs, factor):
+def _draw_walls(ax, manifold_attrs, position_factor):
     known_positions = [line.get_xdata()[0] for line in ax.lines if line.get_gid() == "wall"]
     for side in ("left", "right"):
-        position = attrs.get(f"{side}.position")
+        position = manifold_attrs.get(f"{side}.position")
         if (
             position is not None
-            and f"{side}.motion.amplitude" not in attrs
-            and factor * position not in known_positions
+            and f"{side}.motion.amplitude" not in manifold_attrs
+            and position_factor * position not in known_positions
         ):
-            ax.axvline(factor * position, color=WALL_COLOUR, linewidth=0.8, zorder=1, gid="wall")
+            ax.axvline(position_factor * position, color=WALL_COLOUR, linewidth=0.8, zorder=1, gid="wall")

@@ -8,8 +8,8 @@ from matplotlib.patches import Patch
 
 from ..output import label_codes
 from ..scene.check import ArgumentError
-from .parameter_plane import prepare_plane
-from .style import axes_or_new, cell_edges, checked_picture, escape_formulas, require_dataset, scales_of
+from .plane_axes import prepare_plane
+from .style import axes_or_new, cell_edges, check_plot_options, escape_formulas, require_dataset, scales_of
 
 # Hues of orbits with 1, 2, ... periods: those of Okabe and Ito and two that differ in lightness, then repeated.
 PERIOD_COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#D55E00", "#56B4E9", "#B5A000", "#7A4B9E")
@@ -20,7 +20,7 @@ MAX_LEGEND_LABELS = 12  # labels in the legend
 SIGNED_QUANTITIES = ("exponent",)  # quantities with a diverging colour map
 
 
-@checked_picture
+@check_plot_options
 def map(
     data: xr.Dataset,
     ax: Axes | None = None,
@@ -30,9 +30,9 @@ def map(
 ) -> Axes:
     """Draw a quantity of a parameter map over its two parameters.
 
-    The second parameter is on the x axis, the first on the y axis. Each label has the same colour in all maps: a hue
-    for the number of drive periods, paler or deeper by the number of impacts. Chaos is nearly black, undecided cells
-    are grey, cells that are not computed white.
+    The second parameter is on the x axis, the first on the y axis. Each label has the same colour in all maps. The hue
+    depends on the number of drive periods, the lightness on the number of impacts. Chaos is nearly black. Undecided
+    cells are grey, and cells that are not computed are white.
 
     Parameters
     ----------
@@ -41,11 +41,11 @@ def map(
     ax : Axes, optional
         Axes to draw into. None makes a new figure.
     quantity : str, optional
-        Variable to draw. Its only dimensions must be the two parameters; select from others first, for example with
-        ``data.sel(way=1)``, ``data.isel(attractor=0)`` or ``data.sel(wall="left")``.
+        Variable to draw. Its only dimensions must be the two parameters. Select an entry of each other dimension first,
+        for example with ``data.sel(way=1)``, ``data.isel(attractor=0)`` or ``data.sel(wall="left")``.
     legend : bool, optional
-        Add a legend of the labels below the drawing, at most 12 with the most frequent first, or the colour bar of a
-        numerical quantity.
+        Add a legend of the most frequent labels, at most 12, below the drawing, or the colour bar of a numerical
+        quantity.
     units : {"scene", "physical"}, optional
         Units of the axes. ``"physical"`` requires a scene with scales.
 
@@ -77,26 +77,31 @@ def map(
         raise ArgumentError("quantity", f"must be one of {_join_names(data.data_vars)}", quantity)
     quantity_data = data[quantity]
     if quantity_data.ndim != 2 or not set(quantity_data.dims) <= set(data.coords):
-        rule = "must have two parameters as dimensions; select from the others first, for example data.sel(way=1)"
-        raise ArgumentError("quantity", rule, f"{quantity} along {_join_names(quantity_data.dims)}")
+        error_rule = "must have two parameters as dimensions; select from the others first, for example data.sel(way=1)"
+        raise ArgumentError("quantity", error_rule, f"{quantity} along {_join_names(quantity_data.dims)}")
     y_name, x_name = (str(name) for name in quantity_data.dims)
-    ax, factors = prepare_plane(axes_or_new(ax), (x_name, y_name), scales_of(data, units))
-    borders = [cell_edges(factor * data[name].values) for name, factor in zip((x_name, y_name), factors, strict=True)]
+    ax, axis_factors = prepare_plane(axes_or_new(ax), (x_name, y_name), scales_of(data, units))
+    cell_borders = [
+        cell_edges(axis_factor * data[name].values)
+        for name, axis_factor in zip((x_name, y_name), axis_factors, strict=True)
+    ]
     if quantity == "label":
-        codes = np.unique(quantity_data.values)
+        unique_codes = np.unique(quantity_data.values)
         colour_indices, palette = (
-            np.searchsorted(codes, quantity_data.values),
-            [label_colour(code) for code in codes.tolist()],
+            np.searchsorted(unique_codes, quantity_data.values),
+            [label_colour(label_code) for label_code in unique_codes.tolist()],
         )
-        norm = BoundaryNorm(np.arange(-0.5, len(codes)), max(len(codes), 2))
-        image = ax.pcolorfast(*borders, colour_indices, cmap=ListedColormap(palette + palette[:1]), norm=norm, zorder=0)
+        colour_norm = BoundaryNorm(np.arange(-0.5, len(unique_codes)), max(len(unique_codes), 2))
+        cell_image = ax.pcolorfast(
+            *cell_borders, colour_indices, cmap=ListedColormap(palette + palette[:1]), norm=colour_norm, zorder=0
+        )
     else:
         colour_style = (
             {"cmap": "PuOr_r", "norm": CenteredNorm()} if quantity in SIGNED_QUANTITIES else {"cmap": "cividis"}
         )
-        image = ax.pcolorfast(*borders, np.ma.masked_invalid(quantity_data.values), zorder=0, **colour_style)
-    image.set_rasterized(True)
-    ax.set(xlim=borders[0][[0, -1]], ylim=borders[1][[0, -1]])
+        cell_image = ax.pcolorfast(*cell_borders, np.ma.masked_invalid(quantity_data.values), zorder=0, **colour_style)
+    cell_image.set_rasterized(True)
+    ax.set(xlim=cell_borders[0][[0, -1]], ylim=cell_borders[1][[0, -1]])
     if legend and quantity == "label":
         handles = _legend_handles(quantity_data.values)
         ax.legend(
@@ -108,31 +113,40 @@ def map(
             fontsize="small",
         )
     elif legend:
-        unit = quantity_data.attrs.get("units", "")
+        quantity_unit = quantity_data.attrs.get("units", "")
         label = escape_formulas(str(quantity_data.attrs.get("long_name", quantity)))
-        ax.figure.colorbar(image, ax=ax, label=label if unit in ("", "1") else f"{label} ({escape_formulas(unit)})")
+        ax.figure.colorbar(
+            cell_image,
+            ax=ax,
+            label=label if quantity_unit in ("", "1") else f"{label} ({escape_formulas(quantity_unit)})",
+        )
     return ax
 
 
-def label_colour(code: int) -> str:
+def label_colour(label_code: int) -> str:
     """Return the colour of a label's code, the same in all maps."""
-    if code in SPECIAL_COLOURS:
-        return SPECIAL_COLOURS[code]
-    period, impact_counts = int(label_codes.period_of(code)), [code // label_codes.LEFT_FACTOR % 1000, code % 1000]
-    hue = np.array(to_rgb(PERIOD_COLOURS[(period - 1) % len(PERIOD_COLOURS)]))
-    white_share = WHITE_SHARES[sum(impact_counts) % len(WHITE_SHARES)] + (
+    if label_code in SPECIAL_COLOURS:
+        return SPECIAL_COLOURS[label_code]
+    n_periods, impact_counts = (
+        int(label_codes.period_of(label_code)),
+        [label_code // label_codes.LEFT_FACTOR % 1000, label_code % 1000],
+    )
+    base_colour = np.array(to_rgb(PERIOD_COLOURS[(n_periods - 1) % len(PERIOD_COLOURS)]))
+    white_fraction = WHITE_SHARES[sum(impact_counts) % len(WHITE_SHARES)] + (
         ASYMMETRY_WHITE if impact_counts[0] > impact_counts[1] else 0.0
     )
-    return to_hex(tuple(hue + (1.0 - hue) * white_share))
+    return to_hex(tuple(base_colour + (1.0 - base_colour) * white_fraction))
 
 
-def _legend_handles(codes):
-    """Return the legend entries: the most frequent labels, and the number of others."""
-    unique_codes, counts = np.unique(codes, return_counts=True)
-    order = np.lexsort((unique_codes, -counts))
+def _legend_handles(cell_codes):
+    """Return the legend entries of the most frequent labels, and an entry with the number of other labels."""
+    unique_codes, cell_counts = np.unique(cell_codes, return_counts=True)
+    order_by_cell_count = np.lexsort((unique_codes, -cell_counts))
     handles = [
-        Patch(facecolor=label_colour(code), edgecolor="0.4", linewidth=0.5, label=label_codes.label_of(code))
-        for code in unique_codes[order[:MAX_LEGEND_LABELS]].tolist()
+        Patch(
+            facecolor=label_colour(label_code), edgecolor="0.4", linewidth=0.5, label=label_codes.label_of(label_code)
+        )
+        for label_code in unique_codes[order_by_cell_count[:MAX_LEGEND_LABELS]].tolist()
     ]
     if len(unique_codes) > MAX_LEGEND_LABELS:
         handles.append(Patch(facecolor="none", label=f"and {len(unique_codes) - MAX_LEGEND_LABELS} more"))

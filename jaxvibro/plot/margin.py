@@ -7,20 +7,21 @@ from matplotlib.patches import Ellipse
 from ..branches.branch import KIND_NAMES
 from ..design.margin import REACHED, Margin
 from .locus import KIND_STYLES, MARKERS
-from .style import COLOURS, axes_or_new, checked_picture, escape_formulas, parameter_axis, require_record, scales_of
+from .style import COLOURS, axes_or_new, check_plot_options, escape_formulas, parameter_axis, require_record, scales_of
 
 PARAMETER_MARKERS = "osD^vP*X"  # of the free parameters
 LINE_STYLES = {True: "-", False: ":"}  # True if the point is the first bifurcation on the line
 
 
-@checked_picture
+@check_plot_options
 def margin(near: Margin, ax: Axes | None = None, units: str = "scene") -> Axes:
     """Draw the nearest bifurcations of an orbit.
 
-    For two free parameters the drawing is their plane, the first on the x axis, with the orbit, a straight line to each
-    point, and the ellipse inside which no bifurcation was found. A line is dotted if another boundary comes first. For
-    any other number of free parameters the drawing shows the change of each that leads to each point, in its unit, the
-    nearest point first.
+    For two free parameters the drawing is the plane of these parameters, the first on the x axis. It shows the orbit, a
+    straight line to each bifurcation, and the ellipse inside which no bifurcation was found. A line is dotted if it
+    crosses another bifurcation first. For any other number of free parameters the drawing shows, for each bifurcation,
+    the change of each parameter, divided by the unit in `Margin.free`. The bifurcations are in the order of
+    `Margin.points`.
 
     Parameters
     ----------
@@ -54,7 +55,7 @@ def margin(near: Margin, ax: Axes | None = None, units: str = "scene") -> Axes:
     """
     require_record("margin", Margin, near)
     scales, ax = scales_of(near.orbit, units), axes_or_new(ax)
-    return _draw_plane(near, ax, scales) if len(near.free) == 2 else _draw_changes(near, ax)
+    return _draw_plane(near, ax, scales) if len(near.free) == 2 else _draw_parameter_changes(near, ax)
 
 
 def _draw_plane(margin, ax, scales):
@@ -62,12 +63,14 @@ def _draw_plane(margin, ax, scales):
     orbit_position = _plane_position(margin.orbit.scene, parameter_axes)
     ax.plot(*orbit_position, "o", color="black", label=margin.orbit.label, zorder=6)
     if margin.points:
-        diameters = (2.0 * margin.distance * margin.free[name] * axis.factor for name, axis in parameter_axes.items())
+        ellipse_diameters = (
+            2.0 * margin.distance * margin.free[name] * axis.factor for name, axis in parameter_axes.items()
+        )
         legend_text = f"nearest: {margin.distance:.3g} units"
         ax.add_patch(
             Ellipse(
                 orbit_position,
-                *diameters,
+                *ellipse_diameters,
                 fill=False,
                 edgecolor="0.4",
                 linestyle=(0, (4, 3)),
@@ -75,21 +78,24 @@ def _draw_plane(margin, ax, scales):
                 zorder=2,
             )
         )
-    for point in margin.points:
-        position, (colour, _) = _plane_position(point.scene, parameter_axes), KIND_STYLES[point.kind]
+    for nearest_point in margin.points:
+        point_position, (colour, _) = (
+            _plane_position(nearest_point.scene, parameter_axes),
+            KIND_STYLES[nearest_point.kind],
+        )
         ax.plot(
-            *zip(orbit_position, position, strict=True),
+            *zip(orbit_position, point_position, strict=True),
             color=colour,
-            linestyle=LINE_STYLES[point.status == REACHED],
+            linestyle=LINE_STYLES[nearest_point.status == REACHED],
             linewidth=1.2,
         )
         marker_style = {
-            "marker": MARKERS[point.kind],
+            "marker": MARKERS[nearest_point.kind],
             "markersize": 8.0,
             "markeredgecolor": "black",
             "linestyle": "none",
         }
-        ax.plot(*position, color=colour, label=_point_label(point), zorder=5, **marker_style)
+        ax.plot(*point_position, color=colour, label=_point_label(nearest_point), zorder=5, **marker_style)
     ax.set(**dict(zip(("xlabel", "ylabel"), (axis.label for axis in parameter_axes.values()), strict=True)))
     ax.margins(0.12)
     ax.legend(fontsize="small")
@@ -97,29 +103,38 @@ def _draw_plane(margin, ax, scales):
 
 
 def _plane_position(scene, parameter_axes):
-    """Return the position of a scene in the plane of two parameters, given an `Axis` for each."""
-    return [axis.factor * float(scene.parameter(name)) for name, axis in parameter_axes.items()]
+    """Return the position of a scene in the plane of two parameters; `parameter_axes` is {parameter:
+    `AxisLabelAndFactor`}."""
+    return [axis.factor * float(scene.parameter(parameter_name)) for parameter_name, axis in parameter_axes.items()]
 
 
-def _draw_changes(margin, ax):
-    positions = np.arange(len(margin.points))
+def _draw_parameter_changes(margin, ax):
+    tick_positions = np.arange(len(margin.points))
     ax.axhline(0.0, color="0.5", linewidth=0.8)
-    spacing = 0.6 / len(margin.free)
-    for index, (name, unit) in enumerate(margin.free.items()):
-        x = positions + spacing * (index - 0.5 * (len(margin.free) - 1))
-        changes = [point.change[name] / unit for point in margin.points]
-        colour = COLOURS[index % len(COLOURS)]
-        ax.vlines(x, 0.0, changes, color=colour, linewidth=1.5)
+    marker_spacing = 0.6 / len(margin.free)
+    for parameter_index, (parameter_name, parameter_unit) in enumerate(margin.free.items()):
+        x = tick_positions + marker_spacing * (parameter_index - 0.5 * (len(margin.free) - 1))
+        scaled_changes = [point.change[parameter_name] / parameter_unit for point in margin.points]
+        colour = COLOURS[parameter_index % len(COLOURS)]
+        ax.vlines(x, 0.0, scaled_changes, color=colour, linewidth=1.5)
         marker_style = {
-            "marker": PARAMETER_MARKERS[index % len(PARAMETER_MARKERS)],
+            "marker": PARAMETER_MARKERS[parameter_index % len(PARAMETER_MARKERS)],
             "markeredgecolor": "black",
             "linestyle": "none",
         }
-        ax.plot(x, changes, color=colour, label=f"{escape_formulas(name)}, unit {unit:g}", **marker_style)
+        ax.plot(
+            x,
+            scaled_changes,
+            color=colour,
+            label=f"{escape_formulas(parameter_name)}, unit {parameter_unit:g}",
+            **marker_style,
+        )
     ax.set_xticks(
-        positions, [f"{_point_label(point)}\n{point.distance:.3g} units" for point in margin.points], fontsize="small"
+        tick_positions,
+        [f"{_point_label(point)}\n{point.distance:.3g} units" for point in margin.points],
+        fontsize="small",
     )
-    ax.set(xlim=(-0.6, max(len(positions), 2) - 0.4), ylabel="change to the point (units of each number)")
+    ax.set(xlim=(-0.6, max(len(tick_positions), 2) - 0.4), ylabel="change to the point (units of each number)")
     ax.legend(fontsize="small")
     return ax
 

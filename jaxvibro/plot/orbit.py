@@ -13,10 +13,10 @@ from .style import (
     COLOURS,
     WALL_COLOUR,
     axes_or_new,
-    checked_picture,
+    check_plot_options,
+    require_finite_position,
     require_record,
     require_records,
-    require_value,
     scales_of,
     variable_axis,
 )
@@ -25,11 +25,12 @@ SAMPLES_PER_PERIOD = 400  # samples per drive period
 ORBIT_COLOUR, MARKERS = COLOURS[5], "^dv<>pXP"  # in a sweep diagram
 
 
-@checked_picture
+@check_plot_options
 def orbit(one: Orbit, ax: Axes | None = None, units: str = "scene") -> Axes:
     """Draw a periodic orbit in the phase plane.
 
-    The title states its label, its stability and the larger multiplier.
+    The title states the label, the stability and the larger multiplier of the orbit, or both multipliers if they are
+    complex.
 
     Parameters
     ----------
@@ -48,7 +49,7 @@ def orbit(one: Orbit, ax: Axes | None = None, units: str = "scene") -> Axes:
     Raises
     ------
     ArgumentError
-        If `one` is not an `Orbit`, or as `jaxvibro.simulate` and `portrait` do.
+        If `one` is not an `Orbit`, if `units` is unknown, or if `units` is ``"physical"`` and the scene has no scales.
 
     See Also
     --------
@@ -57,8 +58,8 @@ def orbit(one: Orbit, ax: Axes | None = None, units: str = "scene") -> Axes:
 
     Notes
     -----
-    An unstable orbit is simulated from its state for its own number of periods. A rounding error of 1e-16 grows by the
-    multiplier in that time.
+    The drawing of an unstable orbit is a simulation from its state for its number of periods. In that time a rounding
+    error of 1e-16 grows by a factor of about the modulus of the larger multiplier.
 
     Examples
     --------
@@ -83,12 +84,13 @@ def orbit_title(orbit):
     Returns
     -------
     str
-        Label, stability and larger multiplier, or both multipliers if they are complex.
+        Label, stability and larger multiplier, or both multipliers if they are complex. If the phase of the state is
+        not zero, this phase follows.
     """
-    multiplier = orbit.multipliers[0]
-    multiplier_text = f"multiplier {multiplier.real:.5g}"
-    if multiplier.imag:
-        multiplier_text = f"multipliers {multiplier.real:.4g} ± {abs(multiplier.imag):.4g}i"
+    larger_multiplier = orbit.multipliers[0]
+    multiplier_text = f"multiplier {larger_multiplier.real:.5g}"
+    if larger_multiplier.imag:
+        multiplier_text = f"multipliers {larger_multiplier.real:.4g} ± {abs(larger_multiplier.imag):.4g}i"
     phase_text = f", state at phase {orbit.state.phase:.4g}" if orbit.state.phase else ""
     return f"{orbit.label}, {_stability_word(orbit)}, {multiplier_text}{phase_text}"
 
@@ -97,7 +99,7 @@ def _stability_word(orbit):
     return "stable" if orbit.stable else "unstable"
 
 
-@checked_picture
+@check_plot_options
 def mark_orbits(
     orbits: tuple[Orbit, ...] | list[Orbit],
     value: float,
@@ -146,31 +148,39 @@ def mark_orbits(
     ['P111, stable']
     """
     require_records("mark_orbits", Orbit, orbits)
-    require_value(value)
+    require_finite_position(value)
     require_choice("variable", variable, ("x", "v"))
-    factors = [variable_axis(scales_of(orbit, units), variable).factor for orbit in orbits]
+    y_factor_by_orbit = [variable_axis(scales_of(orbit, units), variable).factor for orbit in orbits]
     ax = axes_or_new(ax)
-    markers: dict[int, Any] = {}
+    marker_by_index: dict[int, Any] = {}
     ax.axvline(value, color=WALL_COLOUR, linewidth=0.8, linestyle=":", zorder=0)
-    for index, orbit in enumerate(orbits):
-        mirror_index = index if orbit.mirror_of is None else orbit.mirror_of
-        first_index = min(index, mirror_index)
-        is_new = first_index not in markers
-        marker = markers.setdefault(first_index, MARKERS[len(markers) % len(MARKERS)])
-        y = factors[index] * _section_points(orbit)["xv".index(variable)]
+    for orbit_index, orbit in enumerate(orbits):
+        mirror_index = orbit_index if orbit.mirror_of is None else orbit.mirror_of
+        first_image_index = min(orbit_index, mirror_index)
+        is_first_image = first_image_index not in marker_by_index
+        marker = marker_by_index.setdefault(first_image_index, MARKERS[len(marker_by_index) % len(MARKERS)])
+        y = y_factor_by_orbit[orbit_index] * _section_coordinates(orbit)["xv".index(variable)]
         marker_style = {"marker": marker, "markerfacecolor": ORBIT_COLOUR if orbit.stable else "white", "zorder": 6}
-        image_text = " and mirror image" if mirror_index != index else ""
-        text = f"{orbit.label}{image_text}, {_stability_word(orbit)}" if is_new else None
+        mirror_image_text = " and mirror image" if mirror_index != orbit_index else ""
+        legend_text = f"{orbit.label}{mirror_image_text}, {_stability_word(orbit)}" if is_first_image else None
         ax.plot(
-            np.full(len(y), value), y, color=ORBIT_COLOUR, markersize=5.5, linestyle="none", label=text, **marker_style
+            np.full(len(y), value),
+            y,
+            color=ORBIT_COLOUR,
+            markersize=5.5,
+            linestyle="none",
+            label=legend_text,
+            **marker_style,
         )
     return ax
 
 
-def _section_points(orbit):
+def _section_coordinates(orbit):
     """Return x and v at phase 0 of each period, from the nearest samples, as two arrays of shape (periods,)."""
     trajectory = simulate(orbit.scene, orbit.state, orbit.periods, SAMPLES_PER_PERIOD)
-    periods = trajectory["phase"].values[:-1] / (2 * np.pi)
-    rows = abs(periods - np.round(periods)).reshape(orbit.periods, SAMPLES_PER_PERIOD).argmin(axis=1)
-    rows += SAMPLES_PER_PERIOD * np.arange(orbit.periods)
-    return trajectory["x"].values[rows], trajectory["v"].values[rows]
+    phase_in_periods = trajectory["phase"].values[:-1] / (2 * np.pi)
+    section_rows = (
+        abs(phase_in_periods - np.round(phase_in_periods)).reshape(orbit.periods, SAMPLES_PER_PERIOD).argmin(axis=1)
+    )
+    section_rows += SAMPLES_PER_PERIOD * np.arange(orbit.periods)
+    return trajectory["x"].values[section_rows], trajectory["v"].values[section_rows]

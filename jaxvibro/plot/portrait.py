@@ -7,12 +7,12 @@ import xarray as xr
 from matplotlib.axes import Axes
 
 from ..scene.scene import Scene
-from .impact_path import insert_impacts
+from .impact_insertion import insert_impacts
 from .style import (
     COLOURS,
     WALL_COLOUR,
     axes_or_new,
-    checked_picture,
+    check_plot_options,
     phase_plane_axes,
     require_dataset,
     require_record,
@@ -20,7 +20,7 @@ from .style import (
 )
 
 
-@checked_picture
+@check_plot_options
 def portrait(
     trajectory: xr.Dataset, scene: Scene, ax: Axes | None = None, stable: bool = True, units: str = "scene"
 ) -> Axes:
@@ -37,7 +37,8 @@ def portrait(
     ax : Axes, optional
         Axes to draw into. None makes a new figure.
     stable : bool, optional
-        Stability of the motion. An unstable motion has a dashed line of another colour, dotted impacts and open dots.
+        True if the motion is stable. An unstable motion has a dashed line of another colour, dotted impacts and open
+        dots.
     units : {"scene", "physical"}, optional
         Units of the axes. ``"physical"`` requires a scene with scales.
 
@@ -72,14 +73,18 @@ def portrait(
     x_axis, y_axis = phase_plane_axes(scales_of(trajectory, units))
     ax = axes_or_new(ax)
     _draw_walls(ax, scene, x_axis.factor)
-    _, x, v, impact_rows = insert_impacts(trajectory, scene)
+    _, x, v, rows_before_impacts = insert_impacts(trajectory, scene)
     x, v = x_axis.factor * x, y_axis.factor * v
-    dashes, impact_dashes = ("-", "--") if stable else ((0, (6, 2)), ":")
-    ax.plot(x, v, color=COLOURS[0 if stable else 7], linewidth=1.0, linestyle=dashes)
-    impact_entries = np.stack([impact_rows, impact_rows + 2, impact_rows + 1], -1).ravel()  # before, after, nan
-    ax.plot(x[impact_entries], v[impact_entries], color=COLOURS[1], linewidth=1.2, linestyle=impact_dashes)
-    periods = trajectory["phase"].values / (2 * np.pi)
-    section_rows = np.flatnonzero(abs(periods - periods[0] - np.round(periods - periods[0])) < 1e-6)[1:]
+    line_dashes, impact_dashes = ("-", "--") if stable else ((0, (6, 2)), ":")
+    ax.plot(x, v, color=COLOURS[0 if stable else 7], linewidth=1.0, linestyle=line_dashes)
+    impact_line_rows = np.stack(
+        [rows_before_impacts, rows_before_impacts + 2, rows_before_impacts + 1], -1
+    ).ravel()  # before, after, nan
+    ax.plot(x[impact_line_rows], v[impact_line_rows], color=COLOURS[1], linewidth=1.2, linestyle=impact_dashes)
+    phase_in_periods = trajectory["phase"].values / (2 * np.pi)
+    section_rows = np.flatnonzero(
+        abs(phase_in_periods - phase_in_periods[0] - np.round(phase_in_periods - phase_in_periods[0])) < 1e-6
+    )[1:]
     marker_style: dict[str, Any] = {
         "linestyle": "none",
         "marker": "o",
@@ -98,13 +103,18 @@ def portrait(
     return ax
 
 
-def _draw_walls(ax, scene, factor):
+def _draw_walls(ax, scene, position_factor):
     for wall in (scene.left, scene.right):
         if wall is None:
             continue
-        wall_amplitude = 0.0 if wall.motion is None else factor * abs(float(wall.motion.amplitude))
-        position = factor * float(wall.position)
+        wall_amplitude = 0.0 if wall.motion is None else position_factor * abs(float(wall.motion.amplitude))
+        wall_position = position_factor * float(wall.position)
         ax.axvspan(
-            position - wall_amplitude, position + wall_amplitude, color=WALL_COLOUR, alpha=0.3, linewidth=0, zorder=0
+            wall_position - wall_amplitude,
+            wall_position + wall_amplitude,
+            color=WALL_COLOUR,
+            alpha=0.3,
+            linewidth=0,
+            zorder=0,
         )
-        ax.axvline(position, color=WALL_COLOUR, linewidth=1.0, zorder=0)
+        ax.axvline(wall_position, color=WALL_COLOUR, linewidth=1.0, zorder=0)

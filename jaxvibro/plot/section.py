@@ -8,13 +8,13 @@ from matplotlib.axes import Axes
 from matplotlib.typing import ColorType
 
 from ..scene.check import ArgumentError
-from .style import COLOURS, axes_or_new, checked_picture, phase_plane_axes, require_dataset, scales_of
+from .style import COLOURS, axes_or_new, check_plot_options, phase_plane_axes, require_dataset, scales_of
 
 SIDES = ("left", "right")
 MIN_RELATIVE_RANGE = 0.01  # relative to the middle value of an axis
 
 
-@checked_picture
+@check_plot_options
 def section(
     dataset: xr.Dataset,
     which: str = "sigma",
@@ -54,8 +54,8 @@ def section(
 
     Notes
     -----
-    No axis is narrower than one per cent of its middle value, so that a periodic motion appears as one dot despite
-    rounding.
+    The range of each axis is at least one per cent of its middle value. Each point of a periodic motion therefore
+    appears as one dot, despite rounding errors.
 
     Examples
     --------
@@ -76,7 +76,7 @@ def section(
     if which == "sigma":
         ax.plot(x_axis.factor * dataset["x"].values, y_axis.factor * dataset["v"].values, **marker_style)
         ax.set(xlabel=x_axis.label, ylabel=y_axis.label)
-        return _widen_limits(ax)
+        return _widen_narrow_axes(ax)
     if which not in SIDES:
         raise ArgumentError("which", 'must be "sigma", "left" or "right"', which)
     ax.plot(
@@ -84,13 +84,15 @@ def section(
     )
     ax.set(xlabel=r"phase of the drive at the impact $\,/\,\pi$", xlim=(0.0, 2.0))
     ax.set_ylabel(y_axis.label.replace("velocity", "velocity after it"))
-    return _widen_limits(ax)
+    return _widen_narrow_axes(ax)
 
 
-def _widen_limits(ax):
-    """Widen axes that are narrower than the rounding errors of a periodic motion."""
-    for lower, upper, set_limits in ((*ax.get_xlim(), ax.set_xlim), (*ax.get_ylim(), ax.set_ylim)):
-        middle = 0.5 * (lower + upper)
-        if upper - lower < MIN_RELATIVE_RANGE * abs(middle):
-            set_limits(middle - MIN_RELATIVE_RANGE * abs(middle), middle + MIN_RELATIVE_RANGE * abs(middle))
+def _widen_narrow_axes(ax):
+    """Widen each axis whose range is less than `MIN_RELATIVE_RANGE` of its middle value."""
+    for axis_min, axis_max, set_axis_limits in ((*ax.get_xlim(), ax.set_xlim), (*ax.get_ylim(), ax.set_ylim)):
+        axis_middle = 0.5 * (axis_min + axis_max)
+        if axis_max - axis_min < MIN_RELATIVE_RANGE * abs(axis_middle):
+            set_axis_limits(
+                axis_middle - MIN_RELATIVE_RANGE * abs(axis_middle), axis_middle + MIN_RELATIVE_RANGE * abs(axis_middle)
+            )
     return ax

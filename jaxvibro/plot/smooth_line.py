@@ -1,4 +1,4 @@
-"""Interpolate lines through points smoothly."""
+"""Interpolate lines through points by splines between corners."""
 
 from itertools import pairwise
 
@@ -13,7 +13,8 @@ CORNER_ANGLE = 0.6  # radians: a larger angle between two chords is a corner
 def smooth_line(x, y):
     """Return (x, y) of a line through points, with further points on cubic splines between its corners.
 
-    The splines are functions of the arclength. The line breaks at nan. Repeated points are used once.
+    The splines are functions of the arclength. The line breaks at nan. Consecutive equal points are used once. A line
+    with more than `MAX_POINTS` points is returned unchanged.
     """
     if len(y) > MAX_POINTS:
         return x, y
@@ -26,24 +27,28 @@ def smooth_line(x, y):
     )
     if not extent.all():
         return x, y
-    points = np.stack([x, y])
-    chords = np.diff(points / extent, axis=1)
+    unscaled_points = np.stack([x, y])
+    scaled_chords = np.diff(unscaled_points / extent, axis=1)
     with np.errstate(invalid="ignore"):
-        turn_angles = abs(np.diff(np.unwrap(np.arctan2(chords[1], chords[0]))))
-        is_corner = np.concatenate([[True], ~(turn_angles < CORNER_ANGLE), [True]])  # nan counts as a corner
+        chord_turn_angles = abs(np.diff(np.unwrap(np.arctan2(scaled_chords[1], scaled_chords[0]))))
+        is_corner = np.concatenate([[True], ~(chord_turn_angles < CORNER_ANGLE), [True]])  # nan counts as a corner
     corner_rows = np.flatnonzero(is_corner)
-    parts = [
-        _spline_points(points[:, start : stop + 1], chords[:, start:stop]) for start, stop in pairwise(corner_rows)
+    spline_parts = [
+        _spline_points(unscaled_points[:, first_row : last_row + 1], scaled_chords[:, first_row:last_row])
+        for first_row, last_row in pairwise(corner_rows)
     ]
-    return np.concatenate([*parts, points[:, -1:]], axis=1)
+    return np.concatenate([*spline_parts, unscaled_points[:, -1:]], axis=1)
 
 
-def _spline_points(points, chords):
-    """Return the points of a line without corners and points between them, up to the last, of shape (2, points)."""
-    chord_lengths = np.hypot(*chords)
-    if len(chord_lengths) < 2:
+def _spline_points(points, scaled_chords):
+    """Return the points of a line that has no corners, with interpolated points between them; shape (2, points).
+
+    The last point of the line is omitted.
+    """
+    scaled_chord_lengths = np.hypot(*scaled_chords)
+    if len(scaled_chord_lengths) < 2:
         return points[:, :-1]
-    fractions, arclength = np.arange(SUBDIVISIONS) / SUBDIVISIONS, np.append(0.0, np.cumsum(chord_lengths))
+    chord_fractions, arclength = np.arange(SUBDIVISIONS) / SUBDIVISIONS, np.append(0.0, np.cumsum(scaled_chord_lengths))
     return scipy.interpolate.CubicSpline(arclength, points, axis=1)(
-        (arclength[:-1, None] + fractions * chord_lengths[:, None]).ravel()
+        (arclength[:-1, None] + chord_fractions * scaled_chord_lengths[:, None]).ravel()
     )

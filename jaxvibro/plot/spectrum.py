@@ -11,7 +11,7 @@ from .style import (
     WALL_COLOUR,
     add_legend,
     axes_or_new,
-    checked_picture,
+    check_plot_options,
     parameter_axis,
     require_dataset,
     scales_of,
@@ -24,12 +24,12 @@ EXPONENT_NAMES = ("first exponent", "second exponent")
 LINE_STYLES = (("-", 1.3, COLOURS[0]), ("--", 1.0, COLOURS[7]))  # dashes and width distinguish them in grey
 
 
-@checked_picture
+@check_plot_options
 def spectrum(found: xr.Dataset, ax: Axes | None = None, units: str = "scene") -> Axes:
     """Draw the Lyapunov exponents of a scene against a parameter.
 
-    Both exponents are per drive period, the first a solid line and the second a dashed one. Bands are two standard
-    errors wide on each side. Ranges in which the first exponent exceeds zero by three standard errors are grey.
+    Both exponents are per drive period. The first is a solid line, the second a dashed line. Bands extend two standard
+    errors to each side. Ranges in which the first exponent exceeds zero by three standard errors are grey.
 
     Parameters
     ----------
@@ -56,8 +56,8 @@ def spectrum(found: xr.Dataset, ax: Axes | None = None, units: str = "scene") ->
 
     Notes
     -----
-    An exponent of -inf is a tick at the lower edge. A line has a gap where there is no exponent, and an isolated value
-    is a dot. Open circles are the growth between sticking phases of a mass that sticks to a wall.
+    A triangle at the lower edge marks an exponent of -inf. A line has a gap where no exponent exists, and an isolated
+    value is a dot. Open circles are growth rates between the sticking phases of a mass that sticks to a wall.
 
     Examples
     --------
@@ -66,23 +66,38 @@ def spectrum(found: xr.Dataset, ax: Axes | None = None, units: str = "scene") ->
     'Lyapunov exponents per drive period'
     """
     require_dataset("spectrum", "spectrum", ("swept", "exponent", "error"), found)
-    parameter = found.attrs["swept"]
-    is_new, x_axis, ax = ax is None, parameter_axis(scales_of(found, units), parameter), axes_or_new(ax)
-    order = np.argsort(found[parameter].values, kind="stable")
-    found = found.isel({parameter: order})
-    x, exponent, error = x_axis.factor * found[parameter].values, found["exponent"].values, found["error"].values
+    parameter_name = found.attrs["swept"]
+    is_new_axes, x_axis, ax = ax is None, parameter_axis(scales_of(found, units), parameter_name), axes_or_new(ax)
+    parameter_order = np.argsort(found[parameter_name].values, kind="stable")
+    found = found.isel({parameter_name: parameter_order})
+    x, exponents, standard_errors = (
+        x_axis.factor * found[parameter_name].values,
+        found["exponent"].values,
+        found["error"].values,
+    )
     ax.axhline(0.0, color=WALL_COLOUR, linewidth=0.8, zorder=0)
-    for start, stop in _true_ranges(x, exponent[:, 0] > CHAOS_SIGMAS * error[:, 0]):
-        ax.axvspan(start, stop, color=CHAOS_SHADE, linewidth=0, zorder=-1, label="_chaotic")
-    for index, (dashes, width, colour) in enumerate(LINE_STYLES):
-        line = np.where(np.isfinite(exponent[:, index]), exponent[:, index], np.nan)
-        spread = np.where(np.isfinite(error[:, index]), BAND_SIGMAS * error[:, index], 0.0)
-        ax.fill_between(x, line - spread, line + spread, color=colour, alpha=BAND_ALPHA, linewidth=0)
-        ax.plot(x, line, dashes, linewidth=width, color=colour, label=EXPONENT_NAMES[index])
-        is_isolated = _isolated_values(np.isfinite(line))
+    for range_lower, range_upper in _ranges_where_true(x, exponents[:, 0] > CHAOS_SIGMAS * standard_errors[:, 0]):
+        ax.axvspan(range_lower, range_upper, color=CHAOS_SHADE, linewidth=0, zorder=-1, label="_chaotic")
+    for exponent_index, (dash_pattern, line_width, colour) in enumerate(LINE_STYLES):
+        finite_exponents = np.where(np.isfinite(exponents[:, exponent_index]), exponents[:, exponent_index], np.nan)
+        band_half_width = np.where(
+            np.isfinite(standard_errors[:, exponent_index]), BAND_SIGMAS * standard_errors[:, exponent_index], 0.0
+        )
+        ax.fill_between(
+            x,
+            finite_exponents - band_half_width,
+            finite_exponents + band_half_width,
+            color=colour,
+            alpha=BAND_ALPHA,
+            linewidth=0,
+        )
+        ax.plot(
+            x, finite_exponents, dash_pattern, linewidth=line_width, color=colour, label=EXPONENT_NAMES[exponent_index]
+        )
+        is_isolated = _is_isolated(np.isfinite(finite_exponents))
         if is_isolated.any():
-            ax.plot(x[is_isolated], line[is_isolated], "o", markersize=3, color=colour, label="_alone")
-        infinite_values = x[np.isneginf(exponent[:, index])]
+            ax.plot(x[is_isolated], finite_exponents[is_isolated], "o", markersize=3, color=colour, label="_alone")
+        minus_infinity_x = x[np.isneginf(exponents[:, exponent_index])]
         tick_style: dict[str, Any] = {
             "linestyle": "none",
             "marker": "v",
@@ -91,35 +106,38 @@ def spectrum(found: xr.Dataset, ax: Axes | None = None, units: str = "scene") ->
             "clip_on": False,
         }
         ax.plot(
-            infinite_values,
-            np.zeros(len(infinite_values)),
+            minus_infinity_x,
+            np.zeros(len(minus_infinity_x)),
             transform=ax.get_xaxis_transform(),
             label="_-inf",
             **tick_style,
         )
     if "between" in found and np.isfinite(found["between"]).any():
-        circle_style: dict[str, Any] = {
+        sticking_growth_style: dict[str, Any] = {
             "linestyle": "none",
             "marker": "o",
             "markersize": 4,
             "markerfacecolor": "none",
             "color": COLOURS[5],
         }
-        ax.plot(x, found["between"].values, label="growth between rests", **circle_style)
+        ax.plot(x, found["between"].values, label="growth between rests", **sticking_growth_style)
     ax.set(xlabel=x_axis.label, ylabel="Lyapunov exponents per drive period")
     ax.margins(x=0.01)
-    add_legend(ax, is_new)
+    add_legend(ax, is_new_axes)
     return ax
 
 
-def _isolated_values(finite):
-    """Return True for each value without a neighbour to which a line can be drawn."""
-    neighbours = np.pad(finite, 1)
-    return finite & ~neighbours[:-2] & ~neighbours[2:]
+def _is_isolated(is_finite):
+    """Return a mask of the finite values without a finite neighbour, to which no line can be drawn."""
+    padded_is_finite = np.pad(is_finite, 1)
+    return is_finite & ~padded_is_finite[:-2] & ~padded_is_finite[2:]
 
 
-def _true_ranges(x, condition):
+def _ranges_where_true(x, condition):
     """Return the ranges of x in which a condition holds, extended half way to the neighbouring values."""
-    edges = np.concatenate([x[:1], 0.5 * (x[1:] + x[:-1]), x[-1:]])
-    changes = np.flatnonzero(np.diff(np.concatenate([[0], condition.astype(int), [0]])))
-    return [(edges[start], edges[stop]) for start, stop in zip(changes[::2], changes[1::2], strict=True)]
+    cell_borders = np.concatenate([x[:1], 0.5 * (x[1:] + x[:-1]), x[-1:]])
+    change_indices = np.flatnonzero(np.diff(np.concatenate([[0], condition.astype(int), [0]])))
+    return [
+        (cell_borders[start], cell_borders[stop])
+        for start, stop in zip(change_indices[::2], change_indices[1::2], strict=True)
+    ]

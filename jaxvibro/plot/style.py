@@ -9,7 +9,7 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.colors import is_color_like, to_rgb
 
-from continuation.argument_types import ArgumentType, check_arguments
+from continuation.argument_checks import ArgumentType, check_arguments
 
 from ..output.units import LENGTH, SPEED, TIME, display_unit, quantity_text, read_scales, require_unit_system, unit_of
 from ..scene import check
@@ -24,7 +24,7 @@ COLOUR_KIND = ArgumentType(
 )
 
 # Decorate a plot function: check its optional arguments by their annotations. It checks the required ones itself.
-checked_picture = check_arguments(
+check_plot_options = check_arguments(
     ArgumentError, lambda parameter: parameter.default is not parameter.empty, colour=COLOUR_KIND
 )
 
@@ -78,14 +78,14 @@ VARIABLE_UNITS = {"x": LENGTH, "v": SPEED, "clearance": LENGTH, "speed": SPEED, 
 TIME_LABEL = r"time in drive periods, $\omega t\,/\,2\pi$"
 
 
-def value_text(scales, name, value):
+def parameter_value_text(scales, parameter_name, value):
     """Format a parameter of a scene for a title.
 
     Parameters
     ----------
     scales : Scales or None
         Physical scales; None formats the value in scene units.
-    name : str
+    parameter_name : str
         Parameter.
     value : float
         Value in scene units.
@@ -95,11 +95,13 @@ def value_text(scales, name, value):
     str
         For example ``"A = 4.65"``, or ``"F = 12 N"`` with scales. A parameter without a symbol appears by its name.
     """
-    symbol = (SYMBOLS if scales is None else _PHYSICAL_SYMBOLS).get(name, escape_formulas(name))
-    return f"{symbol} = {quantity_text(scales, unit_of(name), value)}"
+    parameter_symbol = (SYMBOLS if scales is None else _PHYSICAL_SYMBOLS).get(
+        parameter_name, escape_formulas(parameter_name)
+    )
+    return f"{parameter_symbol} = {quantity_text(scales, unit_of(parameter_name), value)}"
 
 
-class Axis(NamedTuple):
+class AxisLabelAndFactor(NamedTuple):
     """Label of an axis and the factor from scene units to the units of the axis.
 
     Attributes
@@ -114,60 +116,60 @@ class Axis(NamedTuple):
     factor: float
 
 
-def parameter_axis(scales, name):
+def parameter_axis(scales, parameter_name):
     """Return the label and the factor of the axis of a parameter.
 
     Parameters
     ----------
     scales : Scales or None
         Physical scales; None keeps scene units.
-    name : str
+    parameter_name : str
         Parameter of a scene.
 
     Returns
     -------
-    Axis
+    AxisLabelAndFactor
         Label and factor from scene units.
     """
-    return Axis(
-        parameter_label(name, _PARAMETER_LABELS if scales is None else _PHYSICAL_LABELS),
-        display_unit(unit_of(name), scales)[1],
+    return AxisLabelAndFactor(
+        parameter_label(parameter_name, _PARAMETER_LABELS if scales is None else _PHYSICAL_LABELS),
+        display_unit(unit_of(parameter_name), scales)[1],
     )
 
 
-def variable_axis(scales, name):
-    """Return the `Axis` of a variable of a motion or orbit, in scene units, or with `Scales` in physical units.
+def variable_axis(scales, variable):
+    """Return the `AxisLabelAndFactor` of a variable of a motion or orbit, in physical units if `scales` is not None.
 
     Raises ArgumentError for an unknown variable.
     """
-    check.require_choice("variable", name, VARIABLE_LABELS)
-    return Axis(
-        (VARIABLE_LABELS if scales is None else _PHYSICAL_VARIABLES)[name],
-        display_unit(VARIABLE_UNITS[name], scales)[1],
+    check.require_choice("variable", variable, VARIABLE_LABELS)
+    return AxisLabelAndFactor(
+        (VARIABLE_LABELS if scales is None else _PHYSICAL_VARIABLES)[variable],
+        display_unit(VARIABLE_UNITS[variable], scales)[1],
     )
 
 
 def time_axis(scales, frequency):
-    """Return the `Axis` of a time, in drive periods, or with `Scales` in seconds."""
+    """Return the `AxisLabelAndFactor` of a time, in drive periods, or in seconds if `scales` is not None."""
     if scales is None:
-        return Axis(TIME_LABEL, frequency / (2.0 * np.pi))
+        return AxisLabelAndFactor(TIME_LABEL, frequency / (2.0 * np.pi))
     unit, factor = display_unit(TIME, scales)
-    return Axis(f"time ({unit})", factor)
+    return AxisLabelAndFactor(f"time ({unit})", factor)
 
 
 def phase_plane_axes(scales):
-    """Return the `Axis` of the position and that of the velocity."""
+    """Return the `AxisLabelAndFactor` of the position and the `AxisLabelAndFactor` of the velocity."""
     return variable_axis(scales, "x"), variable_axis(scales, "v")
 
 
-def scales_of(record, units):
-    """Return the scales for a system of units.
+def scales_of(record, unit_system):
+    """Return the physical scales of a record, or None for scene units.
 
     Parameters
     ----------
     record : Scene, Dataset or record with a scene
         Source of the scales.
-    units : {"scene", "physical"}
+    unit_system : {"scene", "physical"}
         Units of a figure.
 
     Returns
@@ -178,50 +180,50 @@ def scales_of(record, units):
     Raises
     ------
     ArgumentError
-        If `units` is unknown, or ``"physical"`` and the scene has no scales.
+        If `unit_system` is unknown, or ``"physical"`` and the scene has no scales.
     """
-    if require_unit_system(units) == "scene":
+    if require_unit_system(unit_system) == "scene":
         return None
     return read_scales(record) if isinstance(record, xr.Dataset) else require_scales(getattr(record, "scene", record))
 
 
-def parameter_label(name, labels=_PARAMETER_LABELS):
+def parameter_label(parameter_name, labels=_PARAMETER_LABELS):
     """Return the axis label of a parameter of a scene, with symbol and unit.
 
     Parameters
     ----------
-    name : str
+    parameter_name : str
         Parameter, for example ``"amplitude"``, ``"left.position"``, ``"force.k"`` or ``"drive.1.phase"``.
     labels : dict of str to str, optional
-        Labels of the parameters. The default has scene units.
+        Labels of the parameters, by default in scene units.
 
     Returns
     -------
     str
         Label, with matplotlib formulas.
     """
-    side, _, remainder = name.partition(".")
-    if side == "force":
-        return f"force: {escape_formulas(remainder)}"
-    if side == "drive":
-        term, _, field = remainder.partition(".")
-        return f"{_DRIVE_TERM_LABELS[field]} of the drive's term {term}"
-    remainder = "contact damping" if remainder == "damping" else remainder
-    return f"{side} wall: {labels[remainder]}" if remainder else labels[name]
+    prefix, _, name_after_dot = parameter_name.partition(".")
+    if prefix == "force":
+        return f"force: {escape_formulas(name_after_dot)}"
+    if prefix == "drive":
+        drive_term_number, _, drive_term_field = name_after_dot.partition(".")
+        return f"{_DRIVE_TERM_LABELS[drive_term_field]} of the drive's term {drive_term_number}"
+    name_after_dot = "contact damping" if name_after_dot == "damping" else name_after_dot
+    return f"{prefix} wall: {labels[name_after_dot]}" if name_after_dot else labels[parameter_name]
 
 
-def scaled_line_width(width):
-    """Return a line width in points, scaled by the line width in `rcParams`."""
+def rc_scaled_line_width(width):
+    """Return a line width in points, scaled by the ratio of the line width in `rcParams` to the default."""
     return width * mpl.rcParams["lines.linewidth"] / DEFAULT_LINE_WIDTH
 
 
 def escape_formulas(text):
-    """Escape formula signs in user text, so that matplotlib shows it literally.
+    """Escape dollar signs in user text, so that matplotlib shows the text literally.
 
     Parameters
     ----------
     text : str
-        Text of the user.
+        User text.
 
     Returns
     -------
@@ -236,65 +238,77 @@ def lighten(colour):
     return tuple(0.5 + 0.5 * channel for channel in to_rgb(colour))
 
 
-def cell_edges(values):
+def cell_edges(cell_centres):
     """Return the edges of cells around values; the cell of a single value has width 1."""
-    half_widths = 0.5 * (np.diff(values) if len(values) > 1 else np.ones(1))
+    half_widths = 0.5 * (np.diff(cell_centres) if len(cell_centres) > 1 else np.ones(1))
     return np.concatenate(
-        [values[:1] - half_widths[:1], values[:-1] + half_widths[: len(values) - 1], values[-1:] + half_widths[-1:]]
+        [
+            cell_centres[:1] - half_widths[:1],
+            cell_centres[:-1] + half_widths[: len(cell_centres) - 1],
+            cell_centres[-1:] + half_widths[-1:],
+        ]
     )
 
 
 def axes_or_new(ax: Axes | None) -> Axes:
-    """Return the given Axes, or those of a new figure."""
+    """Return the given Axes, or the Axes of a new figure for None."""
     return plt.subplots(layout="constrained")[1] if ax is None else ax
 
 
-def add_legend(ax, is_new):
-    """Add a legend to new Axes, or update one that this function made; leave user legends alone."""
+def add_legend(ax, is_new_axes):
+    """Add a legend to new Axes, or update a legend that `add_legend` made; legends of the user remain unchanged."""
     earlier_legend = ax.get_legend()
-    if is_new or (earlier_legend is not None and earlier_legend.get_gid() == LEGEND_GID):
+    if is_new_axes or (earlier_legend is not None and earlier_legend.get_gid() == LEGEND_GID):
         ax.legend(frameon=False, fontsize="small").set_gid(LEGEND_GID)
 
 
-def require_record(picture_name, record_type, *values):
+def require_record(plot_name, record_type, *values):
     """Raise ArgumentError unless every value is a record of this type."""
     for value in values:
         if not isinstance(value, record_type):
-            article = "an" if record_type.__name__[0] in "AEIOU" else "a"
+            indefinite_article = "an" if record_type.__name__[0] in "AEIOU" else "a"
             raise ArgumentError(
-                f"plot.{picture_name}", f"must be given {article} {record_type.__name__}{_picture_hint(value)}", value
+                f"plot.{plot_name}",
+                f"must be given {indefinite_article} {record_type.__name__}{_plot_function_hint(value)}",
+                value,
             )
 
 
-def require_records(picture_name, record_type, values):
+def require_records(plot_name, record_type, values):
     """Raise ArgumentError unless `values` is a tuple or list of records of this type."""
     if not isinstance(values, tuple | list):
-        rule = f"must be given a tuple of {record_type.__name__}s{_picture_hint(values)}"
-        raise ArgumentError(f"plot.{picture_name}", rule, values)
-    require_record(picture_name, record_type, *values)
+        error_rule = f"must be given a tuple of {record_type.__name__}s{_plot_function_hint(values)}"
+        raise ArgumentError(f"plot.{plot_name}", error_rule, values)
+    require_record(plot_name, record_type, *values)
 
 
-def require_dataset(picture_name, source, names, value):
+def require_dataset(plot_name, source_function, required_names, value):
     """Raise ArgumentError unless `value` is a Dataset with variables or attributes of these names."""
-    if not isinstance(value, xr.Dataset) or not all(name in value.variables or name in value.attrs for name in names):
-        rule = f"must be given a Dataset of {source}{_picture_hint(value)}"
-        raise ArgumentError(f"plot.{picture_name}", rule, type(value).__name__)
+    if not isinstance(value, xr.Dataset) or not all(
+        required_name in value.variables or required_name in value.attrs for required_name in required_names
+    ):
+        error_rule = f"must be given a Dataset of {source_function}{_plot_function_hint(value)}"
+        raise ArgumentError(f"plot.{plot_name}", error_rule, type(value).__name__)
 
 
 PICTURE_OF_TYPE = {name: f"plot.{name.lower()}" for name in ("Branch", "Orbit", "Locus", "Margin", "Fit")}
 PICTURE_OF_TYPE |= {"HeldBranch": "plot.held", "Diagram": "plot.branch, one call for each of its branches"}
 
 
-def _picture_hint(value):
-    """Return the end of an error text that names the function for this record; "" if there is none."""
-    name = type(value).__name__
-    article = "an" if name[0] in "AEIOU" else "a"
-    return f" ({article} {name} is drawn by {PICTURE_OF_TYPE[name]})" if name in PICTURE_OF_TYPE else ""
+def _plot_function_hint(value):
+    """Return the end of an error text that names the plot function of a record; "" if it has no plot function."""
+    type_name = type(value).__name__
+    indefinite_article = "an" if type_name[0] in "AEIOU" else "a"
+    return (
+        f" ({indefinite_article} {type_name} is drawn by {PICTURE_OF_TYPE[type_name]})"
+        if type_name in PICTURE_OF_TYPE
+        else ""
+    )
 
 
-def require_value(value):
+def require_finite_position(value):
     """Raise ArgumentError unless a position along an axis is a finite number."""
-    check.finite_float("value", value)
+    check.check_finite_float("value", value)
 
 
 def require_axes(ax):

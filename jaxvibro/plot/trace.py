@@ -6,12 +6,12 @@ import xarray as xr
 from matplotlib.axes import Axes
 
 from ..scene.scene import Scene
-from .impact_path import insert_impacts, wall_position
+from .impact_insertion import insert_impacts, wall_position
 from .style import (
     COLOURS,
     WALL_COLOUR,
     axes_or_new,
-    checked_picture,
+    check_plot_options,
     require_dataset,
     require_record,
     scales_of,
@@ -20,7 +20,7 @@ from .style import (
 )
 
 
-@checked_picture
+@check_plot_options
 def trace(trajectory: xr.Dataset, scene: Scene, ax: Axes | None = None, units: str = "scene") -> Axes:
     """Draw position against time, with walls and impacts.
 
@@ -62,8 +62,8 @@ def trace(trajectory: xr.Dataset, scene: Scene, ax: Axes | None = None, units: s
     scales = scales_of(trajectory, units)
     x_axis, y_axis, ax = time_axis(scales, float(scene.frequency)), variable_axis(scales, "x"), axes_or_new(ax)
     for wall in scene.walls.values():
-        positions = y_axis.factor * wall_position(wall, trajectory["phase"].values)
-        ax.plot(x_axis.factor * trajectory["time"].values, positions, color=WALL_COLOUR, linewidth=1.5)
+        wall_positions = y_axis.factor * wall_position(wall, trajectory["phase"].values)
+        ax.plot(x_axis.factor * trajectory["time"].values, wall_positions, color=WALL_COLOUR, linewidth=1.5)
     time, x, _, _ = insert_impacts(trajectory, scene)
     ax.plot(x_axis.factor * time, y_axis.factor * x, color=COLOURS[0], linewidth=1.0)
     marker_style: dict[str, Any] = {

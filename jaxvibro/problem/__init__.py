@@ -1,6 +1,7 @@
-"""Equations of a periodic orbit with free parameters, as `continuation` takes them, and their limits of validity.
+"""Equations of a periodic orbit with free parameters, in the form of `continuation`, and the limits of validity.
 
-The input is the impacts of an orbit and the names of parameters. `equations` gives the residual in the unknowns z =
-(times, speeds, parameter) with its test functions, `diagnostics` checks whether a solution is an admissible orbit, and
-`grazing_contact` and `soft_grazing` locate grazings. Start with `equations`.
+The input consists of the impacts of an orbit and the names of parameters. `orbit_equations` gives the residual in the
+unknowns z = (times, speeds, parameters) and the test functions. `orbit_diagnostics` computes the quantities that decide
+whether a solution is an admissible orbit. `grazing_contact` and `soft_wall_grazing` locate grazings. Start with
+`orbit_equations`.
 """

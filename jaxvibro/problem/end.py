@@ -8,16 +8,19 @@ from typing import NamedTuple
 class End(Enum):
     """Reason for the end of a branch.
 
-    The value of a member is its text. ``{value}`` stands for the value of the parameter, and ``{kind}`` for the kind of
-    the special point at which the branch stops, or which it left. The texts are stored in files and parsed.
+    The value of a member is a text. ``{value}`` stands for the value of the parameter. ``{kind}`` stands for the kind
+    of special point at which the branch stops or starts. The texts are stored in files and parsed.
 
     Notes
     -----
-    BOUND, DOMAIN and STOPPED are the user's limits: a bound, the end of a parameter's domain, a kind of `stop`.
-    MAX_POINTS and MAX_SECONDS are limits of the computation, and `extend` resumes there. CLOSED is a closed branch.
-    STEP, POINTS, NUMBER and HALVED are failures: too small a step, too many points, a number that is not finite, an
-    orbit of a shorter period. GRAZE, REST, CHATTER and UNSETTLED are grazings and sticking beyond which no orbit of
-    this kind continues. START and LEFT are the start of a branch: the initial orbit, or the special point that it left.
+    - BOUND and STOPPED are limits of the user: a bound, or a kind of special point in `stop`.
+    - DOMAIN is the end of the domain of a parameter.
+    - MAX_POINTS and MAX_SECONDS are limits of the computation; `extend` resumes there.
+    - CLOSED is a closed branch.
+    - STEP, POINTS, NUMBER and HALVED are failures: the step is too small, there are too many points, a number is not
+      finite, or the orbit is a repeated orbit of a shorter period.
+    - GRAZE, REST, CHATTER and UNSETTLED are grazings and limits of sticking beyond which no orbit of this kind exists.
+    - START and LEFT are starts of a branch: the initial orbit, or the special point at which the branch begins.
     """
 
     BOUND = "the parameter reached its bound {value:.12g}"
@@ -41,35 +44,35 @@ class End(Enum):
     LEFT = "it left {kind} at {value:.12g}"
 
     def reason(self, value=0.0, kind=""):
-        """Make a `Reason` with the text filled in."""
-        return Reason(self, self.value.format(value=value, kind=kind))
+        """Return the `EndReason` with the value and the kind inserted in the text."""
+        return EndReason(self, self.value.format(value=value, kind=kind))
 
 
 RESUMABLE_ENDS = End.MAX_POINTS, End.MAX_SECONDS  # ends that a later call can continue from
 
 
-class Reason(NamedTuple):
+class EndReason(NamedTuple):
     """Reason for the end of a branch.
 
     Attributes
     ----------
     end : End
-        Reason, on which decisions depend.
+        Reason, for decisions in the code.
     text : str
-        Text, for display.
+        Text for display.
     """
 
     end: End
     text: str
 
 
-def convert_end(segment):
-    """Replace the end of a continued segment by the member of `End` of the same name.
+def convert_segment_end(segment):
+    """Replace the end of a segment by the member of `End` with the same name.
 
     Parameters
     ----------
     segment : continuation.branch_segment.BranchSegment
-        Segment.
+        Segment from `continuation`.
 
     Returns
     -------
@@ -80,14 +83,12 @@ def convert_end(segment):
 
 
 def parse_end(text):
-    """Return the reason that a text describes.
-
-    Older files of branches store only the text.
+    """Return the `End` that a text describes, for old branch files, which store only the text.
 
     Parameters
     ----------
     text : str
-        Text of a `Reason`.
+        Text of an `EndReason`.
 
     Returns
     -------
@@ -97,37 +98,37 @@ def parse_end(text):
     Raises
     ------
     ValueError
-        If the text belongs to no reason.
+        If no member of `End` has such a text.
     """
-    return _parse_reason(text)[0]
+    return _match_reason_text(text)[0]
 
 
-def rescale_reason(text, factor):
+def rescale_reason_text(text, unit_factor):
     """Convert the value in a text to another unit.
 
     Parameters
     ----------
     text : str
-        Text of a `Reason`.
-    factor : float
-        Old unit in the new unit.
+        Text of an `EndReason`.
+    unit_factor : float
+        Value of the old unit in the new unit.
 
     Returns
     -------
     str
-        Text with the value multiplied by `factor`.
+        Text with the value multiplied by `unit_factor`.
     """
-    _, match = _parse_reason(text)
-    if not match.groups():
+    _, text_match = _match_reason_text(text)
+    if not text_match.groups():
         return text
-    return f"{text[: match.start(1)]}{float(match[1]) * factor:.12g}{text[match.end(1) :]}"
+    return f"{text[: text_match.start(1)]}{float(text_match[1]) * unit_factor:.12g}{text[text_match.end(1) :]}"
 
 
-def _parse_reason(text):
-    """Return the `End` of a text and the match, whose first group is the value if there is one."""
+def _match_reason_text(text):
+    """Return (`End`, match) of a text; the first group of the match is the value, if the text contains a value."""
     for end in End:
-        pattern = re.sub(r"\\{value[^}]*\\}", r"(\\S+)", re.escape(end.value)).replace(r"\{kind\}", ".+")
-        match = re.fullmatch(pattern, text)
-        if match:
-            return end, match
+        text_pattern = re.sub(r"\\{value[^}]*\\}", r"(\\S+)", re.escape(end.value)).replace(r"\{kind\}", ".+")
+        text_match = re.fullmatch(text_pattern, text)
+        if text_match:
+            return end, text_match
     raise ValueError(f"unknown reason for the end of a branch: {text!r}")

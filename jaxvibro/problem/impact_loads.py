@@ -1,8 +1,9 @@
-"""Compute the loads of impacts on walls: speeds and energy.
+"""Compute the loads of impacts on walls: speeds and energies.
 
-An impact at a rigid wall takes the energy (1 - R^2) u^2 / 2 in the frame of the wall, u being the speed before it
-relative to the wall. Before the mass sticks, the impacts that are not recorded take the remaining energy (R u)^2 / 2.
-Energies are in the unit K length^2, powers in K length^2 w0.
+A rigid wall takes the energy (1 - R^2) u^2 / 2 in the frame of the wall, where u is the relative speed before the
+impact. Before the mass sticks, the impacts after the last recorded impact take the remaining energy (R u)^2 / 2.
+Energies have the unit K length^2, and powers have the unit K length^2 w0, where K is the stiffness of the spring and w0
+is the natural frequency.
 """
 
 import numpy as np
@@ -31,8 +32,8 @@ def largest_speed(sides, speeds):
     return np.max(speeds, axis=1, initial=0.0, where=_are_impacts(sides))
 
 
-def work_rate(sides, speeds, restitutions, duration):
-    """Return the rate at which impacts take energy at each point.
+def work_rate(sides, speeds, restitutions, orbit_duration):
+    """Return the mean power that the walls take at impacts, for each point.
 
     Parameters
     ----------
@@ -42,23 +43,24 @@ def work_rate(sides, speeds, restitutions, duration):
         Speeds relative to the wall, array of shape (points, impacts).
     restitutions : dict of str to ndarray
         Restitution of each wall, arrays of shape (points,), nan for soft walls.
-    duration : ndarray
+    orbit_duration : ndarray
         Duration of each orbit, array of shape (points,).
 
     Returns
     -------
     ndarray
-        Array of shape (points,), nan if a soft wall is hit, whose energy loss depends on the drive.
+        Array of shape (points,), nan if an impact is on a soft wall, because the energy loss does not follow
+        from the speed and the restitution.
     """
     restitution = np.zeros(sides.shape)
-    for side, sign in SIDE_SIGNS.items():
+    for side, wall_sign in SIDE_SIGNS.items():
         if side in restitutions:
-            restitution = np.where(np.sign(sides) == sign, restitutions[side][:, None], restitution)
+            restitution = np.where(np.sign(sides) == wall_sign, restitutions[side][:, None], restitution)
     return (
-        np.where(_are_impacts(sides), impact_energy_loss(speeds, restitution, _find_last_impacts(sides)), 0.0).sum(
+        np.where(_are_impacts(sides), impact_energy_loss(speeds, restitution, _are_last_impacts(sides)), 0.0).sum(
             axis=1
         )
-        / duration
+        / orbit_duration
     )
 
 
@@ -66,11 +68,13 @@ def _are_impacts(sides):
     return abs(sides) == Contact.LANDED
 
 
-def _find_last_impacts(sides):
+def _are_last_impacts(sides):
     """Mark the last recorded impacts before the mass sticks."""
-    is_last = np.zeros(sides.shape, bool)
-    for pattern in np.unique(sides, axis=0):
-        impact_columns = np.flatnonzero(pattern)
-        last_columns = impact_columns[abs(np.roll(pattern[impact_columns], -1)) >= Contact.STUCK]
-        is_last[np.ix_((sides == pattern).all(axis=1), last_columns)] = True
-    return is_last & _are_impacts(sides)
+    is_last_before_sticking = np.zeros(sides.shape, bool)
+    for side_pattern in np.unique(sides, axis=0):
+        impact_column_indices = np.flatnonzero(side_pattern)
+        last_impact_indices = impact_column_indices[
+            abs(np.roll(side_pattern[impact_column_indices], -1)) >= Contact.STUCK
+        ]
+        is_last_before_sticking[np.ix_((sides == side_pattern).all(axis=1), last_impact_indices)] = True
+    return is_last_before_sticking & _are_impacts(sides)

@@ -16,41 +16,45 @@ REASON_TEXTS = {
 }
 
 
-def describe_end(end: End, name: str, value: float) -> str:
+def describe_end(end: End, parameter_name: str, parameter_value: float) -> str:
     """Describe the end of a curve in the plane of two parameters.
 
     Parameters
     ----------
     end : End
         Reason for the end.
-    name : str
+    parameter_name : str
         Parameter that ended the curve.
-    value : float
-        Its value.
+    parameter_value : float
+        Value of the parameter.
 
     Returns
     -------
     str
-        Text.
+        Text for display.
     """
-    return REASON_TEXTS.get(end, REASON_TEXTS[End.STEP]).format(name=name, value=value)
+    return REASON_TEXTS.get(end, REASON_TEXTS[End.STEP]).format(name=parameter_name, value=parameter_value)
 
 
-def rescale_end_text(text: str, factors: dict[str, float]) -> str:
+def rescale_end_text(text: str, unit_factors: dict[str, float]) -> str:
     """Convert the parameter value in a text to another unit.
 
     Parameters
     ----------
     text : str
         Text from `describe_end`.
-    factors : dict of str to float
-        For each parameter the old unit in the new unit.
+    unit_factors : dict of str to float
+        For each parameter the value of the old unit in the new unit.
 
     Returns
     -------
     str
-        Text with the value multiplied by the factor.
+        Text with the value multiplied by the factor of the parameter.
     """
-    match = re.fullmatch(r"(?:the domain of )?(\S+) (?:reached its bound|ends at) (\S+)", text)
-    factor = factors.get(match[1], 1.0) if match else 1.0
-    return f"{text[: match.start(2)]}{float(match[2]) * factor:.12g}" if match and factor != 1.0 else text
+    text_match = re.fullmatch(r"(?:the domain of )?(\S+) (?:reached its bound|ends at) (\S+)", text)
+    unit_factor = unit_factors.get(text_match[1], 1.0) if text_match else 1.0
+    return (
+        f"{text[: text_match.start(2)]}{float(text_match[2]) * unit_factor:.12g}"
+        if text_match and unit_factor != 1.0
+        else text
+    )

@@ -1,37 +1,38 @@
 """Locate the limits of orbits that stick: incipient complete chatter (CH), and releases while sticking (RL).
 
-At a CH the speed at the row of the last recorded bounce is critical (`orbits.chatter`). This is an additional equation,
-smooth through the point; on the other side the mass leaves the wall after finitely many bounces. At an RL the least
-contact force within a sticking phase vanishes, and the mass is released there.
+At a CH the speed of the last recorded bounce has the critical value of `orbits.chatter`. This condition is an
+additional equation, which is smooth near the point. Beyond the point the mass leaves the wall after finitely many
+bounces. At an RL the least contact force within a sticking phase vanishes, and beyond the point the mass is released
+earlier.
 """
 
 import numpy as np
 
 from continuation.persistent_jit import FAST_COMPILE, persistent_jit
 
-from ..compiled.kernels import call_as_kernel
-from ..flight.coefficients import flow_coefficients
+from ..compiled.kernel_calls import call_as_kernel
+from ..flight.flight_coefficients import flow_coefficients
 from ..orbits import chatter_and_release, impact_equations
 from ..orbits.flight_clearance import GRAZING_TOLERANCE
-from .diagnostics import diagnose
-from .equations import scene_at, sequence_at
 from .grazing_contact import locate_zero
+from .orbit_diagnostics import diagnose
+from .orbit_equations import scene_at, sequence_at
 
 
-def _measure_kernel(z, problem, measure):
+def _row_values_kernel(z, problem, function_of_start):
     coeffs, sequence = flow_coefficients(scene_at(problem, z)), sequence_at(problem, z)
-    return chatter_and_release.map_chatter_starts(
-        measure, coeffs, sequence, impact_equations.compute_flights(coeffs, sequence)
+    return chatter_and_release.evaluate_chatter_starts(
+        function_of_start, coeffs, sequence, impact_equations.compute_flights(coeffs, sequence)
     )
 
 
 @persistent_jit(static_argnums=0, compiler_options=FAST_COMPILE)
-def _evaluate_measure(measure, z, problem):
-    return call_as_kernel(_measure_kernel, z, problem, measure=measure)
+def _evaluate_row_values(function_of_start, z, problem):
+    return call_as_kernel(_row_values_kernel, z, problem, function_of_start=function_of_start)
 
 
 def excess_speeds(problem, z):
-    """Return the excess of each row's speed over the largest one that leads to sticking.
+    """Return the excess of the speed of each row over the largest speed that leads to sticking.
 
     Parameters
     ----------
@@ -43,15 +44,15 @@ def excess_speeds(problem, z):
     Returns
     -------
     ndarray
-        Array of shape (rows,), inf for rows that no release follows. See `chatter_and_release.excess_speed`.
+        Array of shape (rows,), inf for rows without a following release. See `chatter_and_release.excess_speed`.
     """
-    return np.asarray(_evaluate_measure(chatter_and_release.excess_speed, z, problem))
+    return np.asarray(_evaluate_row_values(chatter_and_release.excess_speed, z, problem))
 
 
 def min_contact_forces(problem, z):
     """Return the least contact force between each row and its release.
 
-    For a mass that leaves its wall with zero speed it is the force that pulls it off.
+    For an impact with R = 0 that no release follows, the value is the force that pulls the mass off the wall.
 
     Parameters
     ----------
@@ -68,8 +69,8 @@ def min_contact_forces(problem, z):
     return np.asarray(diagnose(problem, z[None]).min_contact_force)[0]
 
 
-def toggle_lift_off(problem, z, length_scale):
-    """Switch between orbits whose mass lifts off before sticking and orbits whose mass does not.
+def toggle_early_lift_off(problem, z, length_scale):
+    """Switch between equations of orbits with and without a lift-off of the mass before it sticks.
 
     Parameters
     ----------
@@ -83,24 +84,24 @@ def toggle_lift_off(problem, z, length_scale):
     Returns
     -------
     OrbitEquations or None
-        Switched equations; None if no contact force begins at an impact.
+        Switched equations; None if the orbit does not stick, or if no sticking phase begins with zero contact force.
     """
     if problem.sequence.releases is None:
         return None
-    switching_rows = np.flatnonzero(
-        abs(np.asarray(_evaluate_measure(chatter_and_release.initial_contact_force, z, problem)))
+    zero_force_rows = np.flatnonzero(
+        abs(np.asarray(_evaluate_row_values(chatter_and_release.initial_contact_force, z, problem)))
         < GRAZING_TOLERANCE * length_scale
     )
-    if not len(switching_rows):
+    if not len(zero_force_rows):
         return None
     release_codes = np.array(problem.sequence.releases)
-    release_rows = (switching_rows + 1) % np.count_nonzero(problem.sequence.sides)
+    release_rows = (zero_force_rows + 1) % np.count_nonzero(problem.sequence.sides)
     release_codes[release_rows] = 3.0 - release_codes[release_rows]
     return problem._replace(sequence=problem.sequence._replace(releases=release_codes))
 
 
-def locate_sticking_limit(problem, z, row, measure):
-    """Locate the point near z at which a measure of a row vanishes.
+def locate_sticking_limit(problem, z, row, row_values_of):
+    """Locate the point near z at which the excess speed or the least contact force of a row is zero.
 
     Parameters
     ----------
@@ -109,20 +110,20 @@ def locate_sticking_limit(problem, z, row, measure):
     z : ndarray
         Guess.
     row : int
-        Row.
-    measure : callable
+        Row of the impact.
+    row_values_of : callable
         `excess_speeds` or `min_contact_forces`.
 
     Returns
     -------
-    continuation.augmented_systems.PointSolution
+    continuation.augmented_systems.RootAndResidual
         Solution.
     """
-    return locate_zero(problem, z, lambda z: measure(problem, z)[row], _relevant_indices(problem, z, row))
+    return locate_zero(problem, z, lambda z: row_values_of(problem, z)[row], _dependency_indices(problem, z, row))
 
 
-def _relevant_indices(problem, z, row):
-    """Return the indices of the unknowns of a row's measure: its impact, the next one, and the parameters."""
+def _dependency_indices(problem, z, row):
+    """Return the indices in z of the times and speeds of a row and of the next row, and of the parameters."""
     n_rows, next_row = len(problem.sequence.sides), (row + 1) % np.count_nonzero(problem.sequence.sides)
     return [*sorted({row, next_row, n_rows + row, n_rows + next_row}), *range(2 * n_rows, len(z))]
 
@@ -142,13 +143,13 @@ def sticking_limit_kind(problem, z, length_scale):
     Returns
     -------
     str
-        ``"CH"`` if a sticking phase just exists, ``"RL"`` if the contact force just holds, else empty.
+        ``"CH"`` if a sticking phase begins to exist, ``"RL"`` if the least contact force vanishes, otherwise empty.
     """
-    tolerance, release_codes = GRAZING_TOLERANCE * length_scale, problem.sequence.releases
-    zero_force_rows = np.flatnonzero(abs(min_contact_forces(problem, z)) < tolerance)
+    rounding_tolerance, release_codes = GRAZING_TOLERANCE * length_scale, problem.sequence.releases
+    zero_force_rows = np.flatnonzero(abs(min_contact_forces(problem, z)) < rounding_tolerance)
     if release_codes is None:
         return "CH" if len(zero_force_rows) else ""
-    next_releases = release_codes[(zero_force_rows + 1) % np.count_nonzero(problem.sequence.sides)]
-    if (next_releases == 0).any() or (abs(excess_speeds(problem, z)) < tolerance).any():
+    next_release_codes = release_codes[(zero_force_rows + 1) % np.count_nonzero(problem.sequence.sides)]
+    if (next_release_codes == 0).any() or (abs(excess_speeds(problem, z)) < rounding_tolerance).any():
         return "CH"
     return "RL" if len(zero_force_rows) else ""

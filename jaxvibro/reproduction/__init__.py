@@ -1,4 +1,4 @@
-"""Recompute the figures of Cheng and Xu (2007) and check each of its claims."""
+"""Recompute the figures of Cheng and Xu (2007) and check each claim of the paper."""
 
 from .run import paper
 

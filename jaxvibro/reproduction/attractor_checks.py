@@ -1,4 +1,4 @@
-"""Check attractors for verdicts, with an allowance for unresolved initial states."""
+"""Compute properties of attractors for the claims, with an allowance for unresolved initial states."""
 
 import numpy as np
 
@@ -12,67 +12,85 @@ AMPLITUDE_STEP, STARTS_PER_AMPLITUDE, EXPONENT_ERROR, MAX_PERIODS = 0.02, 16, 0.
 LONG_SETTLE = 3000  # drive periods after which the motion must still be chaotic
 
 
-def shares_text(motions):
-    """Return attractors and their basin fractions as text."""
-    return ", ".join(f"{motion.label} ({100 * motion.share:.0f} %)" for motion in motions)
+def basin_shares_text(attractors):
+    """Format the labels and basin fractions of attractors as text."""
+    return ", ".join(f"{attractor.label} ({100 * attractor.share:.0f} %)" for attractor in attractors)
 
 
-def unresolved_excess(motions):
-    """Return the possible number of further attractors: infinity if some initial states are unresolved, else 0."""
-    return np.inf if any(motion.kind == "unresolved" for motion in motions) else 0.0
+def unresolved_allowance(attractors):
+    """Return the possible number of undetected attractors: infinity if initial states are unresolved, else 0."""
+    return np.inf if any(attractor.kind == "unresolved" for attractor in attractors) else 0.0
 
 
 def largest_exponent(scene, attractors):
-    """Return ((exponent, error), excess) of the largest Lyapunov exponent of attractors and one unresolved state.
+    """Return the largest Lyapunov exponent among attractors as ((exponent, error), allowance).
 
-    `excess` is the amount by which the exponent of another unresolved state may be larger.
+    The allowance is infinite if initial states are unresolved, because their exponents may be larger, and else 0.
     """
-    amplitude = float(scene.amplitude)
-    x, v, contact = (
-        np.array([getattr(attractor.state, key) for attractor in attractors], float) for key in ("x", "v", "contact")
+    scene_amplitude = float(scene.amplitude)
+    x, v, contact_codes = (
+        np.array([getattr(attractor.state, field_name) for attractor in attractors], float)
+        for field_name in ("x", "v", "contact")
     )
-    spectrum_data = spectrum(scene, "amplitude", np.full(len(x), amplitude), State(x, v, 0.0, contact))
-    exponent, error = (spectrum_data[key].values[:, 0] for key in ("exponent", "error"))
-    if np.isnan(exponent).all():
-        return (np.nan, np.nan), unresolved_excess(attractors)
-    index = int(np.nanargmax(exponent))
-    return (float(exponent[index]), float(error[index])), unresolved_excess(attractors)
+    exponent_data = spectrum(scene, "amplitude", np.full(len(x), scene_amplitude), State(x, v, 0.0, contact_codes))
+    exponents, errors = (exponent_data[field_name].values[:, 0] for field_name in ("exponent", "error"))
+    if np.isnan(exponents).all():
+        return (np.nan, np.nan), unresolved_allowance(attractors)
+    largest_index = int(np.nanargmax(exponents))
+    return (float(exponents[largest_index]), float(errors[largest_index])), unresolved_allowance(attractors)
 
 
-def chaos_onset(scene, lower, upper):
-    """Return (amplitude, error, number of chaotic initial states, largest exponent) of the lowest chaotic amplitude.
+def locate_chaos_onset(scene, lower_amplitude, upper_amplitude):
+    """Find the lowest amplitude at which an initial state leads to chaos, on a grid of step `AMPLITUDE_STEP`.
 
-    Amplitudes are `AMPLITUDE_STEP` apart, and an amplitude is chaotic if one of its initial states leads to chaos.
-    Chaos begins there or below. All are nan, and the number 0, without chaos.
+    At each amplitude `STARTS_PER_AMPLITUDE` random initial states are tested. The motion must still be chaotic after
+    `LONG_SETTLE` drive periods. Returns (amplitude, grid step, number of chaotic initial states, largest exponent), or
+    (nan, nan, 0, nan) if no initial state leads to chaos. Chaos may begin below the returned amplitude.
     """
-    amplitudes = np.arange(upper, lower, -AMPLITUDE_STEP)[::-1]
-    starts = draw_initial_states(scene, len(amplitudes) * STARTS_PER_AMPLITUDE, 0)
+    amplitudes = np.arange(upper_amplitude, lower_amplitude, -AMPLITUDE_STEP)[::-1]
+    initial_states = draw_initial_states(scene, len(amplitudes) * STARTS_PER_AMPLITUDE, 0)
     lane_amplitudes = np.repeat(amplitudes, STARTS_PER_AMPLITUDE)
-    is_chaotic, _ = _chaotic_starts(scene, lane_amplitudes, starts, error=EXPONENT_ERROR, most=MAX_PERIODS)
+    is_chaotic, _ = _test_for_chaos(scene, lane_amplitudes, initial_states, error=EXPONENT_ERROR, most=MAX_PERIODS)
     for amplitude in amplitudes[is_chaotic.reshape(-1, STARTS_PER_AMPLITUDE).any(axis=1)]:
-        is_selected = is_chaotic & (lane_amplitudes == amplitude)
-        is_confirmed, exponents = _chaotic_starts(
-            scene, lane_amplitudes[is_selected], State(starts.x[is_selected], starts.v[is_selected]), settle=LONG_SETTLE
+        is_at_amplitude = is_chaotic & (lane_amplitudes == amplitude)
+        is_still_chaotic, exponents = _test_for_chaos(
+            scene,
+            lane_amplitudes[is_at_amplitude],
+            State(initial_states.x[is_at_amplitude], initial_states.v[is_at_amplitude]),
+            settle=LONG_SETTLE,
         )
-        if is_confirmed.any():
-            return float(amplitude), AMPLITUDE_STEP, int(is_confirmed.sum()), float(exponents[is_confirmed].max())
+        if is_still_chaotic.any():
+            return (
+                float(amplitude),
+                AMPLITUDE_STEP,
+                int(is_still_chaotic.sum()),
+                float(exponents[is_still_chaotic].max()),
+            )
     return np.nan, np.nan, 0, np.nan
 
 
-def _chaotic_starts(scene, amplitudes, starts, **settings):
-    """Return (True for each initial state with a significantly positive exponent, the exponents)."""
-    spectrum_data = spectrum(scene, "amplitude", amplitudes, starts, **settings)
-    exponent, error = (spectrum_data[key].values[:, 0] for key in ("exponent", "error"))
-    return (exponent - CHAOS_SIGMAS * error > 0) & (spectrum_data["periods"].values == 0), exponent
+def _test_for_chaos(scene, amplitudes, initial_states, **spectrum_settings):
+    """Return (mask of the initial states that lead to chaos, largest exponent of the motion from each state).
+
+    The motion is chaotic if it is not periodic and its largest exponent exceeds `CHAOS_SIGMAS` standard errors.
+    """
+    exponent_data = spectrum(scene, "amplitude", amplitudes, initial_states, **spectrum_settings)
+    exponents, errors = (exponent_data[key].values[:, 0] for key in ("exponent", "error"))
+    return (exponents - CHAOS_SIGMAS * errors > 0) & (exponent_data["periods"].values == 0), exponents
 
 
-def stable_labels_at(branches, value):
-    """Return the labels of the stable orbits on branches at a value of their parameter, once per crossing."""
+def stable_labels_at(branches, parameter_value):
+    """Return the labels of the stable orbits at a parameter value, one label for each crossing of a branch."""
     labels = []
     for branch in branches:
         for segment in branch.segments:
-            rows = slice(segment.first, segment.last + 1)
-            offsets, stable = branch.values[rows] - value, branch.stable[rows]
-            is_crossing = (offsets[:-1] * offsets[1:] <= 0) & (offsets[:-1] != 0) & stable[:-1] & stable[1:]
-            labels += [segment.label] * int(is_crossing.sum())
+            segment_slice = slice(segment.first, segment.last + 1)
+            value_offsets, is_stable = branch.values[segment_slice] - parameter_value, branch.stable[segment_slice]
+            is_stable_crossing = (
+                (value_offsets[:-1] * value_offsets[1:] <= 0)
+                & (value_offsets[:-1] != 0)
+                & is_stable[:-1]
+                & is_stable[1:]
+            )
+            labels += [segment.label] * int(is_stable_crossing.sum())
     return labels

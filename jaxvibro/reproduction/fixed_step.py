@@ -1,7 +1,8 @@
 """Integrate with the method of the paper: fixed-step Runge-Kutta of order 4, vectorised in NumPy.
 
-Cheng and Xu 2007: at a crossing the step is halved and reversed until the contact lies within 1e-6 of a step. The walls
-are at -1 and 1, and the motion starts at phase 0.
+After a step across a wall, the method of Cheng and Xu (2007) halves the step repeatedly, and reverses its direction at
+each crossing of the wall, until the step is at most 1e-6 of the regular step. The walls are at -1 and 1, and the motion
+starts at phase 0.
 """
 
 from typing import NamedTuple
@@ -14,16 +15,44 @@ BRACKET_WIDTH = 1e-6
 MAX_IMPACTS = 30  # impacts per period; complete chatter has infinitely many, and a lane stops here
 
 
-class DriveParameters(NamedTuple):
-    """Parameters that all lanes share: omega, gamma, R."""
+class OscillatorParameters(NamedTuple):
+    """Parameters that all lanes share.
+
+    Attributes
+    ----------
+    frequency : float
+        Drive frequency omega.
+    damping : float
+        Damping gamma.
+    restitution : float
+        Coefficient of restitution R.
+    """
 
     frequency: float
     damping: float
     restitution: float
 
 
-class SteppedLanes(NamedTuple):
-    """Unfinished lanes; `step` is the next step, and `is_beyond` is True if the last one ended beyond a wall."""
+class UnfinishedLanes(NamedTuple):
+    """State of the unfinished lanes.
+
+    Attributes
+    ----------
+    row : ndarray of shape (lanes,)
+        Row of the result.
+    x, v, amplitude : ndarray of shape (lanes,)
+        Position, velocity and drive amplitude.
+    time : ndarray of shape (lanes,)
+        Time since the start.
+    step : ndarray of shape (lanes,)
+        Length of the next step; negative if the step goes back in time.
+    is_searching : ndarray of shape (lanes,)
+        True while a contact is being bracketed.
+    is_beyond : ndarray of shape (lanes,)
+        True if the last step ended beyond a wall.
+    count : ndarray of shape (lanes,)
+        Number of impacts.
+    """
 
     row: Int[np.ndarray, " lanes"]
     x: Float[np.ndarray, " lanes"]
@@ -37,9 +66,16 @@ class SteppedLanes(NamedTuple):
 
 
 class StrobeResult(NamedTuple):
-    """States after a period, of shape (n, 2), and sides and times of the impacts, of shape (n, max_impacts).
+    """States and impacts of a drive period.
 
-    Empty slots have side 0 and time inf.
+    Attributes
+    ----------
+    ends : ndarray of shape (rows, 2)
+        States (x, v) at the end of the period, or after the last impact of a row with `max_impacts` impacts.
+    sides : ndarray of shape (rows, max_impacts)
+        Sides of the impacts; 0 for empty slots.
+    times : ndarray of shape (rows, max_impacts)
+        Times of the impacts; inf for empty slots.
     """
 
     ends: Float[np.ndarray, "rows 2"]
@@ -47,74 +83,103 @@ class StrobeResult(NamedTuple):
     times: Float[np.ndarray, "rows room"]
 
 
-def fixed_step_strobe(params, states, steps, bracket=BRACKET_WIDTH, max_impacts=MAX_IMPACTS):
-    """Return the `StrobeResult` of rows (x, v, A) after one drive period with a number of steps per period.
+def fixed_step_strobe(
+    oscillator_params, state_rows, steps_per_period, bracket_width=BRACKET_WIDTH, max_impacts=MAX_IMPACTS
+):
+    """Integrate over one drive period; return the `StrobeResult`.
 
-    `bracket` is the final width of a contact bracket relative to a step.
-    """
-    shape = len(states), max_impacts
-    result = StrobeResult(states[:, :2].copy(), np.zeros(shape, np.int8), np.full(shape, np.inf))
-    for start in range(0, len(states), BLOCK_SIZE):
-        _run_block(params, np.arange(start, min(start + BLOCK_SIZE, len(states))), states, result, steps, bracket)
-    return result
+    The rows of `state_rows` are (x, v, A). `steps_per_period` is the number of steps per period, and `bracket_width` is
+    the step length, relative to a regular step, at which the search for a contact ends."""
+    record_shape = len(state_rows), max_impacts
+    strobe_result = StrobeResult(
+        state_rows[:, :2].copy(), np.zeros(record_shape, np.int8), np.full(record_shape, np.inf)
+    )
+    for first_row in range(0, len(state_rows), BLOCK_SIZE):
+        _run_block(
+            oscillator_params,
+            np.arange(first_row, min(first_row + BLOCK_SIZE, len(state_rows))),
+            state_rows,
+            strobe_result,
+            steps_per_period,
+            bracket_width,
+        )
+    return strobe_result
 
 
-def _run_block(params, rows, states, result, steps, bracket):
-    """Fill in the results of some rows."""
-    period, max_impacts = 2.0 * np.pi / params.frequency, result.sides.shape[1]
-    step_length = period / steps
-    x, v, amplitude = states[rows].T.copy()
-    zeros, false = np.zeros(len(rows)), np.zeros(len(rows), dtype=bool)
-    counts = np.zeros(len(rows), dtype=int)
-    lanes = SteppedLanes(rows, x, v, amplitude, zeros, np.full(len(rows), step_length), false, false, counts)
+def _run_block(oscillator_params, row_indices, state_rows, strobe_result, steps_per_period, bracket_width):
+    """Integrate some rows and write their results to `strobe_result`."""
+    period, max_impacts = 2.0 * np.pi / oscillator_params.frequency, strobe_result.sides.shape[1]
+    step_length = period / steps_per_period
+    x, v, amplitude = state_rows[row_indices].T.copy()
+    initial_times, all_false = np.zeros(len(row_indices)), np.zeros(len(row_indices), dtype=bool)
+    impact_counts = np.zeros(len(row_indices), dtype=int)
+    lanes = UnfinishedLanes(
+        row_indices,
+        x,
+        v,
+        amplitude,
+        initial_times,
+        np.full(len(row_indices), step_length),
+        all_false,
+        all_false,
+        impact_counts,
+    )
     while lanes.row.size:
-        lanes, hit_lanes = _step_lanes(params, lanes, step_length, period, bracket)
-        if hit_lanes.size:
-            _apply_impacts(params, lanes, hit_lanes, result)
+        lanes, contact_lane_indices = _step_lanes(oscillator_params, lanes, step_length, period, bracket_width)
+        if contact_lane_indices.size:
+            _apply_impacts(oscillator_params, lanes, contact_lane_indices, strobe_result)
         # The last step equals the remaining time, so that the difference is rounding.
         is_done = (lanes.count == max_impacts) | (~lanes.is_searching & (period - lanes.time < 1e-9 * step_length))
         if is_done.any():
-            result.ends[lanes.row[is_done]] = np.stack([lanes.x[is_done], lanes.v[is_done]], axis=1)
-            lanes = SteppedLanes(*(column[~is_done] for column in lanes))
+            strobe_result.ends[lanes.row[is_done]] = np.stack([lanes.x[is_done], lanes.v[is_done]], axis=1)
+            lanes = UnfinishedLanes(*(lane_field[~is_done] for lane_field in lanes))
 
 
-def _step_lanes(params, lanes, step_length, period, bracket):
-    """Return all lanes after one step, and the indices of those whose contact is found."""
-    x, v = _runge_kutta_step(params, lanes.x, lanes.v, lanes.amplitude, lanes.time, lanes.step)
+def _step_lanes(oscillator_params, lanes, step_length, period, bracket_width):
+    """Return (lanes after one step, indices of the lanes whose contact is located)."""
+    x, v = _runge_kutta_step(oscillator_params, lanes.x, lanes.v, lanes.amplitude, lanes.time, lanes.step)
     time = lanes.time + lanes.step
     is_beyond = np.abs(x) > 1
     is_searching = lanes.is_searching | is_beyond
-    is_hit = is_searching & (np.abs(lanes.step) <= bracket * step_length)
-    search_step = np.where(is_beyond == lanes.is_beyond, 0.5, -0.5) * lanes.step
-    is_flying = is_hit | ~is_searching
-    step = np.where(is_flying, np.minimum(step_length, period - time), search_step)
+    has_contact = is_searching & (np.abs(lanes.step) <= bracket_width * step_length)
+    bracketing_step = np.where(is_beyond == lanes.is_beyond, 0.5, -0.5) * lanes.step
+    takes_regular_step = has_contact | ~is_searching
+    next_step_length = np.where(takes_regular_step, np.minimum(step_length, period - time), bracketing_step)
     lanes = lanes._replace(
-        x=x, v=v, time=time, step=step, is_searching=is_searching & ~is_hit, is_beyond=is_beyond & ~is_hit
+        x=x,
+        v=v,
+        time=time,
+        step=next_step_length,
+        is_searching=is_searching & ~has_contact,
+        is_beyond=is_beyond & ~has_contact,
     )
-    return lanes, np.flatnonzero(is_hit)
+    return lanes, np.flatnonzero(has_contact)
 
 
-def _runge_kutta_step(params, x, v, amplitude, time, step_length):
-    """Return (x, v) after a Runge-Kutta step of order 4, whose length may be negative."""
-    half_step, twice_damping = 0.5 * step_length, 2 * params.damping
+def _runge_kutta_step(oscillator_params, x, v, amplitude, time, step_length):
+    """Return (x, v) after a Runge-Kutta step of order 4; the step may be negative."""
+    half_step, twice_damping = 0.5 * step_length, 2 * oscillator_params.damping
     drive_start, drive_middle, drive_end = (
-        amplitude * np.cos(params.frequency * (time + offset)) for offset in (0.0, half_step, step_length)
+        amplitude * np.cos(oscillator_params.frequency * (time + time_offset))
+        for time_offset in (0.0, half_step, step_length)
     )
-    a1 = drive_start - x - twice_damping * v
-    v2 = v + half_step * a1
-    a2 = drive_middle - (x + half_step * v) - twice_damping * v2
-    v3 = v + half_step * a2
-    a3 = drive_middle - (x + half_step * v2) - twice_damping * v3
-    v4 = v + step_length * a3
-    a4 = drive_end - (x + step_length * v3) - twice_damping * v4
-    return x + step_length / 6 * (v + 2 * (v2 + v3) + v4), v + step_length / 6 * (a1 + 2 * (a2 + a3) + a4)
+    acceleration_1 = drive_start - x - twice_damping * v
+    velocity_2 = v + half_step * acceleration_1
+    acceleration_2 = drive_middle - (x + half_step * v) - twice_damping * velocity_2
+    velocity_3 = v + half_step * acceleration_2
+    acceleration_3 = drive_middle - (x + half_step * velocity_2) - twice_damping * velocity_3
+    velocity_4 = v + step_length * acceleration_3
+    acceleration_4 = drive_end - (x + step_length * velocity_3) - twice_damping * velocity_4
+    return x + step_length / 6 * (v + 2 * (velocity_2 + velocity_3) + velocity_4), v + step_length / 6 * (
+        acceleration_1 + 2 * (acceleration_2 + acceleration_3) + acceleration_4
+    )
 
 
-def _apply_impacts(params, lanes, hit_lanes, result):
-    """Place lanes with a contact on the wall, apply the restitution law and record the impact."""
-    side = np.sign(lanes.x[hit_lanes])
-    lanes.x[hit_lanes] = side
-    lanes.v[hit_lanes] *= -params.restitution
-    slot = lanes.row[hit_lanes], lanes.count[hit_lanes]
-    result.sides[slot], result.times[slot] = side, lanes.time[hit_lanes]
-    lanes.count[hit_lanes] += 1
+def _apply_impacts(oscillator_params, lanes, contact_lane_indices, strobe_result):
+    """Move lanes with a contact onto the wall, apply the restitution law and record the impacts."""
+    wall_side = np.sign(lanes.x[contact_lane_indices])
+    lanes.x[contact_lane_indices] = wall_side
+    lanes.v[contact_lane_indices] *= -oscillator_params.restitution
+    record_index = lanes.row[contact_lane_indices], lanes.count[contact_lane_indices]
+    strobe_result.sides[record_index], strobe_result.times[record_index] = wall_side, lanes.time[contact_lane_indices]
+    lanes.count[contact_lane_indices] += 1

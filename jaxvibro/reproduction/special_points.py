@@ -1,4 +1,4 @@
-"""Locate special points with error bars, from two diagrams with different continuation steps."""
+"""Locate special points with error bars, by two continuations with different steps."""
 
 from typing import NamedTuple
 
@@ -6,54 +6,82 @@ import numpy as np
 
 from ..branches.diagram import Diagram
 from ..branches.explore import explore
-from ..maps.itinerary import label, mirror_itinerary
-from ..problem.orbit_point import itinerary
+from ..maps.itinerary import format_label, mirror_itinerary
+from ..problem.orbit_point import itinerary_of_point
 
 SECOND_LARGEST_STEP = 0.07  # of the second diagram; the first has 0.1
 ROUNDING = 8.0 * np.finfo(float).eps
 
 
-class DiagramPair(NamedTuple):
-    """Two diagrams of one scene; the second gives the error bars of the first."""
+class DiagramWithCheck(NamedTuple):
+    """Two diagrams of one scene; their difference gives the error bars of the first.
+
+    Attributes
+    ----------
+    first : Diagram
+        Diagram with the usual steps.
+    second : Diagram
+        Diagram with smaller steps.
+    """
 
     first: Diagram
     second: Diagram
 
 
-def explore_twice(scene, table, first_diagram=None):
-    """Return the `DiagramPair` of the [explore] table of a scene file; `first_diagram` is reused if given."""
-    scene = scene.replace(**table.at)
-    settings = {"max_period": table.max_period, "seed": table.seed, "budget": table.budget}
-    first_diagram = first_diagram or explore(scene, table.parameter, table.bounds, **settings)
-    return DiagramPair(
-        first_diagram, explore(scene, table.parameter, table.bounds, **settings, largest_step=SECOND_LARGEST_STEP)
+def explore_twice(scene, explore_table, first_diagram=None):
+    """Return the `DiagramWithCheck` of the [explore] table of a scene file.
+
+    `first_diagram` is the first diagram if it is already known.
+    """
+    scene = scene.replace(**explore_table.at)
+    common_settings = {
+        "max_period": explore_table.max_period,
+        "seed": explore_table.seed,
+        "budget": explore_table.budget,
+    }
+    first_diagram = first_diagram or explore(scene, explore_table.parameter, explore_table.bounds, **common_settings)
+    return DiagramWithCheck(
+        first_diagram,
+        explore(
+            scene, explore_table.parameter, explore_table.bounds, **common_settings, largest_step=SECOND_LARGEST_STEP
+        ),
     )
 
 
-def special_value(diagrams, kind, orbit_label=None, target=-np.inf, periods=None):
-    """Return (value, error) of the special point of a kind nearest to a target, by default the lowest; nan without one.
+def special_point_value(diagrams, kind, orbit_label=None, target_value=-np.inf, n_periods=None):
+    """Return (value, error) of the special point of a kind nearest to a target value, by default the lowest.
 
-    `orbit_label` restricts the points to orbits with this label or that of the mirror image, and `periods` to a number
-    of drive periods.
+    `orbit_label` restricts the special points to orbits whose label, or that of their mirror image, is `orbit_label`.
+    `n_periods` restricts them to orbits with this number of drive periods. The result is nan without a match.
     """
-    specials = [nearest_special(item, kind, target, orbit_label, periods) for item in diagrams]
-    values = [np.nan if item is None else item.value for item in specials]
-    return values[0], abs(values[0] - values[1]) + ROUNDING * abs(values[0])
+    special_points = [
+        nearest_special_point(diagram, kind, target_value, orbit_label, n_periods) for diagram in diagrams
+    ]
+    special_values = [np.nan if special_point is None else special_point.value for special_point in special_points]
+    return special_values[0], abs(special_values[0] - special_values[1]) + ROUNDING * abs(special_values[0])
 
 
-def nearest_special(diagram, kind, target=-np.inf, orbit_label=None, periods=None):
-    """Return the `Special` whose value `special_value` returns; None without one."""
-    candidates = [special for special in diagram.points(kind) if _matches(special, orbit_label, periods)]
-    if target == -np.inf:
-        return min(candidates, key=lambda special: special.value, default=None)
-    return min(candidates, key=lambda special: abs(special.value - target), default=None)
+def nearest_special_point(diagram, kind, target_value=-np.inf, orbit_label=None, n_periods=None):
+    """Return the `Special` of one diagram whose value `special_point_value` returns; None if there is none."""
+    matching_points = [
+        special_point for special_point in diagram.points(kind) if _matches_orbit(special_point, orbit_label, n_periods)
+    ]
+    if target_value == -np.inf:
+        return min(matching_points, key=lambda special_point: special_point.value, default=None)
+    return min(matching_points, key=lambda special_point: abs(special_point.value - target_value), default=None)
 
 
-def neighbour_labels(special):
+def neighbour_labels(special_point):
     """Return the labels of the orbits that meet at a grazing."""
-    return {label(itinerary(orbit_row, float(special.scene.frequency))) for orbit_row in special.joins}
+    return {
+        format_label(itinerary_of_point(orbit_row, float(special_point.scene.frequency)))
+        for orbit_row in special_point.joins
+    }
 
 
-def _matches(special, orbit_label, periods):
-    has_label = orbit_label is None or orbit_label in (special.label, label(mirror_itinerary(special.itinerary)))
-    return has_label and periods in (None, len(special.itinerary))
+def _matches_orbit(special_point, orbit_label, n_periods):
+    has_label = orbit_label is None or orbit_label in (
+        special_point.label,
+        format_label(mirror_itinerary(special_point.itinerary)),
+    )
+    return has_label and n_periods in (None, len(special_point.itinerary))

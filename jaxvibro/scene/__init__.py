@@ -1,6 +1,8 @@
 """Define the scene: an oscillator, its drive and its walls.
 
-The modules turn numbers from a user or a file into `Scene` and `State`, frozen pytrees that satisfy every rule. They
-also define the integer codes of lanes, and the name, domain and leaf of each parameter. Flight and files are elsewhere.
-Start with `scene`. `check` has the rules and their messages, and `soft_walls` relates stiffness to restitution.
+The modules convert numbers from a user or a file into `Scene` and `State`, frozen pytrees that satisfy all rules. They
+also define the integer codes of results, and the name, domain and leaf of each parameter. Simulation and file formats
+are in other packages. Start with `scene`. `check` contains the errors
+and the general checks of arguments. `scene_checks`, `force_checks` and `contact_law_checks` contain the rules for
+scenes. `soft_walls` relates stiffness to restitution.
 """

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.extend.core import get_opaque_trace_state
 
-from continuation.argument_types import check_arguments, make_checker
+from continuation.argument_checks import check_arguments, make_checker
 
 HIGHEST_HARMONIC = 1000
 MAX_MESSAGE_LENGTH = 300  # characters
@@ -49,9 +49,12 @@ class ArgumentError(ValueError):
         self.key, self.rule, self.value, self.index = key, rule, value, index
 
     def __str__(self) -> str:
-        location = "" if self.index is None else f" at index {self.index}"
-        suffix = f"; got {format_value(self.value)}{location}"
-        return shorten(f"{shorten(self.key)}: {self.rule}", MAX_MESSAGE_LENGTH - len(suffix)) + suffix
+        location_text = "" if self.index is None else f" at index {self.index}"
+        value_and_location = f"; got {format_value(self.value)}{location_text}"
+        return (
+            shorten_text(f"{shorten_text(self.key)}: {self.rule}", MAX_MESSAGE_LENGTH - len(value_and_location))
+            + value_and_location
+        )
 
 
 class SceneError(ArgumentError):
@@ -82,8 +85,8 @@ class SceneError(ArgumentError):
 check_types = check_arguments(ArgumentError)
 
 
-def raise_scene_errors(function: Callable[Params, Result]) -> Callable[Params, Result]:
-    """Decorate a function that makes a scene, so that its argument errors are `SceneError`.
+def convert_to_scene_errors(function: Callable[Params, Result]) -> Callable[Params, Result]:
+    """Decorate a function that makes a scene, so that it raises `SceneError` in place of `ArgumentError`.
 
     Parameters
     ----------
@@ -108,7 +111,7 @@ def raise_scene_errors(function: Callable[Params, Result]) -> Callable[Params, R
     return wrapper
 
 
-def shorten(text, max_length=80):
+def shorten_text(text, max_length=80):
     """Put a text on one line of limited length.
 
     Parameters
@@ -123,8 +126,8 @@ def shorten(text, max_length=80):
     str
         The line, which ends with "..." if it is cut.
     """
-    line = " ".join(str(text)[: 100 * max_length].split())
-    return line if len(line) <= max_length else f"{line[: max_length - 3]}..."
+    single_line = " ".join(str(text)[: 100 * max_length].split())
+    return single_line if len(single_line) <= max_length else f"{single_line[: max_length - 3]}..."
 
 
 # Names of parameters and special points in papers and other programs.
@@ -136,46 +139,46 @@ SYNONYMS |= {"LP": "SN", "LPC": "SN", "TR": "NS", "BPC": "BP"}
 GAP_NAMES = ("gap", "clearance")  # not parameters; the positions of the walls are
 
 
-def describe_choices(name, names):
-    """Return the end of the rule for an unknown name: the nearest valid name, and all valid names.
+def describe_choices(unknown_name, valid_names):
+    """Return the end of an error message for an unknown name: the nearest valid name, and all valid names.
 
     Parameters
     ----------
-    name : str
+    unknown_name : str
         The unknown name.
-    names : sequence of str
+    valid_names : sequence of str
         The valid names.
 
     Returns
     -------
     str
-        End of the rule.
+        End of the message.
     """
-    suggestion = nearest_name(name, names)
-    if name in GAP_NAMES:
-        return f": vary left.position or right.position instead ({', '.join(names)})"
-    return f"{', perhaps ' + suggestion if suggestion else ''} ({', '.join(names)})"
+    nearest_valid_name = nearest_name(unknown_name, valid_names)
+    if unknown_name in GAP_NAMES:
+        return f": vary left.position or right.position instead ({', '.join(valid_names)})"
+    return f"{', perhaps ' + nearest_valid_name if nearest_valid_name else ''} ({', '.join(valid_names)})"
 
 
-def nearest_name(name, names):
+def nearest_name(unknown_name, valid_names):
     """Return the valid name that a misspelt name, or a name of another program, stands for.
 
     Parameters
     ----------
-    name : str
+    unknown_name : str
         The unknown name.
-    names : sequence of str
+    valid_names : sequence of str
         The valid names.
 
     Returns
     -------
     str or None
-        The nearest name, None without one.
+        The nearest name. None if no valid name is near.
     """
-    if SYNONYMS.get(name) in names:
-        return SYNONYMS[name]
-    matches = difflib.get_close_matches(shorten(name), names, 1)
-    return matches[0] if matches else None
+    if SYNONYMS.get(unknown_name) in valid_names:
+        return SYNONYMS[unknown_name]
+    close_matches = difflib.get_close_matches(shorten_text(unknown_name), valid_names, 1)
+    return close_matches[0] if close_matches else None
 
 
 def format_value(value):
@@ -195,12 +198,12 @@ def format_value(value):
     if is_array and np.ndim(value):
         return f"an array of shape {np.shape(value)} and type {value.dtype}"
     try:
-        line = " ".join((str(value) if is_array else repr(value)).split())
+        single_line = " ".join((str(value) if is_array else repr(value)).split())
     except ValueError:
         return "a whole number too long to show"
     except RecursionError:
         return "a value too deep to show"
-    return shorten(line)
+    return shorten_text(single_line)
 
 
 def is_traced(*values):
@@ -219,43 +222,43 @@ def is_traced(*values):
     return any(isinstance(value, jax.core.Tracer) for value in values)
 
 
-def is_transformed():
-    """Return True within a transformation (jit, vmap, grad), for any arguments."""
-    trace_state = get_opaque_trace_state()
+def is_in_transformation():
+    """Return True if the caller runs within a transformation (jit, vmap, grad), even without traced arguments."""
+    outer_trace_state = get_opaque_trace_state()
     with jax.core.eval_context():
-        return trace_state != get_opaque_trace_state()
+        return outer_trace_state != get_opaque_trace_state()
 
 
-def host_only(alternative: str) -> Callable[[Callable[Params, Result]], Callable[Params, Result]]:
+def host_only(alternative_advice: str) -> Callable[[Callable[Params, Result]], Callable[Params, Result]]:
     """Decorate a function that runs on the host, so that a call under a transformation fails at once.
 
     Parameters
     ----------
-    alternative : str
+    alternative_advice : str
         Alternative under a transformation, for the message.
 
     Returns
     -------
     callable
-        The decorator. The decorated function raises `ArgumentError` if an argument is traced, if it is called within
-        jit, vmap or grad, and if an argument does not match its annotation.
+        The decorator. The decorated function raises `ArgumentError` if an argument is traced, if the call is within
+        jit, vmap or grad, or if an argument does not match its annotation.
     """
 
     def decorator(function: Callable[Params, Result]) -> Callable[Params, Result]:
-        require_types = make_checker(function, ArgumentError)
+        check_argument_types = make_checker(function, ArgumentError)
 
         @wraps(function)
         def wrapper(*args: Params.args, **kwargs: Params.kwargs) -> Result:
             tracers = _find_tracers(*args, *kwargs.values())
-            if tracers or is_transformed():
-                rule = (
+            if tracers or is_in_transformation():
+                host_rule = (
                     "runs on the host and cannot be traced by jit, vmap or grad: call it outside; inside, "
-                    + alternative
+                    + alternative_advice
                 )
                 raise ArgumentError(
-                    function.__name__, rule, tracers[0] if tracers else "a call within a transformation"
+                    function.__name__, host_rule, tracers[0] if tracers else "a call within a transformation"
                 )
-            require_types(args, kwargs)
+            check_argument_types(args, kwargs)
             return function(*args, **kwargs)
 
         return wrapper
@@ -264,11 +267,11 @@ def host_only(alternative: str) -> Callable[[Callable[Params, Result]], Callable
 
 
 def _find_tracers(*values):
-    """Return the tracers within values; none for a list that contains itself."""
+    """Return the tracers within values, or an empty list if a value contains itself."""
     # Items of a dict in a list need no order of its keys.
-    flat_values = [list(item.items()) if isinstance(item, dict) else item for item in values]
+    values_without_dicts = [list(item.items()) if isinstance(item, dict) else item for item in values]
     try:
-        return [item for item in jax.tree.leaves(flat_values) if is_traced(item)]
+        return [item for item in jax.tree.leaves(values_without_dicts) if is_traced(item)]
     except (RecursionError, SystemError):
         return []
 
@@ -283,12 +286,12 @@ def require_parameter(name, names, value):
     names : sequence of str
         Names of the scene's parameters.
     value : object
-        Value for the message.
+        Value that the message shows.
 
     Raises
     ------
     ArgumentError
-        If it is not.
+        If the name is not a parameter.
     """
     if not isinstance(name, str):
         raise ArgumentError("name", f"must be a parameter of this scene ({', '.join(names)})", name)
@@ -316,18 +319,18 @@ def require_choice(key, value, choices):
     Raises
     ------
     ArgumentError
-        If it is not; the message suggests the nearest valid value.
+        If the value is not one of the choices. The message suggests the nearest choice.
     """
     if isinstance(value, str) and value in choices:
         return value
-    suggestion = nearest_name(value, choices) if isinstance(value, str) else None
+    nearest_choice = nearest_name(value, choices) if isinstance(value, str) else None
     raise ArgumentError(
-        key, f"must be one of {', '.join(choices)}{f', perhaps {suggestion}' if suggestion else ''}", value
+        key, f"must be one of {', '.join(choices)}{f', perhaps {nearest_choice}' if nearest_choice else ''}", value
     )
 
 
-def name_tuple(key, names):
-    """Return names as a tuple; a string is one name.
+def make_name_tuple(key, names):
+    """Return a name, or a sequence of names, as a tuple of names.
 
     Parameters
     ----------
@@ -344,7 +347,7 @@ def name_tuple(key, names):
     Raises
     ------
     ArgumentError
-        If `names` is neither.
+        If `names` is neither a string nor a sequence.
     """
     if isinstance(names, str):
         return (names,)
@@ -355,7 +358,7 @@ def name_tuple(key, names):
 
 
 def require_independent(*names):
-    """Check that no parameter changes another one, as the hardness changes stiffness and damping of soft walls.
+    """Check that no parameter determines another: the hardness determines stiffness and damping of soft walls.
 
     Parameters
     ----------
@@ -365,7 +368,7 @@ def require_independent(*names):
     Raises
     ------
     ArgumentError
-        If the hardness is beside a parameter that it changes.
+        If the names contain the hardness together with a stiffness or a damping of a wall.
     """
     if "hardness" in names and any(name.endswith((".stiffness", ".damping")) for name in names):
         raise ArgumentError(
@@ -373,12 +376,14 @@ def require_independent(*names):
         )
 
 
-def require_one_wall_kind(side, wall):
-    """Check that a wall is either rigid or soft, and soft by either stiffness or a law."""
-    for name in ("restitution", "stiffness", "damping") if wall.law is not None else ():
-        if getattr(wall, name) is not None:
+def require_rigid_or_soft(side, wall):
+    """Check that a wall is either rigid or soft, and that a soft wall has either a stiffness or a contact law."""
+    for parameter_name in ("restitution", "stiffness", "damping") if wall.law is not None else ():
+        if getattr(wall, parameter_name) is not None:
             raise ArgumentError(
-                f"{side}.{name}", "must not be given for a wall with a contact law", getattr(wall, name)
+                f"{side}.{parameter_name}",
+                "must not be given for a wall with a contact law",
+                getattr(wall, parameter_name),
             )
     if wall.law is not None:
         return
@@ -388,8 +393,8 @@ def require_one_wall_kind(side, wall):
         raise ArgumentError(f"{side}.damping", "must not be given for a wall without stiffness", wall.damping)
 
 
-def require_own_damping(side, wall, force):
-    """Check that a soft wall beside a force has its own damping, since the scene has none."""
+def require_own_wall_damping(side, wall, force):
+    """Check that a soft wall in a scene with a force has its own damping, because the scene has none."""
     if force is not None and wall.stiffness is not None and wall.damping is None:
         raise ArgumentError(f"{side}.damping", "must be given for a soft wall in a scene with a force", None)
 
@@ -403,7 +408,7 @@ def require_spring_or_force(force, damping):
 
 
 def require_spring(scene, caller):
-    """Check that a scene has the spring and the damper, for functions that need them.
+    """Check that a scene has a linear spring and a damper, not a user-defined force.
 
     Parameters
     ----------
@@ -421,8 +426,8 @@ def require_spring(scene, caller):
         raise ArgumentError("force", f"must be None for {caller}, which needs spring and damper", scene.force.function)
 
 
-def require_one_harmonic(scene, caller):
-    """Check that the drive has one harmonic, for functions that need ``amplitude cos(frequency t)``.
+def require_harmonic_drive(scene, caller):
+    """Check that the drive is ``amplitude cos(frequency t)``, without further terms.
 
     Parameters
     ----------
@@ -437,13 +442,13 @@ def require_one_harmonic(scene, caller):
         If the drive has further terms.
     """
     if scene.drive:
-        harmonics = ", ".join(f"harmonic {term.harmonic}" for term in scene.drive)
+        harmonic_texts = ", ".join(f"harmonic {drive_term.harmonic}" for drive_term in scene.drive)
         raise ArgumentError(
-            "drive", f"must be empty for {caller}, which needs a drive amplitude cos(frequency t)", harmonics
+            "drive", f"must be empty for {caller}, which needs a drive amplitude cos(frequency t)", harmonic_texts
         )
 
 
-def require_single(scene):
+def require_single_scene(scene):
     """Check that a scene is single.
 
     Parameters
@@ -454,27 +459,27 @@ def require_single(scene):
     Raises
     ------
     ArgumentError
-        If it is a batch.
+        If the scene is a batch.
     """
     if scene.shape:
         raise ArgumentError("scene", "must be a single scene, not a batch", f"shape {scene.shape}")
 
 
-def wall_pair(walls):
-    """Return the walls as a tuple (left, right), from a tuple, a list or an array of two positions."""
+def check_walls_are_pair(walls):
+    """Check that the walls are a pair (left, right) and return them as a tuple."""
     is_array = hasattr(walls, "dtype") and np.shape(walls) == (2,)
     if not is_array and (not isinstance(walls, tuple | list) or len(walls) != 2):
         raise ArgumentError("walls", "must be a pair (left, right), each a position, None or a Wall", walls)
     return tuple(walls)
 
 
-def float_type(dtype):
+def check_float_type(dtype):
     """Return the floating-point type of a scene.
 
     Parameters
     ----------
     dtype : dtype or None
-        float32, float64 or None, which is float64.
+        float32, float64 or None, which stands for float64.
 
     Returns
     -------
@@ -484,7 +489,7 @@ def float_type(dtype):
     Raises
     ------
     ArgumentError
-        If it is another type, or float64 and JAX has it off.
+        If `dtype` is none of these, or if it is float64 and double precision is disabled in JAX.
     """
     try:
         float_dtype = np.dtype(np.float64 if dtype is None else dtype)
@@ -493,12 +498,12 @@ def float_type(dtype):
     if float_dtype not in (np.float32, np.float64):
         raise ArgumentError("dtype", "must be None, float32 or float64", dtype)
     if float_dtype == np.float64 and not jax.config.jax_enable_x64:
-        advice = "call jax.config.update('jax_enable_x64', True) first, or use dtype=jnp.float32"
-        raise ArgumentError("dtype", f"double precision is off in JAX: {advice}", float_dtype.name)
+        advice_text = "call jax.config.update('jax_enable_x64', True) first, or use dtype=jnp.float32"
+        raise ArgumentError("dtype", f"double precision is off in JAX: {advice_text}", float_dtype.name)
     return float_dtype
 
 
-def real_array(key, value, dtype):
+def check_real_array(key, value, dtype):
     """Convert a value to an array of real numbers.
 
     Parameters
@@ -524,7 +529,7 @@ def real_array(key, value, dtype):
         if value.dtype.kind not in "fiu":
             raise ArgumentError(key, "must be a real number", f"type {value.dtype}")
         return jnp.asarray(value, dtype)
-    array = _plain_array(value)
+    array = _to_numpy_or_none(value)
     if array is None or array.dtype.kind not in "fiu":
         raise ArgumentError(key, "must be a real number", value)
     if array.dtype == dtype:
@@ -533,7 +538,7 @@ def real_array(key, value, dtype):
         return array.astype(dtype)
 
 
-def finite_array(key, value, dtype):
+def check_finite_array(key, value, dtype):
     """Convert a value to an array of finite real numbers.
 
     Parameters
@@ -555,13 +560,13 @@ def finite_array(key, value, dtype):
     ArgumentError
         If the value is not real or not finite.
     """
-    array = real_array(key, value, dtype)
+    array = check_real_array(key, value, dtype)
     if not is_traced(array):
         require(key, "must be finite", array, np.isfinite(array))
     return array
 
 
-def finite_float(key, value):
+def check_finite_float(key, value):
     """Convert a value to one finite float.
 
     Parameters
@@ -581,22 +586,22 @@ def finite_float(key, value):
     ArgumentError
         If the value is not one finite number.
     """
-    array = finite_array(key, value, np.float64)
-    if array.ndim:
+    finite_value = check_finite_array(key, value, np.float64)
+    if finite_value.ndim:
         raise ArgumentError(key, "must be one number", value)
-    return float(array)
+    return float(finite_value)
 
 
-def scene_quantity(key, value, dtype):
-    """Convert a quantity of a scene to a finite array; refuse a list, which is neither a batch nor a pair of walls."""
+def check_number_or_array(key, value, dtype):
+    """Convert a number or an array of a scene to a finite array; refuse a list or a tuple."""
     if isinstance(value, list | tuple):
         advice = "write walls=(Wall(...), Wall(...)) for values of each wall, np.array([...]) for a batch"
         raise ArgumentError(key, f"must be a number or an array, not a {type(value).__name__}: {advice}", value)
-    return finite_array(key, value, dtype)
+    return check_finite_array(key, value, dtype)
 
 
-def _plain_array(value):
-    """Return a NumPy array of a value, or None if it is none."""
+def _to_numpy_or_none(value):
+    """Convert a value to a NumPy array; return None if that is impossible."""
     if value is None or isinstance(value, str | bytes | bool):
         return None
     try:
@@ -605,10 +610,10 @@ def _plain_array(value):
         return None
 
 
-def harmonic_number(key, value, minimum=1):
-    """Return a harmonic as an int after a check of its range (a bool is refused)."""
-    is_whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
-    if not is_whole or not minimum <= value <= HIGHEST_HARMONIC:
+def check_harmonic(key, value, minimum=1):
+    """Check the type and the range of a harmonic and return it as an int (a bool is refused)."""
+    is_integer = isinstance(value, int | np.integer) and not isinstance(value, bool)
+    if not is_integer or not minimum <= value <= HIGHEST_HARMONIC:
         raise ArgumentError(key, f"must be a whole number from {minimum} to {HIGHEST_HARMONIC}", value)
     return int(value)
 
@@ -634,16 +639,16 @@ def require(key, rule, value, holds):
     """
     value, holds = np.broadcast_arrays(value, holds)
     if not holds.all():
-        index = tuple(int(i) for i in np.argwhere(~holds)[0])
-        raise ArgumentError(key, rule, value[index], index or None)
+        first_index = tuple(int(axis_index) for axis_index in np.argwhere(~holds)[0])
+        raise ArgumentError(key, rule, value[first_index], first_index or None)
 
 
-def require_broadcast(leaves):
+def require_broadcast(named_arrays):
     """Check that arrays broadcast together.
 
     Parameters
     ----------
-    leaves : sequence of (str, array)
+    named_arrays : sequence of (str, array)
         Keys and arrays.
 
     Raises
@@ -651,18 +656,18 @@ def require_broadcast(leaves):
     ArgumentError
         If an array does not broadcast with those before it.
     """
-    if not any(leaf.shape for _, leaf in leaves):
+    if not any(array.shape for _, array in named_arrays):
         return
-    shape = ()
-    for key, leaf in leaves:
+    common_shape = ()
+    for key, array in named_arrays:
         try:
-            shape = np.broadcast_shapes(shape, leaf.shape)
+            common_shape = np.broadcast_shapes(common_shape, array.shape)
         except ValueError:
-            raise ArgumentError(key, f"must broadcast with the shape {shape} of the others", leaf) from None
+            raise ArgumentError(key, f"must broadcast with the shape {common_shape} of the others", array) from None
 
 
-def whole_number(key, value, minimum):
-    """Return an integer argument as an int (a bool is refused).
+def check_whole_number(key, value, minimum):
+    """Check an integer argument and return it as an int (a bool is refused).
 
     Parameters
     ----------

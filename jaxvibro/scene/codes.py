@@ -1,4 +1,4 @@
-"""Define the integer codes of lanes: the status of a strobe, the contact with a wall, the status of a solution."""
+"""Define the integer codes of results: status of a strobe, contact with a wall, status of a solution."""
 
 from enum import IntEnum
 
@@ -6,9 +6,18 @@ from enum import IntEnum
 class Status(IntEnum):
     """Status of a strobe, as in `Impacts.status`; from CAP on the state is nan.
 
-    OK: all impacts are recorded. FULL: there are more impacts than slots, or the mass sticks after complete chatter.
-    The state is right. CAP: too many impacts or steps. INVALID: an invalid scene or start. NONFINITE: a number that is
-    not finite.
+    Attributes
+    ----------
+    OK : int
+        0: all impacts are recorded.
+    FULL : int
+        1: there are more impacts than slots, or the mass sticks after complete chatter. The final state is correct.
+    CAP : int
+        2: there are too many impacts or steps.
+    INVALID : int
+        3: the scene or the initial state is invalid.
+    NONFINITE : int
+        4: a number is not finite.
     """
 
     OK = 0
@@ -24,11 +33,20 @@ class Status(IntEnum):
 
 
 class Contact(IntEnum):
-    """Contact of the mass with a wall, multiplied by the sign of the wall; 0 is free.
+    """Contact of the mass with a wall; a state stores the code times the sign of the wall, or 0 for no contact.
 
-    LANDED: leaving a wall after an impact. STUCK: sticking. WITHIN: inside a soft wall. Two more codes occur along a
-    path only. ENTERED: at a soft wall at the instant of entry. RELEASED: at the wall at the instant at which the
-    contact force vanishes.
+    Attributes
+    ----------
+    LANDED : int
+        1: at a wall just after an impact.
+    STUCK : int
+        2: sticking to a wall.
+    WITHIN : int
+        3: inside a soft wall.
+    ENTERED : int
+        4: at a soft wall at the instant of entry. Occurs only during a simulation.
+    RELEASED : int
+        5: at a wall at the instant at which the contact force vanishes. Occurs only during a simulation.
     """
 
     LANDED = 1
@@ -46,10 +64,10 @@ class SolutionStatus(IntEnum):
     OK : int
         0: the solution is the requested one.
     JUMPED : int
-        1: the solution may be another one. The continuation from the known solution failed and Newton's method
-        converged to this one.
+        1: the solution may differ from the requested one. The continuation from the known solution failed, and
+        Newton's method converged to a solution that may be on another branch.
     VIRTUAL : int
-        2: the orbit is inadmissible. It passes through a wall or hits one from behind.
+        2: the orbit is inadmissible. It passes through a wall or hits a wall from behind.
     NONE : int
         3: there is no solution; the numbers are nan.
 

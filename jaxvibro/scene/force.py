@@ -50,32 +50,34 @@ class Force:
     solver: Any = field(default=None, metadata={"static": True})
 
 
-def flat_function(function, names, n_arguments=3):
-    """Return ``function(t, x, v, *numbers)`` for a function that takes its parameters as a dict.
+def with_positional_params(function, parameter_names, n_leading_arguments=3):
+    """Return a function of positional parameters for a function that takes its parameters as a dict.
 
     Parameters
     ----------
     function : callable
         Function of its arguments and a dict of parameters.
-    names : tuple of str
+    parameter_names : tuple of str
         Names of the parameters, in order.
-    n_arguments : int, optional
-        Number of arguments before the parameters.
+    n_leading_arguments : int, optional
+        Number of arguments before the parameters, 3 for ``(t, x, v)``.
 
     Returns
     -------
     callable
-        The function of positional numbers.
+        ``function(t, x, v, *numbers)``, the parameters in the order of `parameter_names`.
     """
 
-    def call_flat(*arguments):
-        return function(*arguments[:n_arguments], dict(zip(names, arguments[n_arguments:], strict=True)))
+    def call_with_param_dict(*arguments):
+        return function(
+            *arguments[:n_leading_arguments], dict(zip(parameter_names, arguments[n_leading_arguments:], strict=True))
+        )
 
-    return call_flat
+    return call_with_param_dict
 
 
-def trace_jaxpr(function, names, dtype, n_arguments=3):
-    """Trace a force anew with scalars of a type and return its `ClosedJaxpr`."""
-    return jax.make_jaxpr(flat_function(function, names, n_arguments))(
-        *[jax.ShapeDtypeStruct((), dtype)] * (n_arguments + len(names))
+def trace_jaxpr(function, parameter_names, dtype, n_leading_arguments=3):
+    """Trace a function with scalars of one type, without a cache, and return its `ClosedJaxpr`."""
+    return jax.make_jaxpr(with_positional_params(function, parameter_names, n_leading_arguments))(
+        *[jax.ShapeDtypeStruct((), dtype)] * (n_leading_arguments + len(parameter_names))
     )

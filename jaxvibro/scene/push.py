@@ -18,8 +18,8 @@ class Push:
     function : callable or str
         ``function(depth, rate, numbers)`` of scalars, written with jax.numpy, or the name of a predefined law:
         ``"hertz"``, ``stiffness depth^1.5``, or ``"hunt_crossley"``, ``stiffness depth^1.5 (1 + dissipation rate)``
-        [1]_. The depth is ``|x - x_b|`` and the rate its time derivative. The function must be 0 at depth 0 and rate 0,
-        and a power series in the root of the depth.
+        [1]_. The depth is ``|x - x_b|``, with the position x_b of the wall, and the rate is the time derivative of the
+        depth. The function must be 0 at depth 0 and rate 0, and a power series in the square root of the depth.
     numbers : dict of str to array_like, optional
         Parameters of the function. They are parameters of the scene with names such as ``"right.law.<name>"``.
 
@@ -44,19 +44,19 @@ class Push:
     numbers: Mapping[str, Real[ArrayLike, "..."]] = field(default_factory=dict)
 
 
-def hertz(depth, rate, p):
+def hertz(depth, depth_rate, params):
     """Evaluate the law of Hertz for two elastic bodies, one of them round: ``stiffness depth^1.5``."""
-    return p["stiffness"] * depth**1.5
+    return params["stiffness"] * depth**1.5
 
 
-def hunt_crossley(depth, rate, p):
+def hunt_crossley(depth, depth_rate, params):
     """Evaluate the law of Hunt and Crossley: ``stiffness depth^1.5 (1 + dissipation rate)``."""
-    return p["stiffness"] * depth**1.5 * (1.0 + p["dissipation"] * rate)
+    return params["stiffness"] * depth**1.5 * (1.0 + params["dissipation"] * depth_rate)
 
 
-NAMED_PUSHES = {law.__name__: law for law in (hertz, hunt_crossley)}
+PREDEFINED_CONTACT_LAWS = {law.__name__: law for law in (hertz, hunt_crossley)}
 
 
-def registered_push_name(function):
+def predefined_law_name(function):
     """Return the name of a predefined law, or None."""
-    return next((name for name, law in NAMED_PUSHES.items() if law is function), None)
+    return next((name for name, contact_law in PREDEFINED_CONTACT_LAWS.items() if contact_law is function), None)

@@ -5,14 +5,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from . import check
-from .scene_rules import check_value
+from .scene_checks import check_value
 
 
 @dataclass(frozen=True)
 class Scales:
     """Physical quantities that are 1 in a scene.
 
-    The time of the scene is w0 T with ``w0 = sqrt(K / M)``. Its lengths are in d and its forces in K d.
+    At the physical time T the time of the scene is w0 T, with ``w0 = sqrt(K / M)``. Lengths of the scene are in units
+    of d, and forces in units of K d.
 
     Parameters
     ----------
@@ -41,11 +42,11 @@ class Scales:
 
     def __post_init__(self) -> None:
         for key, value in self.numbers.items():
-            number = check.finite_array(key, value, np.dtype(float))
-            if np.ndim(number):
+            checked_value = check.check_finite_array(key, value, np.dtype(float))
+            if np.ndim(checked_value):
                 raise check.ArgumentError(key, "must be one number", value)
-            check_value(key, number)
-            object.__setattr__(self, key, float(number))
+            check_value(key, checked_value)
+            object.__setattr__(self, key, float(checked_value))
 
     @property
     def numbers(self) -> dict[str, float]:

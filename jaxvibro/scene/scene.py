@@ -14,13 +14,13 @@ from numpy.typing import DTypeLike
 from continuation.array_type import Array
 
 from . import check
-from .dissipation import areas_never_grow
+from .area_growth_proof import areas_never_grow
+from .contact_law_checks import check_contact_law
 from .force import Force
-from .force_rules import check_force, check_force_values, flow_text
+from .force_checks import check_force, check_force_values, describe_flow
 from .push import Push
-from .push_rules import check_push
 from .scales import Scales
-from .scene_rules import check_scene
+from .scene_checks import check_scene
 from .wall import Motion, Wall
 
 SIDES = ("left", "right")
@@ -46,8 +46,8 @@ class Scene:
     left, right : Wall or None
         The walls. None means that the scene has no wall on this side.
     harder : Array or None
-        Decades by which the soft walls are stiffer than their stiffness states, at the same effective restitution. None
-        except along a branch.
+        Decimal logarithm of a factor by which the stiffness of each soft wall is multiplied, at the same effective
+        restitution. None except along a branch.
     force : Force or None
         User-defined force in place of the spring and the damper. None selects the spring and the damper.
     drive : tuple of Motion
@@ -63,7 +63,7 @@ class Scene:
     Notes
     -----
     Between the walls the mass obeys ``x'' + 2 damping x' + x = amplitude cos(frequency t)``. With a `Force` it obeys
-    ``x'' = force + amplitude cos(frequency t)``. At a rigid wall the velocity y changes to y+ with
+    ``x'' = force + amplitude cos(frequency t)``. At a rigid wall the velocity changes from y- to y+ with
     ``y+ - v = -restitution (y- - v)``, v being the velocity of the wall. `Wall` states the equation inside a soft wall.
 
     All real numbers are arrays. They broadcast to the shape of the batch of scenes.
@@ -97,18 +97,18 @@ class Scene:
     @property
     def shape(self) -> tuple[int, ...]:
         """Shape of the batch: the shapes of all numbers, broadcast together."""
-        shapes = [jnp.shape(leaf) for leaf in jax.tree.leaves(self)]
-        return jnp.broadcast_shapes(*shapes) if any(shapes) else ()
+        leaf_shapes = [jnp.shape(leaf) for leaf in jax.tree.leaves(self)]
+        return jnp.broadcast_shapes(*leaf_shapes) if any(leaf_shapes) else ()
 
     @property
     def flow(self) -> str:
         """Method that computes the flight between the walls, with the reason, in one sentence.
 
-        "exact: ..." under spring and damper. Under a `Force` it names Taylor steps, or the steps of a solver.
+        The text is "exact: ..." for spring and damper. For a `Force` it states Taylor steps or the solver.
         """
         if self.force is None:
             return "exact: the flow of spring, damper and drive is known in closed form"
-        return flow_text(self.force, self.dtype)
+        return describe_flow(self.force, self.dtype)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -116,15 +116,17 @@ class Scene:
 
         A scene with a soft wall beside the spring has the parameter ``"hardness"``, the decimal logarithm of the
         stiffness of the soft wall (of the left one if both are soft). A change of the hardness multiplies the stiffness
-        of all soft walls by one factor and adjusts the damping of each, so that its effective restitution stays
-        (`effective_restitution`).
+        of all soft walls by one factor and adjusts the damping of each wall, so that its `effective_restitution` does
+        not change.
         """
         names = ["amplitude", "frequency", "restitution"]
         if self.force is None:
             names.insert(2, "damping")
         else:
             names += [f"force.{name}" for name in self.force.numbers]
-        names += [f"drive.{k}.{name}" for k in range(len(self.drive)) for name in ("amplitude", "phase")]
+        names += [
+            f"drive.{term_index}.{name}" for term_index in range(len(self.drive)) for name in ("amplitude", "phase")
+        ]
         for side, wall in self.walls.items():
             names += [f"{side}.{name}" for name in ("position", *wall.own)]
             names += [f"{side}.motion.{name}" for name in ("amplitude", "phase") if wall.motion is not None]
@@ -205,8 +207,8 @@ class Scene:
         """True if phase-space areas provably never grow, for every scene of the batch; else None.
 
         The areas grow neither in flight nor at an impact. The value is None if there is no proof, and if numbers are
-        traced. It is never False. If it is True, the product of the multipliers is at most 1 and there are no
-        Neimark-Sacker points. Areas that stay constant, without damping and with R = 1, satisfy the condition.
+        traced. It is never False. If it is True, the product of the multipliers is at most 1 in magnitude and there
+        are no Neimark-Sacker points. Areas that stay constant, without damping and with R = 1, satisfy the condition.
 
         Notes
         -----
@@ -215,7 +217,7 @@ class Scene:
         """
         return areas_never_grow(self)
 
-    @check.raise_scene_errors
+    @check.convert_to_scene_errors
     def replace(self, **changes: Real[ArrayLike, "..."]) -> "Scene":
         """Return a copy of the scene with other parameter values.
 
@@ -237,7 +239,7 @@ class Scene:
         SceneError
             If a name is not a parameter of the scene, or a value breaks its rule.
         """
-        return _make_checked(vars(replace_unchecked(self, changes)), self.dtype)
+        return _make_checked_scene(vars(replace_unchecked(self, changes)), self.dtype)
 
 
 _LEAF_NAMES = [entry.name for entry in fields(Scene) if entry.name != "scales"]
@@ -246,7 +248,7 @@ jax.tree_util.register_dataclass(Scene, _LEAF_NAMES, [], ("scales",))  # scales 
 Walls = Sequence[Wall | Real[ArrayLike, "..."] | None] | Real[Array, " walls"]  # left and right
 
 
-@check.raise_scene_errors
+@check.convert_to_scene_errors
 def make_scene(
     amplitude: Real[ArrayLike, "..."],
     frequency: Real[ArrayLike, "..."],
@@ -297,7 +299,8 @@ def make_scene(
     Notes
     -----
     Lengths are in the unit of the wall positions. Time is in 1/w0, w0 being the undamped natural frequency (paper,
-    section 1). Numbers or arrays broadcast together to a batch of scenes. Lists are refused.
+    section 1). Numbers or arrays broadcast together to a batch of scenes. A list in place of a number or an
+    array is refused.
 
     Examples
     --------
@@ -308,35 +311,40 @@ def make_scene(
     >>> one_wall.shape, list(one_wall.walls)
     ((5,), ['right'])
     """
-    wall_fields: dict[str, Any] = dict(zip(SIDES, check.wall_pair(walls), strict=True))
-    for side, wall in wall_fields.items():
+    wall_by_side: dict[str, Any] = dict(zip(SIDES, check.check_walls_are_pair(walls), strict=True))
+    for side, wall in wall_by_side.items():
         if isinstance(wall, Motion):
             raise check.SceneError(side, "must be a position, None or a Wall", wall)
-    number_fields = {"amplitude": amplitude, "frequency": frequency, "damping": damping}
-    number_fields["restitution"] = resolve_restitution(restitution, wall_fields.values())
-    return _make_checked({**number_fields, **wall_fields, "harder": None, "force": force, "drive": drive}, dtype)
+    numerical_fields = {"amplitude": amplitude, "frequency": frequency, "damping": damping}
+    numerical_fields["restitution"] = restitution_or_default(restitution, wall_by_side.values())
+    return _make_checked_scene(
+        {**numerical_fields, **wall_by_side, "harder": None, "force": force, "drive": drive}, dtype
+    )
 
 
-def resolve_restitution(restitution, walls):
-    """Return the scene's R, or 1 if it is left out and no wall needs it; raise SceneError if a wall needs it."""
+def restitution_or_default(restitution, walls):
+    """Return `restitution`, or 1 if it is None and each rigid wall has its own restitution.
+
+    Raises SceneError if it is None and a rigid wall has no restitution of its own.
+    """
     if restitution is not None:
         return restitution
-    has_value = (
+    needs_no_default = (
         wall is None or (isinstance(wall, Wall) and (wall.soft or wall.restitution is not None)) for wall in walls
     )
-    if not all(has_value):
+    if not all(needs_no_default):
         raise check.SceneError("restitution", "must be given, unless each rigid wall has its own", None)
     return 1.0
 
 
-def replace_unchecked(scene, changes):
+def replace_unchecked(scene, new_values):
     """Return a copy of the scene with other parameter values, without a check of the values.
 
     Parameters
     ----------
     scene : Scene
         The scene.
-    changes : dict of str to array_like
+    new_values : dict of str to array_like
         New values by name. The hardness changes first.
 
     Returns
@@ -349,28 +357,28 @@ def replace_unchecked(scene, changes):
     ArgumentError
         If a name is not a parameter of the scene.
     """
-    for name, value in sorted(changes.items(), key=lambda change: change[0] != "hardness"):
+    for name, value in sorted(new_values.items(), key=lambda change: change[0] != "hardness"):
         check.require_parameter(name, scene.names, value)
-        scene = _replace_hardness(scene, value) if name == "hardness" else _set_leaf(scene, name.split("."), value)
+        scene = _set_hardness(scene, value) if name == "hardness" else _set_leaf(scene, name.split("."), value)
     return scene
 
 
-def _replace_hardness(scene, value):
+def _set_hardness(scene, value):
     """Return the scene with all soft walls scaled to a hardness."""
     if not check.is_traced(value):
-        value = check.scene_quantity("hardness", value, np.float64)
-    log_factor, walls = value - scene.parameter("hardness"), {}
+        value = check.check_number_or_array("hardness", value, np.float64)
+    log10_factor, hardened_walls = value - scene.parameter("hardness"), {}
     for side in scene.soft_sides:
         wall = getattr(scene, side)
-        stiffness, damping = harden_wall(wall.stiffness, scene.parameter(f"{side}.damping"), log_factor)
-        walls[side] = replace(wall, stiffness=stiffness, damping=damping)
-    return replace(scene, **walls)
+        stiffness, damping = harden_wall(wall.stiffness, scene.parameter(f"{side}.damping"), log10_factor)
+        hardened_walls[side] = replace(wall, stiffness=stiffness, damping=damping)
+    return replace(scene, **hardened_walls)
 
 
-def harden_wall(stiffness, damping, log_factor):
+def harden_wall(stiffness, damping, log10_factor):
     """Return stiffness and damping of a soft wall after a change of its hardness.
 
-    The wall keeps its share z of critical damping, and with it its effective restitution.
+    The damping ratio ``z = gamma2 / sqrt(1 + k2)`` of the wall, and therefore its effective restitution, do not change.
 
     Parameters
     ----------
@@ -378,7 +386,7 @@ def harden_wall(stiffness, damping, log_factor):
         Stiffness k2 of the wall.
     damping : array_like
         Damping gamma2 of the wall.
-    log_factor : array_like
+    log10_factor : array_like
         Decimal logarithm of the factor of the stiffness.
 
     Returns
@@ -388,35 +396,42 @@ def harden_wall(stiffness, damping, log_factor):
     damping : Array
         New damping.
     """
-    xp = jnp if check.is_traced(stiffness, damping, log_factor) else np
+    array_module = jnp if check.is_traced(stiffness, damping, log10_factor) else np
     with np.errstate(over="ignore", under="ignore"):  # the rules for a wall refuse the result
-        new_stiffness = stiffness * 10.0**log_factor
-        return new_stiffness, damping * xp.sqrt((1.0 + new_stiffness) / (1.0 + stiffness))
+        new_stiffness = stiffness * 10.0**log10_factor
+        return new_stiffness, damping * array_module.sqrt((1.0 + new_stiffness) / (1.0 + stiffness))
 
 
 def _child_node(node, name):
-    """Return the child of a node of the scene's tree by its name."""
+    """Return the child of a given name of a node of the scene's tree."""
     if isinstance(node, tuple):
         return node[int(name)]
     return node.numbers[name] if isinstance(node, Force | Push) else getattr(node, name)
 
 
-def _set_leaf(node, path, value):
-    """Return a node of the scene's tree with one leaf replaced."""
-    head, *subpath = path
+def _set_leaf(node, key_path, value):
+    """Return a copy of a node of the scene's tree in which the leaf at `key_path` has a new value."""
+    first_key, *remaining_keys = key_path
     if isinstance(node, tuple):
-        return tuple(_set_leaf(child, subpath, value) if k == int(head) else child for k, child in enumerate(node))
+        return tuple(
+            _set_leaf(child, remaining_keys, value) if child_index == int(first_key) else child
+            for child_index, child in enumerate(node)
+        )
     if isinstance(node, Force | Push):
-        return replace(node, numbers={**node.numbers, ".".join(path): value})
-    return replace(node, **{head: _set_leaf(getattr(node, head), subpath, value) if subpath else value})
+        return replace(node, numbers={**node.numbers, ".".join(key_path): value})
+    return replace(
+        node, **{first_key: _set_leaf(getattr(node, first_key), remaining_keys, value) if remaining_keys else value}
+    )
 
 
-def _make_checked(field_values, dtype):
+def _make_checked_scene(field_values, dtype):
     """Return a checked scene of JAX arrays from its fields."""
-    return map_numbers(jnp.asarray, _check_sound(_scene_from_fields(field_values, check.float_type(dtype))))
+    return map_scene_numbers(
+        jnp.asarray, _check_scene_and_force(_scene_from_fields(field_values, check.check_float_type(dtype)))
+    )
 
 
-def map_numbers(function, scene):
+def map_scene_numbers(function, scene):
     """Apply a function to all numbers of a scene and keep its scales.
 
     Parameters
@@ -454,11 +469,11 @@ def validate_scene(scene, dtype):
     ArgumentError
         If the scene breaks a rule.
     """
-    return _check_sound(_scene_from_fields(vars(scene), dtype))
+    return _check_scene_and_force(_scene_from_fields(vars(scene), dtype))
 
 
-def _check_sound(scene):
-    """Return the scene itself if it breaks no rule."""
+def _check_scene_and_force(scene):
+    """Check a scene and its force and return the scene unchanged."""
     check_scene(scene)
     if scene.force is not None:
         check_force_values(scene)
@@ -468,14 +483,14 @@ def _check_sound(scene):
 def _scene_from_fields(field_values, dtype):
     """Return the scene of ``{field: value}`` with checked arrays of one type."""
 
-    def to_array(key, value):
-        return check.scene_quantity(key, value, dtype)
+    def to_checked_array(key, value):
+        return check.check_number_or_array(key, value, dtype)
 
     def make_motion(key, min_harmonic, amplitude, harmonic, phase):
         return Motion(
-            to_array(f"{key}.amplitude", amplitude),
-            to_array(f"{key}.phase", phase),
-            check.harmonic_number(f"{key}.harmonic", harmonic, min_harmonic),
+            to_checked_array(f"{key}.amplitude", amplitude),
+            to_checked_array(f"{key}.phase", phase),
+            check.check_harmonic(f"{key}.harmonic", harmonic, min_harmonic),
         )
 
     def make_wall_motion(side, motion):
@@ -487,32 +502,42 @@ def _scene_from_fields(field_values, dtype):
         if wall is None:
             return None
         if not isinstance(wall, Wall):
-            return Wall(to_array(f"{side}.position", wall))
-        check.require_one_wall_kind(side, wall)
-        check.require_own_damping(side, wall, field_values["force"])
-        numbers = {name: getattr(wall, name) for name in ("restitution", "stiffness", "damping")}
-        numbers = {name: to_array(f"{side}.{name}", value) for name, value in numbers.items() if value is not None}
-        law = None if wall.law is None else check_push(side, wall, to_array, dtype, field_values["force"])
+            return Wall(to_checked_array(f"{side}.position", wall))
+        check.require_rigid_or_soft(side, wall)
+        check.require_own_wall_damping(side, wall, field_values["force"])
+        contact_numbers = {name: getattr(wall, name) for name in ("restitution", "stiffness", "damping")}
+        contact_numbers = {
+            name: to_checked_array(f"{side}.{name}", value)
+            for name, value in contact_numbers.items()
+            if value is not None
+        }
+        contact_law = (
+            None if wall.law is None else check_contact_law(side, wall, to_checked_array, dtype, field_values["force"])
+        )
         return Wall(
-            to_array(f"{side}.position", wall.position), **numbers, motion=make_wall_motion(side, wall.motion), law=law
+            to_checked_array(f"{side}.position", wall.position),
+            **contact_numbers,
+            motion=make_wall_motion(side, wall.motion),
+            law=contact_law,
         )
 
     force = field_values["force"]
     check.require_spring_or_force(force, field_values["damping"])
     number_names = ("amplitude", "frequency", "restitution") + (("damping",) if force is None else ())
-    number_fields = {"damping": None} | {key: to_array(key, field_values[key]) for key in number_names}
+    checked_fields = {"damping": None} | {key: to_checked_array(key, field_values[key]) for key in number_names}
     if field_values["harder"] is not None:
-        number_fields["harder"] = to_array("harder", field_values["harder"])
+        checked_fields["harder"] = to_checked_array("harder", field_values["harder"])
     if force is not None:
-        number_fields["force"] = check_force(force, to_array, dtype)
-    number_fields["drive"] = tuple(
-        make_motion(f"drive.{k}", 0, *term) for k, term in enumerate(drive_terms(field_values["drive"]))
+        checked_fields["force"] = check_force(force, to_checked_array, dtype)
+    checked_fields["drive"] = tuple(
+        make_motion(f"drive.{term_index}", 0, *drive_term)
+        for term_index, drive_term in enumerate(drive_term_tuples(field_values["drive"]))
     )
-    wall_fields = {side: make_wall(side, field_values[side]) for side in SIDES}
-    return Scene(**number_fields, **wall_fields, scales=field_values.get("scales"))
+    wall_by_side = {side: make_wall(side, field_values[side]) for side in SIDES}
+    return Scene(**checked_fields, **wall_by_side, scales=field_values.get("scales"))
 
 
-def drive_terms(drive):
+def drive_term_tuples(drive):
     """Iterate over the further terms of a drive, not yet checked.
 
     Parameters
@@ -534,13 +559,15 @@ def drive_terms(drive):
         raise check.SceneError("drive", "must be a list of terms, each (amplitude, harmonic, phase) or a Motion", drive)
     if len(drive) > MAX_DRIVE_TERMS:
         raise check.SceneError("drive", f"must have at most {MAX_DRIVE_TERMS} terms", len(drive))
-    for k, term in enumerate(drive):
-        if isinstance(term, Motion):
-            yield term.amplitude, term.harmonic, term.phase
-        elif isinstance(term, tuple | list) and len(term) == 3:
-            yield term
+    for term_index, drive_term in enumerate(drive):
+        if isinstance(drive_term, Motion):
+            yield drive_term.amplitude, drive_term.harmonic, drive_term.phase
+        elif isinstance(drive_term, tuple | list) and len(drive_term) == 3:
+            yield drive_term
         else:
-            raise check.SceneError(f"drive.{k}", "must be (amplitude, harmonic, phase) or a Motion", term)
+            raise check.SceneError(
+                f"drive.{term_index}", "must be (amplitude, harmonic, phase) or a Motion", drive_term
+            )
 
 
 def wall_positions(scene, phase):
@@ -556,18 +583,20 @@ def wall_positions(scene, phase):
     Returns
     -------
     left : ndarray
-        Position of the left wall, -inf without one.
+        Position of the left wall, -inf without a left wall.
     right : ndarray
-        Position of the right wall, inf without one.
+        Position of the right wall, inf without a right wall.
     """
     positions = [-np.inf, np.inf]
-    for k, side in enumerate(SIDES):
+    for side_index, side in enumerate(SIDES):
         if (wall := getattr(scene, side)) is not None:
-            motion = wall.motion
-            offset = (
-                0.0 if motion is None else motion.amplitude * np.cos(motion.harmonic * np.asarray(phase) + motion.phase)
+            wall_motion = wall.motion
+            motion_offset = (
+                0.0
+                if wall_motion is None
+                else wall_motion.amplitude * np.cos(wall_motion.harmonic * np.asarray(phase) + wall_motion.phase)
             )
-            positions[k] = np.asarray(wall.position) + offset
+            positions[side_index] = np.asarray(wall.position) + motion_offset
     return tuple(positions)
 
 
@@ -586,10 +615,12 @@ def rigid_wall_positions(scene, phase):
     Returns
     -------
     left : ndarray
-        Position of the left wall, -inf without a rigid one.
+        Position of the left wall, -inf if it is soft or absent.
     right : ndarray
-        Position of the right wall, inf without a rigid one.
+        Position of the right wall, inf if it is soft or absent.
     """
     positions = wall_positions(scene, phase)
-    entries = zip(SIDES, positions, (-np.inf, np.inf), strict=True)
-    return tuple(no_wall if side in scene.soft_sides else position for side, position, no_wall in entries)
+    side_entries = zip(SIDES, positions, (-np.inf, np.inf), strict=True)
+    return tuple(
+        absent_position if side in scene.soft_sides else position for side, position, absent_position in side_entries
+    )

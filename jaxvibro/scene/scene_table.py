@@ -7,9 +7,9 @@ from msgspec import Struct, field
 
 from . import check
 from .force import DEFAULT_TOLERANCE, Force
-from .force_rules import solver_name
-from .named_forces import NAMED_FORCES, registered_name
-from .push import NAMED_PUSHES, Push, registered_push_name
+from .force_checks import diffrax_solver_name
+from .predefined_forces import NAMED_FORCES, predefined_force_name
+from .push import PREDEFINED_CONTACT_LAWS, Push, predefined_law_name
 from .scales import Scales
 from .scene import make_scene
 from .wall import Motion, Wall
@@ -17,12 +17,13 @@ from .wall import Motion, Wall
 NUMBER_KEYS = ("amplitude", "frequency", "damping", "restitution")
 
 
-class Table(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
-    """Table without unknown keys."""
+class StrictTable(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
+    """Base of the tables of a scene file; unknown keys are refused."""
 
 
-class MotionTable(Table, frozen=True):
-    """Table [scene.left.motion], or one of [[scene.drive]]: a `Motion`."""
+class MotionTable(StrictTable, frozen=True):
+    """Table [scene.left.motion] or [scene.right.motion], or one of the tables [[scene.drive]]; it defines a
+    `Motion`."""
 
     amplitude: float
     phase: float = 0.0
@@ -33,14 +34,14 @@ class MotionTable(Table, frozen=True):
         return Motion(self.amplitude, self.phase, self.harmonic)
 
 
-class PushTable(Table, frozen=True):
+class WallLawTable(StrictTable, frozen=True):
     """Table [scene.left.law]: a predefined `Push` by name, and its parameters."""
 
     name: str
     numbers: dict[str, float] = field(default_factory=dict)
 
 
-class WallTable(Table, frozen=True):
+class WallTable(StrictTable, frozen=True):
     """Table [scene.left]: a `Wall`, which takes a missing restitution or damping from the scene."""
 
     position: float
@@ -48,7 +49,7 @@ class WallTable(Table, frozen=True):
     stiffness: float | None = None
     damping: float | None = None
     motion: MotionTable | None = None
-    law: PushTable | None = None
+    law: WallLawTable | None = None
 
     def wall(self):
         """Return the `Wall`, not yet checked."""
@@ -57,7 +58,7 @@ class WallTable(Table, frozen=True):
         return Wall(self.position, self.restitution, self.stiffness, self.damping, motion, law)
 
 
-class ForceTable(Table, frozen=True):
+class ForceTable(StrictTable, frozen=True):
     """Table [scene.force]: a predefined `Force` by name, and its parameters."""
 
     name: str
@@ -70,7 +71,7 @@ class ForceTable(Table, frozen=True):
         return Force(self.name, self.numbers, self.tolerance, self.solver)
 
 
-class ScalesTable(Table, frozen=True):
+class ScalesTable(StrictTable, frozen=True):
     """Table [scene.scales]: `Scales` with mass in kg, stiffness in N/m and length in m."""
 
     mass: float
@@ -78,7 +79,7 @@ class ScalesTable(Table, frozen=True):
     length: float
 
 
-class SceneTable(Table, frozen=True, kw_only=True):
+class SceneTable(StrictTable, frozen=True, kw_only=True):
     """Table [scene]: the arguments of `make_scene` and the optional `Scales`; a side without a table has no wall."""
 
     amplitude: float
@@ -107,18 +108,18 @@ class SceneTable(Table, frozen=True, kw_only=True):
         Raises
         ------
         ArgumentError
-            If it breaks a rule.
+            If an entry of the table is not valid for a scene, or `dtype` is not supported.
         """
-        walls = tuple(table and table.wall() for table in (self.left, self.right))
+        walls = tuple(wall_table and wall_table.wall() for wall_table in (self.left, self.right))
         force = self.force and self.force.force()
-        drive = [term.motion() for term in self.drive]
+        drive = [drive_table.motion() for drive_table in self.drive]
         scene = make_scene(self.amplitude, self.frequency, self.damping, self.restitution, walls, dtype, force, drive)
         return replace(scene, scales=self.scales and _make_scales(self.scales))
 
 
-def _make_scales(table):
+def _make_scales(scales_table):
     try:
-        return Scales(table.mass, table.stiffness, table.length)
+        return Scales(scales_table.mass, scales_table.stiffness, scales_table.length)
     except check.ArgumentError as error:
         raise check.SceneError(f"scales.{error.key}", error.rule, error.value) from None
 
@@ -139,27 +140,28 @@ def make_scene_table(scene):
     Raises
     ------
     ArgumentError
-        If the scene is a batch, or its force or a contact law is not predefined.
+        If the scene is a batch, its force or a contact law is not predefined, or the solver of its force is not one
+        that diffrax makes from its name alone.
     """
     if scene.shape:
         raise check.ArgumentError("scene", "must be a single scene to be saved, not a batch", f"shape {scene.shape}")
 
-    def motion_table(motion):
+    def make_motion_table(motion):
         return MotionTable(float(motion.amplitude), float(motion.phase), motion.harmonic)
 
-    def wall_table(wall):
+    def make_wall_table(wall):
         if wall is None:
             return None
-        motion = wall.motion and motion_table(wall.motion)
-        numbers = {name: getattr(wall, name) for name in ("restitution", "stiffness", "damping")}
-        numbers = {name: float(value) for name, value in numbers.items() if value is not None}
-        return WallTable(position=float(wall.position), **numbers, motion=motion, law=_push_table(wall.law))
+        motion = wall.motion and make_motion_table(wall.motion)
+        contact_numbers = {name: getattr(wall, name) for name in ("restitution", "stiffness", "damping")}
+        contact_numbers = {name: float(value) for name, value in contact_numbers.items() if value is not None}
+        return WallTable(position=float(wall.position), **contact_numbers, motion=motion, law=_make_law_table(wall.law))
 
-    numbers = {key: float(scene.parameter(key)) for key in NUMBER_KEYS if key in scene.names}
-    wall_tables = {"left": wall_table(scene.left), "right": wall_table(scene.right)}
+    scene_numbers = {key: float(scene.parameter(key)) for key in NUMBER_KEYS if key in scene.names}
+    wall_tables = {"left": make_wall_table(scene.left), "right": make_wall_table(scene.right)}
     scales = scene.scales and ScalesTable(**scene.scales.numbers)
-    drive = [motion_table(term) for term in scene.drive]
-    return SceneTable(**numbers, **wall_tables, force=_force_table(scene.force), drive=drive, scales=scales)
+    drive = [make_motion_table(drive_term) for drive_term in scene.drive]
+    return SceneTable(**scene_numbers, **wall_tables, force=_make_force_table(scene.force), drive=drive, scales=scales)
 
 
 def scene_toml(scene):
@@ -178,7 +180,8 @@ def scene_toml(scene):
     Raises
     ------
     ArgumentError
-        If the scene is a batch, or its force or a contact law is not predefined.
+        If the scene is a batch, its force or a contact law is not predefined, or the solver of its force is not one
+        that diffrax makes from its name alone.
     """
     return msgspec.toml.encode(make_scene_table(scene)).decode()
 
@@ -195,30 +198,39 @@ def scene_toml_or_empty(scene):
     -------
     str
         The text.
+
+    Raises
+    ------
+    ArgumentError
+        If the scene is a batch, or the solver of its force is not one that diffrax makes from its name alone.
     """
-    is_named = registered_name(scene.force.function) if scene.force else True
-    laws = (wall.law for wall in scene.walls.values() if wall.law)
-    return scene_toml(scene) if is_named and all(registered_push_name(law.function) for law in laws) else ""
+    is_force_predefined = predefined_force_name(scene.force.function) if scene.force else True
+    contact_laws = (wall.law for wall in scene.walls.values() if wall.law)
+    return (
+        scene_toml(scene)
+        if is_force_predefined and all(predefined_law_name(contact_law.function) for contact_law in contact_laws)
+        else ""
+    )
 
 
-def _push_table(law):
-    if law is None:
+def _make_law_table(contact_law):
+    if contact_law is None:
         return None
-    name = registered_push_name(law.function)
+    name = predefined_law_name(contact_law.function)
     if name is None:
-        rule = f"must be predefined ({', '.join(NAMED_PUSHES)}) to be saved"
-        raise check.ArgumentError("law.function", rule, law.function)
-    return PushTable(name, {key: float(value) for key, value in law.numbers.items()})
+        rule = f"must be predefined ({', '.join(PREDEFINED_CONTACT_LAWS)}) to be saved"
+        raise check.ArgumentError("law.function", rule, contact_law.function)
+    return WallLawTable(name, {key: float(value) for key, value in contact_law.numbers.items()})
 
 
-def _force_table(force):
+def _make_force_table(force):
     if force is None:
         return None
-    name = registered_name(force.function)
+    name = predefined_force_name(force.function)
     if name is None:
         rule = f"must be predefined ({', '.join(NAMED_FORCES)}) to be saved"
         raise check.ArgumentError("force.function", rule, force.function)
-    solver = force.solver and solver_name(force.solver)
+    solver = force.solver and diffrax_solver_name(force.solver)
     if force.solver is not None and solver is None:
         rule = "must be a solver that diffrax makes from its name alone to be saved"
         raise check.ArgumentError("force.solver", rule, force.solver)

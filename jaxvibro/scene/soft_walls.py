@@ -1,6 +1,6 @@
 """Relate stiffness and damping of a soft wall to its effective restitution (paper, section 4).
 
-The effective restitution is the ratio of the speeds at exit and at entry, z being the share of critical damping:
+The effective restitution is the ratio of the speeds at exit and at entry. With the damping ratio z of the wall it is:
 
     R_eff = exp(-pi z / sqrt(1 - z^2)),  z = gamma2 / sqrt(1 + k2)
 
@@ -19,7 +19,7 @@ from continuation.array_type import Array
 
 from . import check
 from .scene import Scene
-from .scene_rules import check_value
+from .scene_checks import check_value
 
 
 @check.check_types
@@ -55,11 +55,13 @@ def effective_restitution(
     >>> round(float(jv.effective_restitution(400.0, 3.0)), 6)
     0.621249
     """
-    xp, k2, gamma2 = _check_numbers(stiffness=stiffness, damping=damping)
+    array_module, k2, gamma2 = _check_wall_numbers(stiffness=stiffness, damping=damping)
     squared_frequency = 1.0 + k2 - gamma2 * gamma2
     is_oscillatory = squared_frequency > 0
-    restitution = xp.exp(-np.pi * gamma2 / xp.sqrt(xp.where(is_oscillatory, squared_frequency, 1.0)))
-    return xp.where(is_oscillatory, restitution, 0.0)
+    undercritical_value = array_module.exp(
+        -np.pi * gamma2 / array_module.sqrt(array_module.where(is_oscillatory, squared_frequency, 1.0))
+    )
+    return array_module.where(is_oscillatory, undercritical_value, 0.0)
 
 
 @check.check_types
@@ -78,8 +80,8 @@ def contact_damping(
     Returns
     -------
     Array
-        ``gamma2 = z sqrt(1 + k2)`` with ``z = |ln R| / sqrt(pi^2 + ln(R)^2)``. For R = 0 it is the critical damping,
-        z = 1, the smallest with this restitution.
+        ``gamma2 = z sqrt(1 + k2)`` with ``z = |ln R| / sqrt(pi^2 + ln(R)^2)``. For R = 0 it is the critical damping
+        (z = 1), the smallest damping with the effective restitution 0.
 
     Raises
     ------
@@ -96,13 +98,15 @@ def contact_damping(
     >>> round(float(jv.effective_restitution(400.0, damping)), 6)
     0.7
     """
-    xp, k2, r = _check_numbers(stiffness=stiffness, restitution=restitution)
-    is_positive = r > 0
-    log_decrement = -xp.log(xp.where(is_positive, r, 1.0))
-    return xp.where(is_positive, log_decrement / xp.hypot(np.pi, log_decrement), 1.0) * xp.sqrt(1.0 + k2)
+    array_module, k2, checked_restitution = _check_wall_numbers(stiffness=stiffness, restitution=restitution)
+    is_restitution_positive = checked_restitution > 0
+    log_decrement = -array_module.log(array_module.where(is_restitution_positive, checked_restitution, 1.0))
+    return array_module.where(
+        is_restitution_positive, log_decrement / array_module.hypot(np.pi, log_decrement), 1.0
+    ) * array_module.sqrt(1.0 + k2)
 
 
-@check.raise_scene_errors
+@check.convert_to_scene_errors
 @check.check_types
 def soften(scene: Scene, stiffness: Real[ArrayLike, "..."]) -> Scene:
     """Replace each rigid wall by a soft one with the same effective restitution.
@@ -128,7 +132,7 @@ def soften(scene: Scene, stiffness: Real[ArrayLike, "..."]) -> Scene:
 
     Notes
     -----
-    The motions tend to those of the rigid scene like ``k2^(-1/2)``.
+    As k2 increases, the motions tend to those of the rigid scene. Their difference is of the order ``k2^(-1/2)``.
 
     Examples
     --------
@@ -141,20 +145,20 @@ def soften(scene: Scene, stiffness: Real[ArrayLike, "..."]) -> Scene:
     rigid_walls = {side: wall for side, wall in scene.walls.items() if not wall.soft}
     if not rigid_walls:
         raise check.SceneError("scene", "must have a rigid wall", "none")
-    changes: dict[str, Any] = {}
-    stiffness = check.scene_quantity("stiffness", stiffness, scene.dtype)
+    new_walls: dict[str, Any] = {}
+    stiffness = check.check_number_or_array("stiffness", stiffness, scene.dtype)
     for side, wall in rigid_walls.items():
         damping = contact_damping(stiffness, scene.bounce(side))
-        changes[side] = replace(wall, restitution=None, stiffness=stiffness, damping=damping)
-    return replace(scene, **changes).replace()
+        new_walls[side] = replace(wall, restitution=None, stiffness=stiffness, damping=damping)
+    return replace(scene, **new_walls).replace()
 
 
-def _check_numbers(**arguments):
-    """Return jnp if a number is traced, else np, and the checked numbers."""
-    numbers = []
+def _check_wall_numbers(**arguments):
+    """Check named numbers; return (jnp if a number is traced, else np; the checked numbers in order)."""
+    checked_numbers = []
     for key, value in arguments.items():
         if not check.is_traced(value):
-            value = check.finite_array(key, value, np.float64)
+            value = check.check_finite_array(key, value, np.float64)
             check_value(key, value)
-        numbers.append(value)
-    return (jnp if check.is_traced(*numbers) else np), *numbers
+        checked_numbers.append(value)
+    return (jnp if check.is_traced(*checked_numbers) else np), *checked_numbers

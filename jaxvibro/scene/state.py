@@ -61,8 +61,8 @@ class Impacts:
     least_speed : Array of shape (...)
         Smallest impact speed, inf without impacts.
     least_clearance : Array of shape (...) or None
-        Smallest distance to a wall at a turning point of x - x_b towards it, inf without one. None if the strobe does
-        not compute it.
+        Smallest distance from a wall at x_b at the turning points of x - x_b at which the mass ceases to approach the
+        wall; inf without such a point. None if the strobe does not compute the distance.
     status : Array of shape (...)
         0 OK, 1 FULL, 2 CAP (1,000 impacts or a million steps in a period), 3 INVALID (an invalid scene, or a start
         beyond a wall), 4 NONFINITE (a number that is not finite, or lengths outside 1e-123 to 1e123). From CAP on the
@@ -75,7 +75,7 @@ class Impacts:
     Notes
     -----
     With status FULL some impacts are not recorded: there are more impacts than slots, or the mass sticks after complete
-    chatter. The state, the count and the least values are right.
+    chatter. The state, `count`, `least_speed` and `least_clearance` are right.
 
     Complete chatter is an infinite sequence of bounces in a finite time. A mass whose bounces certainly all end in this
     way sticks to its wall. The bounces up to the time of this decision are recorded and counted, `least_speed` is 0 and
@@ -98,7 +98,7 @@ class Impacts:
     status: Int[Array, "*lanes"] | int
 
 
-def state_arrays(scene, state):
+def make_state_arrays(scene, state):
     """Convert a state to arrays of the scene's type.
 
     Parameters
@@ -118,21 +118,22 @@ def state_arrays(scene, state):
     ArgumentError
         If an argument has the wrong class, a number is not real, or the shapes do not broadcast.
     """
-    for key, argument, expected_class in (("scene", scene, Scene), ("state", state, State)):
-        if not isinstance(argument, expected_class):
-            raise check.ArgumentError(key, f"must be a {expected_class.__name__}", argument)
+    for key, argument_value, expected_class in (("scene", scene, Scene), ("state", state, State)):
+        if not isinstance(argument_value, expected_class):
+            raise check.ArgumentError(key, f"must be a {expected_class.__name__}", argument_value)
     dtype = scene.dtype
-    arrays = {
-        key: check.real_array(f"state.{key}", getattr(state, key), dtype) for key in ("x", "v", "phase", "contact")
+    component_arrays = {
+        key: check.check_real_array(f"state.{key}", getattr(state, key), dtype)
+        for key in ("x", "v", "phase", "contact")
     }
     check.require_broadcast(
-        [("scene", np.empty(scene.shape)), *((f"state.{key}", array) for key, array in arrays.items())]
+        [("scene", np.empty(scene.shape)), *((f"state.{key}", array) for key, array in component_arrays.items())]
     )
-    return State(**arrays)
+    return State(**component_arrays)
 
 
-def check_start(scene, state, when_text="at its phase"):
-    """Check that a known start is finite and between the rigid walls, before anything compiles.
+def check_start_within_walls(scene, state, rule_end="at its phase"):
+    """Check, before compilation, that an initial state is finite and between the rigid walls.
 
     The position of a state in contact is not checked.
 
@@ -142,7 +143,7 @@ def check_start(scene, state, when_text="at its phase"):
         The scene.
     state : State
         Initial state without traced numbers.
-    when_text : str, optional
+    rule_end : str, optional
         End of the rule in the message.
 
     Raises
@@ -154,8 +155,12 @@ def check_start(scene, state, when_text="at its phase"):
         value = np.asarray(getattr(state, key))
         check.require(f"state.{key}", "must be finite", value, np.isfinite(value))
     x_min, x_max = rigid_wall_positions(scene, state.phase)
-    wall_scale = np.maximum(*(np.where(np.isfinite(position), abs(position), 0.0) for position in (x_min, x_max)))
-    slack = 8.0 * np.finfo(scene.dtype).eps * wall_scale
+    max_abs_wall_position = np.maximum(
+        *(np.where(np.isfinite(position), abs(position), 0.0) for position in (x_min, x_max))
+    )
+    position_tolerance = 8.0 * np.finfo(scene.dtype).eps * max_abs_wall_position
     x = np.asarray(state.x)
-    is_inside = ((x >= x_min - slack) & (x <= x_max + slack)) | (np.asarray(state.contact) != 0)
-    check.require("state.x", f"must lie between the walls {when_text}", x, is_inside)
+    is_allowed = ((x >= x_min - position_tolerance) & (x <= x_max + position_tolerance)) | (
+        np.asarray(state.contact) != 0
+    )
+    check.require("state.x", f"must lie between the walls {rule_end}", x, is_allowed)

@@ -5,12 +5,12 @@ from dataclasses import replace
 import jax.numpy as jnp
 import numpy as np
 
-from .force_rules import is_odd
+from .force_checks import is_force_odd
 from .scene import replace_unchecked
 
 
 def is_symmetric(scene):
-    """Return True if the mirror image of every motion of a single scene is a motion of it.
+    """Return True if the mirror image of every motion of a single scene is a motion of the same scene.
 
     Parameters
     ----------
@@ -23,25 +23,25 @@ def is_symmetric(scene):
         True if the walls are opposite, of one kind with equal parameters, and move oppositely half a period apart, or
         if there are no walls. A user-defined force must be odd, and the drive must have odd harmonics only.
     """
-    if scene.force is not None and not is_odd(scene):
+    if scene.force is not None and not is_force_odd(scene):
         return False
     if any(term.harmonic % 2 == 0 and term.amplitude != 0 for term in scene.drive):
         return False
-    left, right = scene.left, scene.right
-    if left is None and right is None:
+    left_wall, right_wall = scene.left, scene.right
+    if left_wall is None and right_wall is None:
         return True
-    if left is None or right is None:
+    if left_wall is None or right_wall is None:
         return False
-    if float(left.position) != -float(right.position) or left.soft != right.soft:
+    if float(left_wall.position) != -float(right_wall.position) or left_wall.soft != right_wall.soft:
         return False
-    if (left.law and left.law.function) is not (right.law and right.law.function):
+    if (left_wall.law and left_wall.law.function) is not (right_wall.law and right_wall.law.function):
         return False
-    if left.own != right.own:
+    if left_wall.own != right_wall.own:
         return False
-    if any(scene.parameter(f"left.{name}") != scene.parameter(f"right.{name}") for name in left.own):
+    if any(scene.parameter(f"left.{name}") != scene.parameter(f"right.{name}") for name in left_wall.own):
         return False
     (left_harmonic, left_phasor), (right_harmonic, right_phasor) = (
-        _motion_phasor(wall.motion) for wall in (left, right)
+        _motion_phasor(wall.motion) for wall in (left_wall, right_wall)
     )
     if left_phasor == 0 or right_phasor == 0:
         return bool(left_phasor == right_phasor)
@@ -64,10 +64,10 @@ def stays_symmetric(scene, *names):
     Returns
     -------
     bool
-        True if the scene is symmetric and stays so.
+        True if the scene is symmetric and remains symmetric when each parameter changes to one other value.
     """
-    shifted_values = {name: float(scene.parameter(name)) * 0.99 + 0.001 for name in names}
-    return is_symmetric(scene) and is_symmetric(replace_unchecked(scene, shifted_values))
+    perturbed_values = {name: float(scene.parameter(name)) * 0.99 + 0.001 for name in names}
+    return is_symmetric(scene) and is_symmetric(replace_unchecked(scene, perturbed_values))
 
 
 def _motion_phasor(motion):
@@ -88,32 +88,47 @@ def symmetrise_scene(scene):
     Returns
     -------
     Scene
-        Symmetric scene; the scene itself if it is symmetric. Each wall has its own parameters. The drive has no even
+        Symmetric scene; equal to `scene` if this is symmetric. Each wall stores its restitution or
+        damping, even if the wall takes this value from `scene`. The drive has no even
         harmonics. The result is smooth in all parameters except where walls cease to move.
     """
-    left, right = scene.left, scene.right
-    for name in left.own:
-        mean = 0.5 * (scene.parameter(f"left.{name}") + scene.parameter(f"right.{name}"))
-        scene = replace_unchecked(scene, {f"left.{name}": mean, f"right.{name}": mean})
-    half_distance = 0.5 * (right.position - left.position)
-    motions = _opposite_motions(left.motion, right.motion)
-    sides = zip(("left", "right"), (scene.left, scene.right), (-half_distance, half_distance), motions, strict=True)
+    left_wall, right_wall = scene.left, scene.right
+    for name in left_wall.own:
+        mean_value = 0.5 * (scene.parameter(f"left.{name}") + scene.parameter(f"right.{name}"))
+        scene = replace_unchecked(scene, {f"left.{name}": mean_value, f"right.{name}": mean_value})
+    half_wall_distance = 0.5 * (right_wall.position - left_wall.position)
+    opposite_motions = _opposite_motions(left_wall.motion, right_wall.motion)
+    new_wall_data = zip(
+        ("left", "right"),
+        (scene.left, scene.right),
+        (-half_wall_distance, half_wall_distance),
+        opposite_motions,
+        strict=True,
+    )
     drive = (term if term.harmonic % 2 else replace(term, amplitude=0.0 * term.amplitude) for term in scene.drive)
-    walls = {side: replace(wall, position=position, motion=motion) for side, wall, position, motion in sides}
+    walls = {side: replace(wall, position=position, motion=motion) for side, wall, position, motion in new_wall_data}
     return replace(scene, drive=tuple(drive), **walls)
 
 
-def _opposite_motions(left, right):
+def _opposite_motions(left_motion, right_motion):
     """Return the mean motions of two walls, opposite and half a period apart.
 
-    There is none if one wall has none, or their harmonics differ: the walls of a symmetric scene are then at rest.
+    The result is (None, None) if a wall has no motion or the harmonics differ. In these cases the walls of the
+    symmetric scene are at rest.
     """
-    if left is None or right is None or left.harmonic != right.harmonic:
+    if left_motion is None or right_motion is None or left_motion.harmonic != right_motion.harmonic:
         return None, None
-    phase_difference, sign = left.phase - right.phase, -((-1.0) ** right.harmonic)
-    cosine_part = 0.5 * (right.amplitude + sign * left.amplitude * jnp.cos(phase_difference))
-    sine_part = 0.5 * sign * left.amplitude * jnp.sin(phase_difference)
-    ratio = sine_part / jnp.where(cosine_part == 0, 1.0, cosine_part)
-    amplitude, phase_shift = cosine_part * jnp.sqrt(1.0 + ratio * ratio), jnp.arctan(ratio)
-    phase = right.phase + phase_shift
-    return replace(left, amplitude=sign * amplitude, phase=phase), replace(right, amplitude=amplitude, phase=phase)
+    phase_difference, opposition_sign = left_motion.phase - right_motion.phase, -((-1.0) ** right_motion.harmonic)
+    cosine_amplitude = 0.5 * (
+        right_motion.amplitude + opposition_sign * left_motion.amplitude * jnp.cos(phase_difference)
+    )
+    sine_amplitude = 0.5 * opposition_sign * left_motion.amplitude * jnp.sin(phase_difference)
+    tangent_of_shift = sine_amplitude / jnp.where(cosine_amplitude == 0, 1.0, cosine_amplitude)
+    amplitude, phase_shift = (
+        cosine_amplitude * jnp.sqrt(1.0 + tangent_of_shift * tangent_of_shift),
+        jnp.arctan(tangent_of_shift),
+    )
+    phase = right_motion.phase + phase_shift
+    return replace(left_motion, amplitude=opposition_sign * amplitude, phase=phase), replace(
+        right_motion, amplitude=amplitude, phase=phase
+    )

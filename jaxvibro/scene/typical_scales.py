@@ -1,17 +1,20 @@
-"""Estimate length and rate scales of the motion of a scene in advance."""
+"""Estimate length and rate scales of the motion of a scene before any simulation."""
 
 from functools import lru_cache
 
 import jax
 import numpy as np
 
-from .force_trace import depends_on_time
+from .force_operations import depends_on_time
 
 N_TIMES = 16  # times per period at which the derivatives of a force are evaluated
 
 
-def fast_part_amplitude(frequency, damping, force):
+def fast_part_amplitude(frequency, damping, force_amplitude):
     """Return the amplitude of the fast part of the response to a harmonic force.
+
+    At a high frequency the response is about ``-force / frequency^2``. The other terms of the denominator bound the
+    amplitude at low frequencies and at resonance.
 
     Parameters
     ----------
@@ -19,7 +22,7 @@ def fast_part_amplitude(frequency, damping, force):
         Frequency of the force.
     damping : array_like
         Damping ratio.
-    force : array_like
+    force_amplitude : array_like
         Amplitude of the force.
 
     Returns
@@ -27,10 +30,10 @@ def fast_part_amplitude(frequency, damping, force):
     array_like
         ``-force / (1 + frequency^2 + 2 damping frequency)``.
     """
-    return -force / (1.0 + frequency * frequency + 2.0 * damping * frequency)
+    return -force_amplitude / (1.0 + frequency * frequency + 2.0 * damping * frequency)
 
 
-def scene_length(scene):
+def typical_length(scene):
     """Return a typical length of a single scene, a scale for lengths and speeds.
 
     Parameters
@@ -41,18 +44,18 @@ def scene_length(scene):
     Returns
     -------
     float
-        Distance of the farther wall. If that is small compared with the motion, or there is no wall, the amplitude of
-        the fast part of the response to the drive (`fast_part_amplitude`) plus the amplitudes of the walls' motions, or
-        1 if these are 0.
+        Distance of the farther wall from 0. If this distance is small compared with the motion, or there is no wall,
+        the result is the sum of the amplitudes of the fast part of the response to the drive (`fast_part_amplitude`)
+        and of the wall motions. The result is 1 if this sum is 0.
     """
     walls = scene.walls.values()
-    wall_distance = max((abs(float(wall.position)) for wall in walls), default=0.0)
+    max_wall_distance = max((abs(float(wall.position)) for wall in walls), default=0.0)
     damping, frequency = 0.0 if scene.force is not None else float(scene.damping), float(scene.frequency)
-    motion_size = abs(fast_part_amplitude(frequency, damping, float(scene.amplitude)))
+    motion_amplitude = abs(fast_part_amplitude(frequency, damping, float(scene.amplitude)))
     for term in scene.drive:
-        motion_size += abs(fast_part_amplitude(term.harmonic * frequency, damping, float(term.amplitude)))
-    motion_size += sum(abs(float(wall.motion.amplitude)) for wall in walls if wall.motion is not None)
-    return wall_distance if wall_distance > 0.3 * motion_size else (motion_size or 1.0)
+        motion_amplitude += abs(fast_part_amplitude(term.harmonic * frequency, damping, float(term.amplitude)))
+    motion_amplitude += sum(abs(float(wall.motion.amplitude)) for wall in walls if wall.motion is not None)
+    return max_wall_distance if max_wall_distance > 0.3 * motion_amplitude else (motion_amplitude or 1.0)
 
 
 def is_driven(scene):
@@ -76,13 +79,13 @@ def is_driven(scene):
 
 
 @lru_cache(256)
-def _force_gradient(function):
+def _compile_force_gradient(function):
     """Return the compiled derivatives of a force with respect to x and v at many states."""
     return jax.jit(jax.vmap(jax.grad(function, (1, 2)), (0, 0, None, None)))
 
 
-def force_rates(scene):
-    """Estimate the rates of a motion from the derivatives of the force at rest, at the walls or at 0.
+def frequency_and_damping(scene):
+    """Estimate the rates of a motion from the derivatives of the force at the walls (or at x = 0) and v = 0.
 
     Parameters
     ----------
@@ -92,14 +95,14 @@ def force_rates(scene):
     Returns
     -------
     frequency : float
-        Rate at which the mass turns, at least 1.
+        Angular frequency of the linearised motion, at least 1.
     damping : float
-        Rate at which its speed decays.
+        Largest magnitude of the derivative of the force with respect to v.
     """
     force, dtype = scene.force, scene.dtype
     times = np.linspace(0.0, 2.0 * np.pi / float(scene.frequency), N_TIMES, endpoint=False)
     positions = [float(wall.position) for wall in scene.walls.values()] or [0.0]
     t, x = (array.ravel().astype(dtype) for array in np.meshgrid(times, positions))
-    gradients = _force_gradient(force.function)(t, x, np.zeros((), dtype), force.numbers)
-    stiffness, damping = (float(abs(np.asarray(array)).max()) for array in gradients)
+    force_gradients = _compile_force_gradient(force.function)(t, x, np.zeros((), dtype), force.numbers)
+    stiffness, damping = (float(abs(np.asarray(array)).max()) for array in force_gradients)
     return max(1.0, stiffness**0.5), damping

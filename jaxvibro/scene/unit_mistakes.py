@@ -1,4 +1,4 @@
-"""Find values in a physical unit where the scene's unit is due, in scenes with scales."""
+"""Detect values that are in a physical unit instead of the scene's unit, for scenes with scales."""
 
 import warnings
 
@@ -14,9 +14,9 @@ FREQUENCY_FACTOR = 10.0  # ratio of the lowest value to the scene's frequency th
 
 
 def physical_units(scales, name):
-    """Return ``[(unit, size of the scene's unit in it)]`` for a parameter, empty without a unit."""
+    """Return ``[(physical unit, size of the scene's unit in this unit)]``; empty if the parameter has no unit."""
     natural_frequency, length = scales.natural_frequency, scales.length
-    quantity = "position" if name.endswith("motion.amplitude") else name.rpartition(".")[2]
+    quantity_name = "position" if name.endswith("motion.amplitude") else name.rpartition(".")[2]
     if name.startswith("force.") or ".law." in name:
         return []
     units = {
@@ -26,10 +26,10 @@ def physical_units(scales, name):
         "stiffness": [("N/m", scales.stiffness), ("N/mm", 1e-3 * scales.stiffness)],
         "damping": [("N s/m", 2.0 * scales.mass * natural_frequency)],
     }
-    return units.get(quantity, [])
+    return units.get(quantity_name, [])
 
 
-def value_text(scene, name):
+def format_parameter_value(scene, name):
     """Format the scene's value of a parameter, with its physical value if the scene has scales.
 
     Parameters
@@ -46,32 +46,39 @@ def value_text(scene, name):
     """
     value = float(scene.parameter(name))
     units = [] if scene.scales is None else physical_units(scene.scales, name)
-    text = f"{value:.12g}"
-    return f"{text} in the scene's unit, {units[0][1] * value:.4g} {units[0][0]}" if units else text
+    scene_value_text = f"{value:.12g}"
+    return (
+        f"{scene_value_text} in the scene's unit, {units[0][1] * value:.4g} {units[0][0]}"
+        if units
+        else scene_value_text
+    )
 
 
-def find_unit_mistake(scene, name, lower, upper):
-    """Return (unit, size) of the physical unit in which an interval is near the scene's value.
+def find_unit_mistake(scene, name, min_user_value, max_user_value):
+    """Return (unit, size) of the physical unit in which an interval of values is near the scene's value.
 
-    None if there is no such unit, or if the scene's value itself is in the interval.
+    The result is None if there is no such unit, or if the scene's value itself is in the interval.
     """
     if scene.scales is None or scene.shape:
         return None
     value = float(scene.parameter(name))
-    if value == 0 or lower <= value <= upper:
+    if value == 0 or min_user_value <= value <= max_user_value:
         return None
-    for unit, factor in physical_units(scene.scales, name):
-        bounds = (
-            lower / RANGE_FACTOR if lower > 0 else lower * RANGE_FACTOR,
-            upper * RANGE_FACTOR if upper > 0 else upper / RANGE_FACTOR,
+    for unit_name, unit_factor in physical_units(scene.scales, name):
+        tolerant_bounds = (
+            min_user_value / RANGE_FACTOR if min_user_value > 0 else min_user_value * RANGE_FACTOR,
+            max_user_value * RANGE_FACTOR if max_user_value > 0 else max_user_value / RANGE_FACTOR,
         )
-        if bounds[0] <= factor * value <= bounds[1] and not 1.0 / UNIT_FACTOR < factor < UNIT_FACTOR:
-            return unit, factor
+        if (
+            tolerant_bounds[0] <= unit_factor * value <= tolerant_bounds[1]
+            and not 1.0 / UNIT_FACTOR < unit_factor < UNIT_FACTOR
+        ):
+            return unit_name, unit_factor
     return None
 
 
-def unit_hint(scene, name, lower, upper):
-    """Return the end of a rule that asks about a physical unit.
+def unit_hint(scene, name, min_user_value, max_user_value):
+    """Return the end of an error message, which asks about a physical unit.
 
     Parameters
     ----------
@@ -79,7 +86,7 @@ def unit_hint(scene, name, lower, upper):
         Single scene.
     name : str
         Name of the parameter.
-    lower, upper : float
+    min_user_value, max_user_value : float
         Interval of the values.
 
     Returns
@@ -87,8 +94,12 @@ def unit_hint(scene, name, lower, upper):
     str
         The hint, "" if the values are not near the scene's value in a physical unit.
     """
-    mistake = find_unit_mistake(scene, name, lower, upper)
-    return "" if mistake is None else f" (are these in {mistake[0]}? divide them by {mistake[1]:.6g})"
+    unit_name_and_factor = find_unit_mistake(scene, name, min_user_value, max_user_value)
+    return (
+        ""
+        if unit_name_and_factor is None
+        else f" (are these in {unit_name_and_factor[0]}? divide them by {unit_name_and_factor[1]:.6g})"
+    )
 
 
 def require_scene_units(key, scene, name, values):
@@ -99,7 +110,7 @@ def require_scene_units(key, scene, name, values):
     key : str
         Argument, for the message.
     scene : Scene
-        The scene; without scales, or for a batch, nothing is checked.
+        The scene. A batch, or a scene without scales, is not checked.
     name : str
         Name of the parameter.
     values : array_like
@@ -118,15 +129,32 @@ def require_scene_units(key, scene, name, values):
     values = np.asarray(values)
     if not values.size or scene.scales is None or scene.shape:
         return
-    lower, upper, value = float(values.min()), float(values.max()), float(scene.parameter(name))
-    mistake = find_unit_mistake(scene, name, lower, upper)
-    min_size, max_size = abs(values).min(), abs(values).max()
-    if mistake is not None and (min_size >= CERTAIN_FACTOR * abs(value) or max_size <= abs(value) / CERTAIN_FACTOR):
-        rule = f"must be in the scene's unit, in which {name} is {value:.6g}: these look like {mistake[0]}"
-        raise check.ArgumentError(
-            key, f"{rule}; divide them by {mistake[1]:.6g}", f"values from {lower:.6g} to {upper:.6g}"
+    min_user_value, max_user_value, scene_parameter_value = (
+        float(values.min()),
+        float(values.max()),
+        float(scene.parameter(name)),
+    )
+    unit_name_and_factor = find_unit_mistake(scene, name, min_user_value, max_user_value)
+    min_user_magnitude, max_user_magnitude = abs(values).min(), abs(values).max()
+    if unit_name_and_factor is not None and (
+        min_user_magnitude >= CERTAIN_FACTOR * abs(scene_parameter_value)
+        or max_user_magnitude <= abs(scene_parameter_value) / CERTAIN_FACTOR
+    ):
+        rule = (
+            f"must be in the scene's unit, in which {name} is {scene_parameter_value:.6g}: these look like"
+            f" {unit_name_and_factor[0]}"
         )
-    if mistake is not None or (name == "frequency" and lower > FREQUENCY_FACTOR * value):
-        unit, factor = mistake or physical_units(scene.scales, name)[0]
-        message = f"values of {name} are in the scene's unit, in which it is {value:.6g}: are these in {unit}?"
-        warnings.warn(f"{message} Divide them by {factor:.6g}", UserWarning, stacklevel=5)
+        raise check.ArgumentError(
+            key,
+            f"{rule}; divide them by {unit_name_and_factor[1]:.6g}",
+            f"values from {min_user_value:.6g} to {max_user_value:.6g}",
+        )
+    if unit_name_and_factor is not None or (
+        name == "frequency" and min_user_value > FREQUENCY_FACTOR * scene_parameter_value
+    ):
+        unit_name, unit_factor = unit_name_and_factor or physical_units(scene.scales, name)[0]
+        message = (
+            f"values of {name} are in the scene's unit, in which it is {scene_parameter_value:.6g}: are"
+            f" these in {unit_name}?"
+        )
+        warnings.warn(f"{message} Divide them by {unit_factor:.6g}", UserWarning, stacklevel=5)

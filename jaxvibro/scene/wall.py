@@ -11,7 +11,7 @@ from .push import Push
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """Harmonic motion of a wall about its mean position, or a term of the drive.
+    """Harmonic motion of a wall about the mean position of the wall, or a harmonic term of the drive.
 
     The motion is ``amplitude cos(harmonic omega t + phase)`` with the frequency omega and the time t of the drive.
 
@@ -48,11 +48,11 @@ class Wall:
     position : array_like
         Mean position, in lengths of the scene.
     restitution : array_like, optional
-        Coefficient of restitution R of a rigid wall. None takes the scene's.
+        Coefficient of restitution R of a rigid wall. None selects the restitution of the scene.
     stiffness : array_like, optional
-        Stiffness k2 > 0 of a soft wall, in units of the spring's. It takes the place of the restitution.
+        Stiffness k2 > 0 of a soft wall, in units of the stiffness of the spring. It replaces the restitution.
     damping : array_like, optional
-        Damping gamma2 >= 0 of a soft wall. None takes the scene's.
+        Damping gamma2 >= 0 of a soft wall. None selects the damping of the scene.
     motion : Motion, optional
         Motion of the wall. None is a wall at rest.
     law : Push, optional
@@ -61,8 +61,8 @@ class Wall:
     Notes
     -----
     Inside a soft wall at x_b the mass obeys ``x'' + 2 gamma2 x' + k2 (x - x_b) + x = A cos(omega t)`` until x is back
-    at x_b (paper, (39)). In a scene with a `Force` the force continues inside the wall and the damping of the wall,
-    which must be given, is added to it: ``x'' + 2 gamma2 x' + k2 (x - x_b) = force + A cos(omega t)``.
+    at x_b (paper, (39)). In a scene with a `Force`, this force also acts inside the wall. The damping of the wall must
+    be given and is added: ``x'' + 2 gamma2 x' + k2 (x - x_b) = force + A cos(omega t)``.
 
     Examples
     --------

@@ -1,6 +1,6 @@
 """Run and store studies of many cells, chunk by chunk.
 
-In: a study, cut into chunks, each of which is a pure function of its number. Out: all chunks as one xarray.Dataset, in
-memory or in a Zarr store from which a later run resumes. Threads of this process or a Dask cluster compute the chunks.
-Start with `study`; `filling` does the work.
+A study is divided into chunks, and each chunk is a pure function of its number. Threads of this process or a Dask
+cluster compute the chunks. The result is one xarray.Dataset, in memory or in a Zarr store from which a later run
+resumes. Start with `stores/study_protocol.py`; `stores/study_completion.py` does the work.
 """

@@ -1,4 +1,4 @@
-"""Execution engine on a Dask cluster, existing or started on this machine; workers may join and leave."""
+"""Compute chunks on a Dask cluster, which may be started on this machine; workers may join and leave."""
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
@@ -44,23 +44,24 @@ SHARED_JAX_SETTINGS = (
 class DaskEngine:
     """Execution engine that computes chunks on a Dask cluster.
 
-    The workers must reach the folder of the store by the same path. A chunk whose worker was lost is submitted again.
+    All workers must be able to access the folder of the store under the same path. A chunk whose worker was lost is
+    submitted again.
 
     Parameters
     ----------
     address : str, optional
-        Address of a scheduler, for example ``"tcp://host:8786"``. None starts a cluster on this machine, which is
-        stopped at the end.
+        Address of a scheduler, for example ``"tcp://host:8786"``. None starts a cluster on this machine and stops it
+        at the end of the computation.
     workers : int, optional
-        Number of processes of that cluster. None takes one for each usable core.
+        Number of processes of the cluster on this machine. None starts one process per usable core.
 
     Raises
     ------
     ArgumentError
         If an argument is invalid.
     OSError
-        During a computation, if no scheduler answers, the scheduler is lost, or a chunk ends every worker that computes
-        it.
+        During a computation, if no scheduler answers, if the scheduler is lost, or if a chunk repeatedly ends its
+        worker.
 
     See Also
     --------
@@ -68,8 +69,8 @@ class DaskEngine:
 
     Notes
     -----
-    Needs ``pip install jaxvibro[cluster]``. A script that starts a cluster of its own must do so below
-    ``if __name__ == "__main__":``. Data sent to the workers are pickled, as in Dask: use a cluster that you trust.
+    The engine needs ``pip install jaxvibro[cluster]``. A script that starts a cluster must do so below
+    ``if __name__ == "__main__":``. Data for the workers are pickled, as in Dask. Use only a cluster that you trust.
 
     Examples
     --------
@@ -87,12 +88,12 @@ class DaskEngine:
                 "address", 'must be the address of a scheduler, for example "tcp://host:8786", or None', self.address
             )
         if self.workers is not None:
-            check.whole_number("workers", self.workers, 1)
+            check.check_whole_number("workers", self.workers, 1)
             if self.address is not None:
                 raise check.ArgumentError("workers", "must be None if the address of a cluster is given", self.workers)
 
     def each(self, work: Callable[[int], Result], numbers: Iterable[int]) -> Iterator[Result]:
-        """Yield the results of a function of chunk numbers, as they are completed.
+        """Yield the results of a function of chunk numbers, in order of completion.
 
         Parameters
         ----------
@@ -104,80 +105,90 @@ class DaskEngine:
         Yields
         ------
         object
-            Result of `work` for one of the numbers, in order of completion.
+            Result of `work` for one of the numbers.
         """
-        payload = cloudpickle.dumps(work), jax.config.read("jax_enable_x64")
-        pending_numbers, worker_losses = iter(numbers), Counter[int]()
-        with ExitStack() as stack:
-            client = self._connect(stack)
-            futures, number_of_key = as_completed(loop=client.loop), dict[str, int]()
+        work_and_precision = cloudpickle.dumps(work), jax.config.read("jax_enable_x64")
+        pending_numbers, losses_per_chunk = iter(numbers), Counter[int]()
+        with ExitStack() as exit_stack:
+            client = self._connect(exit_stack)
+            futures, chunk_by_future_key = as_completed(loop=client.loop), dict[str, int]()
 
             def submit_chunks(chunk_numbers):
-                """Submit chunks to the cluster."""
-                for number in chunk_numbers:
-                    future = client.submit(_compute_chunk, *payload, number, pure=False)
-                    number_of_key[future.key] = number
+                """Submit some chunks to the cluster."""
+                for chunk_number in chunk_numbers:
+                    future = client.submit(_compute_chunk, *work_and_precision, chunk_number, pure=False)
+                    chunk_by_future_key[future.key] = chunk_number
                     futures.add(future)
 
-            submit_chunks(islice(pending_numbers, _max_in_flight(client)))
-            for batch in futures.batches():
-                results = _gather_results(client, batch)
-                for index, future in enumerate(batch):
-                    number = number_of_key.pop(future.key)
+            submit_chunks(islice(pending_numbers, _max_chunks_in_flight(client)))
+            for future_batch in futures.batches():
+                batch_results = _gather_results(client, future_batch)
+                for index, future in enumerate(future_batch):
+                    chunk_number = chunk_by_future_key.pop(future.key)
                     try:
-                        yield future.result() if results is None else results[index]
+                        yield future.result() if batch_results is None else batch_results[index]
                     except KilledWorker:
-                        worker_losses[number] += 1
-                        if worker_losses[number] == MAX_WORKER_LOSSES:
-                            raise OSError(f"chunk {number} has ended every worker that computed it") from None
-                        submit_chunks([number])
+                        losses_per_chunk[chunk_number] += 1
+                        if losses_per_chunk[chunk_number] == MAX_WORKER_LOSSES:
+                            raise OSError(f"chunk {chunk_number} has ended every worker that computed it") from None
+                        submit_chunks([chunk_number])
                     except (CancelledError, CommClosedError):
-                        address = client.scheduler.address if client.scheduler else self.address
-                        message = f"the scheduler at {address} is lost; finished chunks are stored: run the study again"
-                        raise OSError(message) from None
-                submit_chunks(islice(pending_numbers, max(0, _max_in_flight(client) - len(number_of_key))))
+                        scheduler_address = client.scheduler.address if client.scheduler else self.address
+                        error_message = (
+                            f"the scheduler at {scheduler_address} is lost; finished chunks are"
+                            " stored: run the study again"
+                        )
+                        raise OSError(error_message) from None
+                submit_chunks(islice(pending_numbers, max(0, _max_chunks_in_flight(client) - len(chunk_by_future_key))))
 
-    def _connect(self, stack):
-        """Return a client of the scheduler, with a cluster of this machine if there is no address."""
-        address, timeout = self.address, CONNECT_TIMEOUT
-        if address is None:
-            environment = {
-                name.upper(): str(value)
-                for name in SHARED_JAX_SETTINGS
-                if (value := getattr(jax.config, name)) is not None
+    def _connect(self, exit_stack):
+        """Return a client of the scheduler; without an address, start a cluster on this machine."""
+        scheduler_address, connect_timeout = self.address, CONNECT_TIMEOUT
+        if scheduler_address is None:
+            worker_environment = {
+                setting_name.upper(): str(setting_value)
+                for setting_name in SHARED_JAX_SETTINGS
+                if (setting_value := getattr(jax.config, setting_name)) is not None
             }
-            cluster_size = {"n_workers": self.workers or n_usable_cores(), "threads_per_worker": 1, "memory_limit": 0}
-            quiet_options = {"dashboard_address": None, "silence_logs": CRITICAL}
-            stack.enter_context(config.set(DASK_SETTINGS))
-            address = stack.enter_context(
-                LocalCluster(**cluster_size, **quiet_options, processes=True, env=environment)
+            cluster_size_options = {
+                "n_workers": self.workers or n_usable_cores(),
+                "threads_per_worker": 1,
+                "memory_limit": 0,
+            }
+            logging_options = {"dashboard_address": None, "silence_logs": CRITICAL}
+            exit_stack.enter_context(config.set(DASK_SETTINGS))
+            scheduler_address = exit_stack.enter_context(
+                LocalCluster(**cluster_size_options, **logging_options, processes=True, env=worker_environment)
             )
-            timeout = STARTUP_TIMEOUT
+            connect_timeout = STARTUP_TIMEOUT
         try:
-            return stack.enter_context(Client(address, timeout=timeout, set_as_default=False))
+            return exit_stack.enter_context(Client(scheduler_address, timeout=connect_timeout, set_as_default=False))
         except (OSError, ValueError) as error:
-            raise OSError(f"no scheduler answers at {address}: {check.shorten(error)}") from None
+            raise OSError(f"no scheduler answers at {scheduler_address}: {check.shorten_text(error)}") from None
 
 
 def _gather_results(client, futures):
-    """Return the results of completed futures in one request; None if one has failed."""
+    """Return the results of completed futures in one request; None if any future has failed."""
     try:
         return client.gather(futures)
     except Exception:  # each failed future raises its own error later
         return None
 
 
-def _max_in_flight(client):
-    """Return the number of chunks that are submitted at the same time."""
+def _max_chunks_in_flight(client):
+    """Return the maximum number of chunks that are submitted and not yet completed."""
     return max(MIN_IN_FLIGHT, CHUNKS_PER_THREAD * sum(client.nthreads().values()))
 
 
-def _compute_chunk(pickled_work, use_x64, number):
-    """Compute a chunk on a worker, in the precision of the caller; unpickled arrays need it too."""
+def _compute_chunk(pickled_work, use_x64, chunk_number):
+    """Compute a chunk on a worker, in the precision of the caller.
+
+    The function is also unpickled in this precision, because it may contain arrays.
+    """
     with jax.enable_x64(use_x64):
-        return _unpickle(pickled_work, use_x64)(number)
+        return _unpickle_work(pickled_work, use_x64)(chunk_number)
 
 
 @lru_cache(4)
-def _unpickle(pickled_work, use_x64):
+def _unpickle_work(pickled_work, use_x64):
     return cloudpickle.loads(pickled_work)

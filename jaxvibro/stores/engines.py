@@ -1,7 +1,7 @@
-"""Execution engines: an engine calls a function with the numbers of chunks and returns its results.
+"""Define execution engines, which call a function for each chunk number, and the engine of this process.
 
-The function does not depend on the engine, nor the engine on the study. This module has the engine of this process. One
-thread computes a chunk on one device from beginning to end, so that no device waits for the slowest lanes of another.
+The function does not depend on the engine, and the engine does not depend on the study. In the engine of this process
+a thread computes a whole chunk on one device, so that no device waits for the slowest lanes of another device.
 """
 
 import os
@@ -23,30 +23,30 @@ CHUNKS_PER_THREAD = 2  # chunks submitted for each thread
 
 @runtime_checkable
 class Engine(Protocol):
-    """Protocol of an engine, which computes chunks in the precision of its caller."""
+    """Protocol of an execution engine, which computes chunks in the precision of its caller."""
 
     def each(self, work: Callable[[int], Result], numbers: Iterable[int]) -> Iterator[Result]:
-        """Yield work(number) for each number, as it is completed; the first error ends it after the running chunks."""
+        """Yield work(number) for each number, in order of completion; an error ends the iteration."""
 
 
 @dataclass(frozen=True)
 class LocalEngine:
     """Execution engine that computes chunks with threads of this process.
 
-    It uses all devices of JAX, or that of `jax.default_device`.
+    The engine uses all local devices of JAX, or the device of `jax.default_device` if it is set.
 
     Parameters
     ----------
     workers : int, optional
-        Number of chunks computed at the same time. None takes one for each device; on a CPU it takes three for every
-        two usable cores, since only one thread at a time can run Python while the others compute.
+        Number of chunks computed at the same time. None means one per device. On a CPU, None means three for every two
+        usable cores, so that the cores are busy while threads wait for each other in Python.
     devices : int, optional
-        Number of devices. None takes all of them.
+        Number of devices. None uses all devices.
 
     Raises
     ------
     ArgumentError
-        If a number is invalid.
+        If an argument is not a positive integer.
 
     See Also
     --------
@@ -65,10 +65,10 @@ class LocalEngine:
     def __post_init__(self) -> None:
         for name in ("workers", "devices"):
             if getattr(self, name) is not None:
-                check.whole_number(name, getattr(self, name), 1)
+                check.check_whole_number(name, getattr(self, name), 1)
 
     def each(self, work: Callable[[int], Result], numbers: Iterable[int]) -> Iterator[Result]:
-        """Yield the results of a function of chunk numbers, as they are completed.
+        """Yield the results of a function of chunk numbers, in order of completion.
 
         Parameters
         ----------
@@ -80,56 +80,65 @@ class LocalEngine:
         Yields
         ------
         object
-            Result of `work` for one of the numbers, in order of completion.
+            Result of `work` for one of the numbers.
         """
-        default, use_x64 = default_device(), jax.config.read("jax_enable_x64")
-        devices = [default] if isinstance(default, jax.Device) else jax.local_devices(backend=default)[: self.devices]
-        workers = self.workers or max(len(devices), 3 * n_usable_cores() // 2 if devices[0].platform == "cpu" else 1)
+        jax_default, use_x64 = default_device(), jax.config.read("jax_enable_x64")
+        devices = (
+            [jax_default]
+            if isinstance(jax_default, jax.Device)
+            else jax.local_devices(backend=jax_default)[: self.devices]
+        )
+        n_workers = self.workers or max(len(devices), 3 * n_usable_cores() // 2 if devices[0].platform == "cpu" else 1)
         free_devices: SimpleQueue = SimpleQueue()
-        for device in islice(cycle(devices), workers):
-            free_devices.put(device if len(devices) > 1 else default)
+        for device in islice(cycle(devices), n_workers):
+            free_devices.put(device if len(devices) > 1 else jax_default)
 
-        def on_device(number):
-            """Run one chunk on a free device."""
+        def run_on_free_device(chunk_number):
+            """Compute a chunk on a free device."""
             device = free_devices.get()
             try:
                 with jax.enable_x64(use_x64), nullcontext() if device is None else jax.default_device(device):
-                    return work(number)
+                    return work(chunk_number)
             finally:
                 free_devices.put(device)
 
-        with ThreadPoolExecutor(workers) as pool:
+        with ThreadPoolExecutor(n_workers) as thread_pool:
             yield from run_in_flight(
-                lambda number: pool.submit(on_device, number), numbers, workers * CHUNKS_PER_THREAD
+                lambda chunk_number: thread_pool.submit(run_on_free_device, chunk_number),
+                numbers,
+                n_workers * CHUNKS_PER_THREAD,
             )
 
 
 class SerialPool:
-    """Replacement of a thread pool that runs in this thread, so that thread-local settings such as precision hold."""
+    """Substitute for a thread pool that runs in the calling thread, where thread-local settings of JAX hold."""
 
     map = staticmethod(map)
 
 
-def run_in_flight(submit, numbers, max_in_flight):
-    """Yield the results of the futures submit(number) as they are completed, with at most `max_in_flight` running.
+def run_in_flight(submit_chunk, chunk_numbers, max_in_flight):
+    """Yield the results of the futures that `submit_chunk` returns for chunk numbers, in order of completion.
 
-    The first error cancels the rest.
+    At most `max_in_flight` futures are pending at the same time. The first error cancels the others.
     """
-    pending_numbers, running = iter(numbers), set()
+    pending_numbers, running_futures = iter(chunk_numbers), set()
     try:
-        running.update(submit(number) for number in islice(pending_numbers, max_in_flight))
-        while running:
-            done, running = wait(running, return_when=FIRST_COMPLETED)
-            for future in done:
+        running_futures.update(submit_chunk(chunk_number) for chunk_number in islice(pending_numbers, max_in_flight))
+        while running_futures:
+            done_futures, running_futures = wait(running_futures, return_when=FIRST_COMPLETED)
+            for future in done_futures:
                 yield future.result()
-            running.update(submit(number) for number in islice(pending_numbers, max_in_flight - len(running)))
+            running_futures.update(
+                submit_chunk(chunk_number)
+                for chunk_number in islice(pending_numbers, max_in_flight - len(running_futures))
+            )
     finally:
-        for future in running:
+        for future in running_futures:
             future.cancel()
 
 
 def default_device():
-    """Return the device of `jax.default_device`, or the name of its platform; None if JAX may choose."""
+    """Return the device or platform name that `jax.default_device` sets; None if it is not set."""
     return jax.config.jax_default_device
 
 

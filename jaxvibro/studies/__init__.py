@@ -1,6 +1,6 @@
-"""Run the analyses in a scene file: the implementation of the command line.
+"""Implement the command line: run the analyses in a scene file.
 
-A TOML file gives a picture, data and a table, written all together or not at all. Start with `run`. `schema` and
-`validate` define the valid contents of a file. `compute` runs the analyses. `results_dataset`, `figures` and `report`
-make the output.
-"""
+A run of a scene file (TOML) writes a picture, data and a table, either all or none. Start with `studies/run.py`.
+`studies/schema.py` and `studies/validate.py` define the valid contents of a scene file. `studies/scene_file_studies.py`
+runs the analyses. `studies/results_dataset.py`, `studies/result_pictures.py` and `studies/results_report.py` make the
+output."""

@@ -1,4 +1,7 @@
-"""Define the command line; heavy modules load only when needed, so that `jaxvibro --help` answers at once."""
+"""Define the command line.
+
+Modules that take long to import are imported when they are needed, so that `jaxvibro --help` answers at once.
+"""
 
 import argparse
 import gc
@@ -60,25 +63,26 @@ class _Parser(argparse.ArgumentParser):
     """Argument parser with one-line error messages."""
 
     def error(self, message):
-        """Exit with a one-line message."""
-        self.exit(EXIT_BAD_INPUT, f"{self.prog}: {_single_line(message)}\n")
+        """Print a one-line message and exit."""
+        self.exit(EXIT_BAD_INPUT, f"{self.prog}: {_to_single_line(message)}\n")
 
 
-def main(arguments=None):
+def main(command_arguments=None):
     """Run the command line.
 
     Parameters
     ----------
-    arguments : list of str, optional
-        Arguments. None takes those of the process.
+    command_arguments : list of str, optional
+        Command-line arguments. None uses those of the process.
 
     Returns
     -------
     int
-        Exit code: 0, 2 for invalid input, with one line on stderr, or 130 after an interrupt.
+        Exit code: 0 for success, 130 after an interrupt, and 2 for invalid input, a file that cannot be read or
+        written, a missing optional package or insufficient memory. Errors are reported as one line on stderr.
     """
     try:
-        options = _parser().parse_args(arguments)
+        options = _make_parser().parse_args(command_arguments)
     except SystemExit as system_exit:
         return system_exit.code
     try:
@@ -100,179 +104,195 @@ def main(arguments=None):
     return 0
 
 
-def _parser():
+def _make_parser():
     parser = _Parser("jaxvibro", description="Vibro-impact oscillators with rigid and soft walls.", allow_abbrev=False)
     parser.add_argument("--version", action="version", version=__version__)
-    commands = parser.add_subparsers(metavar="COMMAND", required=True)
+    subparsers = parser.add_subparsers(metavar="COMMAND", required=True)
 
-    init = commands.add_parser("init", help="write a commented scene file", allow_abbrev=False)
-    init.description = "Writes a commented scene file to start from."
-    init.add_argument("path", metavar="PATH", nargs="?", default="scene.toml", help="default: scene.toml")
-    init.add_argument("--force", action="store_true", help="overwrite existing files")
-    init.set_defaults(does=_init)
+    init_parser = subparsers.add_parser("init", help="write a commented scene file", allow_abbrev=False)
+    init_parser.description = "Writes a commented scene file to start from."
+    init_parser.add_argument("path", metavar="PATH", nargs="?", default="scene.toml", help="default: scene.toml")
+    init_parser.add_argument("--force", action="store_true", help="overwrite existing files")
+    init_parser.set_defaults(does=_write_scene_template)
 
-    run = commands.add_parser("run", help="run the analyses in a scene file", description=_RUN_HELP, allow_abbrev=False)
-    run.add_argument("scene", metavar="SCENE", help="a scene file")
-    run.add_argument("--set", metavar="KEY=VALUE", action="append", default=[], dest="changes", help=_SET_HELP)
-    run.add_argument("--out", metavar="DIR", default="out", help="folder to write into; default: out")
-    run.add_argument("--force", action="store_true", help="overwrite existing files")
-    run.add_argument("--json", action="store_true", help="print only a JSON summary on stdout")
-    run.add_argument("--csv", action="store_true", help="also write CSV tables, one row per point")
-    help_text = (
+    run_parser = subparsers.add_parser(
+        "run", help="run the analyses in a scene file", description=_RUN_HELP, allow_abbrev=False
+    )
+    run_parser.add_argument("scene", metavar="SCENE", help="a scene file")
+    run_parser.add_argument("--set", metavar="KEY=VALUE", action="append", default=[], dest="changes", help=_SET_HELP)
+    run_parser.add_argument("--out", metavar="DIR", default="out", help="folder to write into; default: out")
+    run_parser.add_argument("--force", action="store_true", help="overwrite existing files")
+    run_parser.add_argument("--json", action="store_true", help="print only a JSON summary on stdout")
+    run_parser.add_argument("--csv", action="store_true", help="also write CSV tables, one row per point")
+    option_help = (
         "units of tables and pictures: the scene's, or N, Hz, mm, m/s, W if it has [scene.scales]; default: scene"
     )
-    run.add_argument("--units", choices=("scene", "physical"), default="scene", help=help_text)
-    run.add_argument(
+    run_parser.add_argument("--units", choices=("scene", "physical"), default="scene", help=option_help)
+    run_parser.add_argument(
         "--engine", choices=("local", "dask"), help="execution engine of a [map]; default: local, this process"
     )
-    run.add_argument("--scheduler", metavar="ADDRESS", help="address of a running Dask cluster, as tcp://host:8786")
-    help_text = "chunks of a [map] computed at a time; default: one per processor core"
-    run.add_argument("--workers", metavar="N", type=int, help=help_text)
-    run.set_defaults(does=_run)
+    run_parser.add_argument(
+        "--scheduler", metavar="ADDRESS", help="address of a running Dask cluster, as tcp://host:8786"
+    )
+    option_help = "chunks of a [map] computed at a time; default: one per processor core"
+    run_parser.add_argument("--workers", metavar="N", type=int, help=option_help)
+    run_parser.set_defaults(does=_run_scene_file)
 
-    show = commands.add_parser("show", help="show a stored map", description=_SHOW_HELP, allow_abbrev=False)
-    show.add_argument("path", metavar="STORE", help="the folder of a map, NAME.zarr")
-    show.add_argument("--picture", metavar="FILE", help="default: NAME.png beside it")
-    show.add_argument("--data", metavar="FILE", help="also write the data to a NetCDF file")
-    show.add_argument("--force", action="store_true", help="overwrite existing files")
-    show.add_argument(
+    show_parser = subparsers.add_parser("show", help="show a stored map", description=_SHOW_HELP, allow_abbrev=False)
+    show_parser.add_argument("path", metavar="STORE", help="the folder of a map, NAME.zarr")
+    show_parser.add_argument("--picture", metavar="FILE", help="default: NAME.png beside it")
+    show_parser.add_argument("--data", metavar="FILE", help="also write the data to a NetCDF file")
+    show_parser.add_argument("--force", action="store_true", help="overwrite existing files")
+    show_parser.add_argument(
         "--units", choices=("scene", "physical"), default="scene", help="units of the table and the picture"
     )
-    show.set_defaults(does=_show)
+    show_parser.set_defaults(does=_show_stored_map)
 
-    paper = commands.add_parser("paper", help="recompute the paper", description=_PAPER_HELP, allow_abbrev=False)
-    paper.add_argument("names", metavar="NAME", nargs="*", help="fig2 to fig12, walls, formulas; default: all")
-    paper.add_argument("--scenes", metavar="DIR", help="folder of the scene files; default: those of the package")
-    paper.add_argument("--out", metavar="DIR", default="out/paper", help="folder to write into; default: out/paper")
-    paper.add_argument("--force", action="store_true", help="recompute existing results")
-    help_text = f"figures computed at a time; default: one per processor core, at most {MAX_WORKERS}"
-    paper.add_argument(
-        "--workers", metavar="N", type=int, default=min(MAX_WORKERS, os.cpu_count() or 1), help=help_text
+    paper_parser = subparsers.add_parser(
+        "paper", help="recompute the paper", description=_PAPER_HELP, allow_abbrev=False
     )
-    paper.set_defaults(does=_paper)
+    paper_parser.add_argument("names", metavar="NAME", nargs="*", help="fig2 to fig12, walls, formulas; default: all")
+    paper_parser.add_argument(
+        "--scenes", metavar="DIR", help="folder of the scene files; default: those of the package"
+    )
+    paper_parser.add_argument(
+        "--out", metavar="DIR", default="out/paper", help="folder to write into; default: out/paper"
+    )
+    paper_parser.add_argument("--force", action="store_true", help="recompute existing results")
+    option_help = f"figures computed at a time; default: one per processor core, at most {MAX_WORKERS}"
+    paper_parser.add_argument(
+        "--workers", metavar="N", type=int, default=min(MAX_WORKERS, os.cpu_count() or 1), help=option_help
+    )
+    paper_parser.set_defaults(does=_recompute_paper)
 
-    view = commands.add_parser(
+    view_parser = subparsers.add_parser(
         "view", help="explore a scene in the browser", description=_VIEW_HELP, allow_abbrev=False
     )
-    view.add_argument("scene", metavar="SCENE", help="a scene file")
-    view.add_argument("--set", metavar="KEY=VALUE", action="append", default=[], dest="changes", help=_SET_HELP)
-    help_text = "address of this machine; default: 127.0.0.1"
-    view.add_argument("--address", metavar="ADDRESS", default="127.0.0.1", help=help_text)
-    help_text = "default: the first free port from 8420 to 8439; with the same port an earlier page resumes"
-    view.add_argument("--port", metavar="N", type=int, help=help_text)
-    view.add_argument("--no-browser", action="store_true", help="print the address without opening a browser")
-    view.set_defaults(does=_view)
+    view_parser.add_argument("scene", metavar="SCENE", help="a scene file")
+    view_parser.add_argument("--set", metavar="KEY=VALUE", action="append", default=[], dest="changes", help=_SET_HELP)
+    option_help = "address of this machine; default: 127.0.0.1"
+    view_parser.add_argument("--address", metavar="ADDRESS", default="127.0.0.1", help=option_help)
+    option_help = "default: the first free port from 8420 to 8439; with the same port an earlier page resumes"
+    view_parser.add_argument("--port", metavar="N", type=int, help=option_help)
+    view_parser.add_argument("--no-browser", action="store_true", help="print the address without opening a browser")
+    view_parser.set_defaults(does=_serve_explorer)
 
-    warm = commands.add_parser("warm", help="fill the compile cache", description=_WARM_HELP, allow_abbrev=False)
-    warm.add_argument("scene", metavar="SCENE", nargs="?", help="a scene file; default: the README's scene")
-    warm.set_defaults(does=_warm)
+    warm_parser = subparsers.add_parser(
+        "warm", help="fill the compile cache", description=_WARM_HELP, allow_abbrev=False
+    )
+    warm_parser.add_argument("scene", metavar="SCENE", nargs="?", help="a scene file; default: the README's scene")
+    warm_parser.set_defaults(does=_fill_compile_cache)
 
-    help_text = "print versions, processor and settings, for problem reports"
-    report = commands.add_parser("report", help=help_text, description=_REPORT_HELP, allow_abbrev=False)
-    report.add_argument("--json", action="store_true", help="print JSON")
-    report.set_defaults(does=_report)
+    option_help = "print versions, processor and settings, for problem reports"
+    report_parser = subparsers.add_parser("report", help=option_help, description=_REPORT_HELP, allow_abbrev=False)
+    report_parser.add_argument("--json", action="store_true", help="print JSON")
+    report_parser.set_defaults(does=_print_environment)
     return parser
 
 
-def _init(options):
+def _write_scene_template(options):
     with atomic_file(options.path, options.force) as file:
         file.write(scene_template.SCENE_TEMPLATE.encode())
     print(f"wrote {options.path}; next: jaxvibro run {options.path}")
 
 
-def _run(options):
-    jax_settings.prepare_environment()
-    settings = {"csv": options.csv, "units": options.units, "engine": _map_engine(options)}
-    result = _load("run")(options.scene, options.out, options.changes, options.force, progress=True, **settings)
+def _run_scene_file(options):
+    jax_settings.set_jax_environment()
+    run_settings = {"csv": options.csv, "units": options.units, "engine": _map_engine(options)}
+    run_result = _import_function("run")(
+        options.scene, options.out, options.changes, options.force, progress=True, **run_settings
+    )
     if options.json:
-        print(json.dumps(result.summary, indent=2, allow_nan=False))
+        print(json.dumps(run_result.summary, indent=2, allow_nan=False))
         return
-    print(result.table)
-    for kind, path in result.summary["files"].items():
-        print(f"{kind:17}{path}" if len(kind) > 7 else f"{kind:8}{path}")
+    print(run_result.table)
+    for file_kind, file_path in run_result.summary["files"].items():
+        print(f"{file_kind:17}{file_path}" if len(file_kind) > 7 else f"{file_kind:8}{file_path}")
 
 
 def _map_engine(options):
-    """Return the execution engine of a map; None for this process with all of its cores."""
+    """Return the execution engine for a [map] from the command-line options; None for the default engine."""
     if options.engine == "dask" or (options.scheduler is not None and options.engine is None):
-        return _load("DaskEngine")(options.scheduler, options.workers)
+        return _import_function("DaskEngine")(options.scheduler, options.workers)
     if options.scheduler is not None:
         raise jv.ArgumentError("scheduler", "must not be given with the engine local", options.scheduler)
-    return None if options.workers is None else _load("LocalEngine")(options.workers)
+    return None if options.workers is None else _import_function("LocalEngine")(options.workers)
 
 
-def _show(options):
-    jax_settings.prepare_environment()
-    picture = options.picture or os.path.splitext(options.path.rstrip(os.sep))[0] + ".png"
-    print(_load("show")(options.path, picture, options.data, options.force, options.units))
-    for kind, path in (("picture", picture), ("data", options.data)):
-        if path:
-            print(f"{kind:8}{path}")
+def _show_stored_map(options):
+    jax_settings.set_jax_environment()
+    picture_path = options.picture or os.path.splitext(options.path.rstrip(os.sep))[0] + ".png"
+    print(_import_function("show")(options.path, picture_path, options.data, options.force, options.units))
+    for file_kind, file_path in (("picture", picture_path), ("data", options.data)):
+        if file_path:
+            print(f"{file_kind:8}{file_path}")
 
 
-def _view(options):
-    jax_settings.prepare_environment()
-    page = _load("view")(options.scene, options.port, options.address, options.changes, jax_settings.page_token())
-    print(page.url, flush=True)
+def _serve_explorer(options):
+    jax_settings.set_jax_environment()
+    explorer_view = _import_function("view")(
+        options.scene, options.port, options.address, options.changes, jax_settings.load_page_token()
+    )
+    print(explorer_view.url, flush=True)
     if not options.no_browser:
-        webbrowser.open(page.url)
+        webbrowser.open(explorer_view.url)
     try:
-        page.wait()
+        explorer_view.wait()
     except KeyboardInterrupt:
-        page.stop()
+        explorer_view.stop()
 
 
-def _paper(options):
-    jax_settings.prepare_environment()
-    report = _load("paper")(
+def _recompute_paper(options):
+    jax_settings.set_jax_environment()
+    paper_report = _import_function("paper")(
         options.names, options.out, options.scenes, options.force, progress=True, workers=options.workers
     )
-    print(report.told)
-    for kind, path in (("page", report.page), ("text", report.text)):
-        print(f"{kind:8}{path}")
+    print(paper_report.told)
+    for file_kind, file_path in (("page", paper_report.page), ("text", paper_report.text)):
+        print(f"{file_kind:8}{file_path}")
 
 
-def _warm(options):
-    settings = jax_settings.prepare_environment()
-    scene = _load("load_scene")(options.scene) if options.scene else None
-    result = _load("warm")(scene, lambda step: print(f"{step} ...", file=sys.stderr))
-    for step, seconds in result.done:
-        print(f"{step:16}{seconds:6.1f} s of processor time")
-    for step in result.left:
-        print(f"omitted: {_single_line(step)}")
+def _fill_compile_cache(options):
+    environment_variables = jax_settings.set_jax_environment()
+    scene = _import_function("load_scene")(options.scene) if options.scene else None
+    warm_result = _import_function("warm")(scene, lambda step: print(f"{step} ...", file=sys.stderr))
+    for step_name, processor_seconds in warm_result.done:
+        print(f"{step_name:16}{processor_seconds:6.1f} s of processor time")
+    for step_name in warm_result.left:
+        print(f"omitted: {_to_single_line(step_name)}")
     print("the compile cache is filled; for a session in Python:")
-    for name, value in settings.items():
-        print(f"export {name}={value}")
+    for variable_name, variable_value in environment_variables.items():
+        print(f"export {variable_name}={variable_value}")
 
 
-def _report(options):
-    jax_settings.prepare_environment()
-    environment = _load("describe_environment", ENVIRONMENT_MODULE)()
+def _print_environment(options):
+    jax_settings.set_jax_environment()
+    environment = _import_function("describe_environment", ENVIRONMENT_MODULE)()
     print(
         json.dumps(environment, indent=2)
         if options.json
-        else _load("format_environment", ENVIRONMENT_MODULE)(environment)
+        else _import_function("format_environment", ENVIRONMENT_MODULE)(environment)
     )
 
 
-def _load(name, module_name=None):
-    """Return a function of the package, or of one of its modules, after loading everything that it needs.
+def _import_function(function_name, module_name=None):
+    """Import a function from the package, or from one of its modules.
 
-    During the import an interrupt ends the process at once, because an interrupt inside the import of a compiled module
-    may crash. Loaded objects stay, so the garbage collector need not scan them.
+    An interrupt during the import ends the process at once, because an interrupt inside the import of a compiled module
+    may crash. Imported objects remain in memory and are excluded from garbage collection.
     """
-    previous_handler = signal.signal(signal.SIGINT, signal.SIG_DFL)
+    previous_sigint_handler = signal.signal(signal.SIGINT, signal.SIG_DFL)
     gc.disable()
     try:
-        return getattr(import_module(module_name) if module_name else jv, name)
+        return getattr(import_module(module_name) if module_name else jv, function_name)
     finally:
         gc.freeze()
         gc.enable()
-        signal.signal(signal.SIGINT, previous_handler)
+        signal.signal(signal.SIGINT, previous_sigint_handler)
 
 
 def _os_error_text(error):
-    """Return the file and the reason of an OSError."""
+    """Format the file name and the reason of an OSError."""
     if error.strerror:
         return (
             f"{str(error.filename)[-MAX_MESSAGE_LENGTH // 2 :]}: {error.strerror}" if error.filename else error.strerror
@@ -282,10 +302,10 @@ def _os_error_text(error):
 
 def _report_error(message, exit_code):
     """Print a one-line message on stderr and return the exit code."""
-    print(f"jaxvibro: {_single_line(message)}", file=sys.stderr)
+    print(f"jaxvibro: {_to_single_line(message)}", file=sys.stderr)
     return exit_code
 
 
-def _single_line(text):
-    """Put a text on one line of limited length."""
+def _to_single_line(text):
+    """Convert a text to one line of limited length."""
     return " ".join(str(text)[: 10 * MAX_MESSAGE_LENGTH].split())[:MAX_MESSAGE_LENGTH]

@@ -1,4 +1,4 @@
-"""Convert the results of a run to CSV tables, in the scene's units or in physical ones."""
+"""Convert the results of a run to CSV tables, in the scene's units or in physical units."""
 
 import numpy as np
 import pandas as pd
@@ -9,52 +9,60 @@ from ..output.dataframes import make_dataframe
 from ..output.units import LENGTH, SPEED, unit_of
 
 
-def requested_tables(file):
-    """Return the names of the tables that a `SceneFile` requests."""
-    tables = {"sweep": file.sweep, "attractors": file.attractors, "branches": file.branch_table, "loci": file.locus}
-    return [name for name, table in tables.items() if table is not None]
+def requested_table_names(scene_file):
+    """Return the names of the CSV tables for the analyses of a `SceneFile`."""
+    table_by_name = {
+        "sweep": scene_file.sweep,
+        "attractors": scene_file.attractors,
+        "branches": scene_file.branch_table,
+        "loci": scene_file.locus,
+    }
+    return [name for name, table in table_by_name.items() if table is not None]
 
 
 def csv_tables(results, units):
-    """Return {name: CSV bytes} of the sweep, attractors, branches and loci in the results, one row per point.
+    """Return {name: CSV bytes} for the sweep, attractors, branches and loci in the results, one row per point.
 
-    Raises ArgumentError for units that the scene does not have.
+    Raises ArgumentError if physical units are requested for a scene without scales.
     """
-    tables = {}
+    dataframe_by_name = {}
     if results.file.sweep is not None:
-        tables["sweep"] = _sweep_table(results, units)
+        dataframe_by_name["sweep"] = _sweep_dataframe(results, units)
     if results.attractors is not None:
-        tables["attractors"] = _attractor_table(results, units)
+        dataframe_by_name["attractors"] = _attractor_dataframe(results, units)
     if results.branches:
-        tables["branches"] = branches_dataframe(results.branches, units)
+        dataframe_by_name["branches"] = branches_dataframe(results.branches, units)
     if results.loci:
-        tables["loci"] = _locus_table(results.loci, units)
-    return {name: table.to_csv(index=False, lineterminator="\n").encode() for name, table in tables.items()}
+        dataframe_by_name["loci"] = _loci_dataframe(results.loci, units)
+    return {
+        table_name: dataframe.to_csv(index=False, lineterminator="\n").encode()
+        for table_name, dataframe in dataframe_by_name.items()
+    }
 
 
-def _sweep_table(results, units):
-    parameter, sweep_data = results.file.sweep.parameter, results.swept
-    x, v, status = (sweep_data[key].values for key in ("x", "v", "status"))
+def _sweep_dataframe(results, units):
+    parameter_name, sweep_data = results.file.sweep.parameter, results.swept
+    x, v, status = (sweep_data[variable_name].values for variable_name in ("x", "v", "status"))
     n_steps, n_legs, n_periods = x.shape
     leg_names = np.broadcast_to(sweep_data["leg"].values[None, :, None], x.shape)
-    values = np.broadcast_to(sweep_data[parameter].values.reshape(n_steps, -1, 1), x.shape)
+    parameter_values = np.broadcast_to(sweep_data[parameter_name].values.reshape(n_steps, -1, 1), x.shape)
     columns = {
         "leg": ("", leg_names.ravel()),
-        parameter: (unit_of(parameter), values.ravel()),
+        parameter_name: (unit_of(parameter_name), parameter_values.ravel()),
         "period": ("", np.tile(np.arange(n_periods), n_steps * n_legs)),
         "x": (LENGTH, x.ravel()),
         "v": (SPEED, v.ravel()),
         "status": ("", np.repeat(status.ravel(), n_periods)),
     }
-    loads = wall_loads(results.scene, sweep_data)
-    for side in loads["wall"].values:
+    wall_load_data = wall_loads(results.scene, sweep_data)
+    for side in wall_load_data["wall"].values:
         for load_name in LOAD_COLUMNS:
-            load = loads[load_name].sel(wall=side)
-            columns[f"{side} {load_name}"] = (load.attrs["units"], load.values.ravel())
+            load_data = wall_load_data[load_name].sel(wall=side)
+            columns[f"{side} {load_name}"] = (load_data.attrs["units"], load_data.values.ravel())
     return make_dataframe(results.scene, columns, units)
 
 
-def _attractor_table(results, units):
+def _attractor_dataframe(results, units):
     attractors = results.attractors
     columns = {
         "label": ("", [attractor.label for attractor in attractors]),
@@ -70,9 +78,9 @@ def _attractor_table(results, units):
     return make_dataframe(results.scene, columns, units)
 
 
-def _locus_table(loci, units):
-    frames = [locus.to_frame(units) for locus in loci]
-    for number, (locus_frame, locus) in enumerate(zip(frames, loci, strict=True), 1):
-        locus_frame.insert(0, "locus", number)
+def _loci_dataframe(loci, units):
+    locus_frames = [locus.to_frame(units) for locus in loci]
+    for locus_number, (locus_frame, locus) in enumerate(zip(locus_frames, loci, strict=True), 1):
+        locus_frame.insert(0, "locus", locus_number)
         locus_frame.insert(1, "of", locus.kind)
-    return pd.concat(frames, ignore_index=True)
+    return pd.concat(locus_frames, ignore_index=True)

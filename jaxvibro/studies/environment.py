@@ -1,4 +1,4 @@
-"""Describe versions, processor, settings and compiler hints for problem reports (`jaxvibro report`)."""
+"""Describe versions, processor, settings and compiler hints for `jaxvibro report`."""
 
 import os
 import platform
@@ -8,7 +8,7 @@ from typing import Any
 
 import jax
 
-from continuation.persistent_jit import cache_folder, reason_without_cache
+from continuation.persistent_jit import jax_cache_folder, reason_without_cache
 
 from .. import __version__
 from ..compiled.hints_in_use import describe_hints
@@ -26,15 +26,15 @@ UNKNOWN = "unknown"
 
 
 def describe_environment() -> dict[str, Any]:
-    """Describe everything besides the calling program that the results of this process depend on.
+    """Describe the environment on which the results of this process depend.
 
     Returns
     -------
     dict
-        Plain values only, ready for JSON: ``versions``, ``system``, ``processor``, ``jax``, ``hints`` and ``cache``.
+        Values that can be written as JSON: ``versions``, ``system``, ``processor``, ``jax``, ``hints`` and ``cache``.
     """
     return {
-        "versions": _versions(),
+        "versions": _installed_versions(),
         "system": platform.platform(),
         "processor": _processor_info(),
         "jax": _jax_info(),
@@ -44,16 +44,19 @@ def describe_environment() -> dict[str, Any]:
 
 
 def format_environment(environment: dict[str, Any]) -> str:
-    """Lay out the result of `describe_environment` as lines of text, one heading per group."""
-    lines: list[str] = []
-    for group, values in environment.items():
-        if not isinstance(values, dict):
-            lines.append(f"{group}: {_value_text(values)}")
+    """Format the result of `describe_environment` as lines of text with a heading for each group."""
+    text_lines: list[str] = []
+    for group_name, group_values in environment.items():
+        if not isinstance(group_values, dict):
+            text_lines.append(f"{group_name}: {_value_text(group_values)}")
             continue
-        lines.append(f"{group}:")
-        width = max(map(len, values))
-        lines += [f"  {name:{width}}  {_value_text(value)}" for name, value in values.items()]
-    return "\n".join(lines)
+        text_lines.append(f"{group_name}:")
+        name_width = max(map(len, group_values))
+        text_lines += [
+            f"  {field_name:{name_width}}  {_value_text(field_value)}"
+            for field_name, field_value in group_values.items()
+        ]
+    return "\n".join(text_lines)
 
 
 def _value_text(value):
@@ -62,73 +65,86 @@ def _value_text(value):
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, dict):
-        return ", ".join(f"{name} {_value_text(item)}" for name, item in value.items()) or "-"
+        return ", ".join(f"{name} {_value_text(nested_value)}" for name, nested_value in value.items()) or "-"
     if isinstance(value, list):
         return " ".join(map(str, value)) or "-"
     return str(value)
 
 
-def _versions():
-    versions = {"jaxvibro": __version__, "python": f"{platform.python_version()} ({platform.python_implementation()})"}
-    return versions | {name: _installed_version(name) for name in (*PACKAGES, *OPTIONAL_PACKAGES)}
+def _installed_versions():
+    base_versions = {
+        "jaxvibro": __version__,
+        "python": f"{platform.python_version()} ({platform.python_implementation()})",
+    }
+    return base_versions | {
+        package_name: _installed_version(package_name) for package_name in (*PACKAGES, *OPTIONAL_PACKAGES)
+    }
 
 
-def _installed_version(package):
+def _installed_version(package_name):
     try:
-        return version(package)
+        return version(package_name)
     except PackageNotFoundError:
         return None
 
 
 def _processor_info():
-    """Return the properties of the first core; the cores do not differ in these."""
-    fields, cores = _read_cpuinfo()
-    flags = (fields.get("flags") or fields.get("Features") or "").split()
-    affinity = getattr(os, "sched_getaffinity", None)
+    """Return the properties of the processor, taken from the first core."""
+    cpuinfo_fields, n_physical_cores = _read_cpuinfo()
+    cpu_flags = (cpuinfo_fields.get("flags") or cpuinfo_fields.get("Features") or "").split()
+    get_affinity = getattr(os, "sched_getaffinity", None)
     return {
-        "model": fields.get("model name") or platform.processor() or platform.machine() or UNKNOWN,
+        "model": cpuinfo_fields.get("model name") or platform.processor() or platform.machine() or UNKNOWN,
         "architecture": platform.machine(),
-        "instruction_sets": [flag for flag in sorted(flags) if flag.startswith(INSTRUCTION_PREFIXES)],
-        "cores": cores,
+        "instruction_sets": [cpu_flag for cpu_flag in sorted(cpu_flags) if cpu_flag.startswith(INSTRUCTION_PREFIXES)],
+        "cores": n_physical_cores,
         "logical_cores": os.cpu_count(),
-        "usable_logical_cores": len(affinity(0)) if affinity else os.cpu_count(),
+        "usable_logical_cores": len(get_affinity(0)) if get_affinity else os.cpu_count(),
         "kind": jax_settings.processor_fingerprint(),
     }
 
 
 def _read_cpuinfo():
-    """(fields of the first processor in /proc/cpuinfo, number of physical cores or None)."""
+    """Return (fields of the first processor in /proc/cpuinfo, number of physical cores or None)."""
     try:
-        blocks = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").strip().split("\n\n")
+        processor_blocks = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").strip().split("\n\n")
     except OSError:
         return {}, None
-    key_values = [[line.partition(":") for line in block.splitlines()] for block in blocks]
-    fields = [{name.strip(): value.strip() for name, _, value in block} for block in key_values]
-    cores = {(record.get("physical id"), record["core id"]) for record in fields if "core id" in record}
-    return fields[0], len(cores) or None
+    block_fields = [[line.partition(":") for line in block.splitlines()] for block in processor_blocks]
+    fields_by_processor = [{name.strip(): value.strip() for name, _, value in fields} for fields in block_fields]
+    physical_cores = {
+        (processor.get("physical id"), processor["core id"])
+        for processor in fields_by_processor
+        if "core id" in processor
+    }
+    return fields_by_processor[0], len(physical_cores) or None
 
 
 def _jax_info():
-    environment = {name: value for name, value in sorted(os.environ.items()) if name.startswith(("JAX_", "XLA_"))}
-    info: dict[str, Any] = {"platform": jax.default_backend()}
-    info["devices"] = [f"{device} ({device.device_kind})" for device in jax.devices()]
-    info["x64"] = bool(jax.config.jax_enable_x64)
-    return info | {name: getattr(jax.config, name) for name in JAX_SETTINGS} | {"environment": environment}
+    environment_variables = {
+        name: value for name, value in sorted(os.environ.items()) if name.startswith(("JAX_", "XLA_"))
+    }
+    jax_info: dict[str, Any] = {"platform": jax.default_backend()}
+    jax_info["devices"] = [f"{device} ({device.device_kind})" for device in jax.devices()]
+    jax_info["x64"] = bool(jax.config.jax_enable_x64)
+    return (
+        jax_info | {name: getattr(jax.config, name) for name in JAX_SETTINGS} | {"environment": environment_variables}
+    )
 
 
 def _cache_info():
-    """Return the cache folder, its use by JAX for compiled code, and its use by this package for traced functions."""
-    folder, reason = cache_folder() or None, reason_without_cache()
+    """Return the cache folder and its use by JAX for compiled code and by this package for traced functions."""
+    cache_path, reason_unused = jax_cache_folder() or None, reason_without_cache()
     return {
-        "folder": folder,
-        "writable": None if folder is None else _is_writable(Path(folder)),
-        "used_by_jax": folder is not None and bool(jax.config.jax_enable_compilation_cache),
-        "used_for_traced_functions": reason is None,
-        "reason_if_not": reason,
+        "folder": cache_path,
+        "writable": None if cache_path is None else _is_folder_writable(Path(cache_path)),
+        "used_by_jax": cache_path is not None and bool(jax.config.jax_enable_compilation_cache),
+        "used_for_traced_functions": reason_unused is None,
+        "reason_if_not": reason_unused,
     }
 
 
-def _is_writable(folder):
-    """Return True if files can be written into a folder, which need not exist yet."""
-    ancestor = next(candidate for candidate in (folder, *folder.absolute().parents) if os.path.lexists(candidate))
-    return ancestor.is_dir() and os.access(ancestor, os.W_OK | os.X_OK)
+def _is_folder_writable(folder):
+    """Return True if files can be written to a folder, whether it exists or has to be created."""
+    existing_path = next(path for path in (folder, *folder.absolute().parents) if os.path.lexists(path))
+    return existing_path.is_dir() and os.access(existing_path, os.W_OK | os.X_OK)

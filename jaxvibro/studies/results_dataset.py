@@ -1,4 +1,4 @@
-"""Convert the results of a run to one Dataset for a NetCDF file: sweep, attractors, orbits, branches and loci."""
+"""Convert the results of a run to one Dataset for a NetCDF file."""
 
 import msgspec
 import numpy as np
@@ -12,29 +12,34 @@ from ..output.units import ANGLE, DIMENSIONLESS, LENGTH, SPEED
 NO_MIRROR = -1  # value of `attractor_mirror` and `orbit_mirror` without a mirror image
 
 
-def results_dataset(results):
-    """Return an xarray.Dataset of all `StudyResults`, with the scene file as TOML in its attribute `job`."""
-    parts = [results.swept] if results.swept is not None else []
-    parts += [_attractor_dataset(results), _start_dataset(results)] if results.attractors is not None else []
-    parts += [_orbit_dataset(results.orbits)] if results.orbits else []
-    parts += [_branch_dataset(results.branches), _special_dataset(results.branches)] if results.branches else []
-    parts += [_locus_dataset(results.loci), _codim2_dataset(results.loci)] if results.loci else []
-    parts += [_margin_dataset(results.margin)] if results.margin is not None else []
-    parts += [_fit_dataset(results.fit)] if results.fit is not None else []
-    full_dataset = xr.merge(parts, combine_attrs="drop_conflicts")
-    attrs = {
+def make_results_dataset(results):
+    """Return a Dataset with all results of a run, except for those of a [map], which are in its store.
+
+    `results` are `StudyResults`. The attribute ``job`` contains the scene file as TOML.
+    """
+    datasets = [results.swept] if results.swept is not None else []
+    datasets += [_attractor_dataset(results), _start_box_dataset(results)] if results.attractors is not None else []
+    datasets += [_orbit_dataset(results.orbits)] if results.orbits else []
+    datasets += (
+        [_branch_dataset(results.branches), _special_point_dataset(results.branches)] if results.branches else []
+    )
+    datasets += [_locus_dataset(results.loci), _codim2_dataset(results.loci)] if results.loci else []
+    datasets += [_margin_dataset(results.margin)] if results.margin is not None else []
+    datasets += [_fit_dataset(results.fit)] if results.fit is not None else []
+    merged_dataset = xr.merge(datasets, combine_attrs="drop_conflicts")
+    dataset_attrs = {
         "title": "jaxvibro run",
         "source": f"jaxvibro {__version__}",
         "job": msgspec.toml.encode(results.file).decode(),
     }
-    return full_dataset.assign_attrs(attrs)
+    return merged_dataset.assign_attrs(dataset_attrs)
 
 
 def _attractor_dataset(results):
     attractors = results.attractors
 
-    def make_variable(meaning, values, **attrs):
-        return "attractor", np.array(values), {"long_name": meaning, **attrs}
+    def make_variable(long_name, variable_values, **attrs):
+        return "attractor", np.array(variable_values), {"long_name": long_name, **attrs}
 
     states, share_bounds = (
         [attractor.state for attractor in attractors],
@@ -73,8 +78,8 @@ def _attractor_dataset(results):
     )
 
 
-def _start_dataset(results):
-    """Return the box of the random starts."""
+def _start_box_dataset(results):
+    """Return the number of random initial states and their ranges of x and v."""
     x_lower, x_upper, max_speed = initial_box(results.scene_of_table(results.file.attractors))
     return xr.Dataset(
         {
@@ -94,11 +99,11 @@ def _start_dataset(results):
 
 
 def _orbit_dataset(orbits):
-    def make_variable(meaning, values, **attrs):
-        return "orbit", np.array(values), {"long_name": meaning, **attrs}
+    def make_variable(long_name, variable_values, **attrs):
+        return "orbit", np.array(variable_values), {"long_name": long_name, **attrs}
 
     states, multipliers = [orbit.state for orbit in orbits], np.array([orbit.multipliers for orbit in orbits])
-    multiplier_header = ("orbit", "multiplier"), {"long_name": "Floquet multipliers, the larger first"}
+    multiplier_dims_attrs = ("orbit", "multiplier"), {"long_name": "Floquet multipliers, the larger first"}
     return xr.Dataset(
         {
             "orbit_label": make_variable("P n p q: periods, impacts left, right", [orbit.label for orbit in orbits]),
@@ -121,14 +126,14 @@ def _orbit_dataset(orbits):
                 "1: the mass rests on a wall", [int(orbit.rests) for orbit in orbits], units="1"
             ),
             "orbit_multiplier_real": (
-                multiplier_header[0],
+                multiplier_dims_attrs[0],
                 multipliers.real,
-                {**multiplier_header[1], "units": DIMENSIONLESS},
+                {**multiplier_dims_attrs[1], "units": DIMENSIONLESS},
             ),
             "orbit_multiplier_imag": (
-                multiplier_header[0],
+                multiplier_dims_attrs[0],
                 multipliers.imag,
-                {**multiplier_header[1], "units": DIMENSIONLESS},
+                {**multiplier_dims_attrs[1], "units": DIMENSIONLESS},
             ),
             "orbit_least_speed": make_variable(
                 "least speed of its impacts", [orbit.least_speed for orbit in orbits], units=SPEED
@@ -147,142 +152,187 @@ def _orbit_dataset(orbits):
 
 
 def _branch_dataset(branches):
-    """Return the points of all branches, one branch after the other, in the variables of a branch's data."""
-    parameter, datasets = branches[0].name, [branch.data for branch in branches]
+    """Return the concatenated points of all branches, with the variables of `Branch.data`."""
+    parameter_name, branch_datasets = branches[0].name, [branch.data for branch in branches]
 
-    def concatenate(key):
-        dims, attrs = datasets[0][key].dims, datasets[0][key].attrs
-        parts = [dataset[key].values for dataset in datasets]
-        if len(dims) > 1:
-            max_width = max(part.shape[1] for part in parts)
-            fill = 0 if parts[0].dtype.kind == "i" else np.nan
-            parts = [np.pad(part, ((0, 0), (0, max_width - part.shape[1])), constant_values=fill) for part in parts]
-        dim_names = [dim if dim == "multiplier" else f"branch_{dim}" for dim in dims]
-        return dim_names, np.concatenate(parts), attrs
+    def concatenate_variable(variable_name):
+        old_dims, attrs = branch_datasets[0][variable_name].dims, branch_datasets[0][variable_name].attrs
+        branch_arrays = [dataset[variable_name].values for dataset in branch_datasets]
+        if len(old_dims) > 1:
+            max_columns = max(branch_array.shape[1] for branch_array in branch_arrays)
+            padding_value = 0 if branch_arrays[0].dtype.kind == "i" else np.nan
+            branch_arrays = [
+                np.pad(branch_array, ((0, 0), (0, max_columns - branch_array.shape[1])), constant_values=padding_value)
+                for branch_array in branch_arrays
+            ]
+        new_dims = [dim if dim == "multiplier" else f"branch_{dim}" for dim in old_dims]
+        return new_dims, np.concatenate(branch_arrays), attrs
 
-    branch_numbers = np.repeat(np.arange(len(branches)), [len(branch) for branch in branches])
-    variables = {f"branch_{'value' if key == parameter else key}": concatenate(key) for key in datasets[0]}
-    variables["branch_value"][2]["parameter"] = parameter
+    branch_indices = np.repeat(np.arange(len(branches)), [len(branch) for branch in branches])
+    variables = {
+        f"branch_{'value' if variable_name == parameter_name else variable_name}": concatenate_variable(variable_name)
+        for variable_name in branch_datasets[0]
+    }
+    variables["branch_value"][2]["parameter"] = parameter_name
     variables["branch_number"] = (
         "branch_point",
-        branch_numbers,
+        branch_indices,
         {"long_name": "place of the branch among the branches, from 0"},
     )
-    for end_index, end in enumerate(("first", "last")):
-        reasons = [branch.reasons[end_index] for branch in branches]
-        variables[f"branch_{end}_reason"] = "branch", reasons, {"long_name": f"why the branch ends at its {end} point"}
+    for end_index, end_name in enumerate(("first", "last")):
+        end_reasons = [branch.reasons[end_index] for branch in branches]
+        variables[f"branch_{end_name}_reason"] = (
+            "branch",
+            end_reasons,
+            {"long_name": f"why the branch ends at its {end_name} point"},
+        )
     return xr.Dataset(variables)
 
 
-def _special_dataset(branches):
-    """Return the special points of all branches, ends included."""
-    first_rows = np.cumsum([0] + [len(item) for item in branches])
-    indexed_points = [(branch_number, item) for branch_number, branch in enumerate(branches) for item in branch.special]
-    multipliers = np.array([item.multipliers for _, item in indexed_points])
+def _special_point_dataset(branches):
+    """Return the special points of all branches, including the end points."""
+    first_row_of_branch = np.cumsum([0] + [len(branch_or_point) for branch_or_point in branches])
+    indexed_points = [
+        (branch_index, branch_or_point)
+        for branch_index, branch in enumerate(branches)
+        for branch_or_point in branch.special
+    ]
+    multipliers = np.array([branch_or_point.multipliers for _, branch_or_point in indexed_points])
 
-    def make_variable(meaning, values, **attrs):
-        return "special", np.array(values), {"long_name": meaning, **attrs}
+    def make_variable(long_name, variable_values, **attrs):
+        return "special", np.array(variable_values), {"long_name": long_name, **attrs}
 
-    multiplier_header = (
+    multiplier_dims_attrs = (
         ("special", "multiplier"),
         {"long_name": "Floquet multipliers, the larger first", "units": DIMENSIONLESS},
     )
     return xr.Dataset(
         {
-            "special_kind": make_variable("SN, SB, BP, PD, GR, EP", [item.kind for _, item in indexed_points]),
-            "special_value": make_variable("of the parameter", [item.value for _, item in indexed_points]),
+            "special_kind": make_variable(
+                "SN, SB, BP, PD, GR, EP", [branch_or_point.kind for _, branch_or_point in indexed_points]
+            ),
+            "special_value": make_variable(
+                "of the parameter", [branch_or_point.value for _, branch_or_point in indexed_points]
+            ),
             "special_branch": make_variable(
-                "place of its branch among the branches", [branch_number for branch_number, _ in indexed_points]
+                "place of its branch among the branches", [branch_index for branch_index, _ in indexed_points]
             ),
             "special_point": make_variable(
                 "its place along branch_point",
-                [first_rows[branch_number] + item.place for branch_number, item in indexed_points],
+                [
+                    first_row_of_branch[branch_index] + branch_or_point.place
+                    for branch_index, branch_or_point in indexed_points
+                ],
             ),
             "special_label": make_variable(
-                "P n p q: periods, impacts left, right", [item.label for _, item in indexed_points]
+                "P n p q: periods, impacts left, right",
+                [branch_or_point.label for _, branch_or_point in indexed_points],
             ),
             "special_itinerary": make_variable(
-                "walls hit, a word a period", [" ".join(item.itinerary) for _, item in indexed_points]
+                "walls hit, a word a period",
+                [" ".join(branch_or_point.itinerary) for _, branch_or_point in indexed_points],
             ),
             "special_meets": make_variable(
-                "orbits that meet there", [" ".join(neighbour_labels(item)) for _, item in indexed_points]
+                "orbits that meet there",
+                [" ".join(neighbour_labels(branch_or_point)) for _, branch_or_point in indexed_points],
             ),
-            "special_multiplier_real": (multiplier_header[0], multipliers.real, multiplier_header[1]),
-            "special_multiplier_imag": (multiplier_header[0], multipliers.imag, multiplier_header[1]),
+            "special_multiplier_real": (multiplier_dims_attrs[0], multipliers.real, multiplier_dims_attrs[1]),
+            "special_multiplier_imag": (multiplier_dims_attrs[0], multipliers.imag, multiplier_dims_attrs[1]),
             "special_residual": make_variable(
-                "largest error left in its equations", [item.residual for _, item in indexed_points]
+                "largest error left in its equations",
+                [branch_or_point.residual for _, branch_or_point in indexed_points],
             ),
         }
     )
 
 
 def _locus_dataset(loci):
-    """Return the points of all loci, one locus after the other."""
-    locus_numbers = np.repeat(np.arange(len(loci)), [len(locus) for locus in loci])
+    """Return the concatenated points of all loci."""
+    locus_indices = np.repeat(np.arange(len(loci)), [len(locus) for locus in loci])
     variables = {
-        "locus_number": ("locus_point", locus_numbers, {"long_name": "place of the locus among the loci, from 0"})
+        "locus_number": ("locus_point", locus_indices, {"long_name": "place of the locus among the loci, from 0"})
     }
-    for parameter in loci[0].names:
-        values = np.concatenate([locus.data[parameter].values for locus in loci])
-        variables[f"locus_{parameter}"] = "locus_point", values, {"long_name": "a parameter"}
-    descriptions = {
+    for parameter_name in loci[0].names:
+        parameter_values = np.concatenate([locus.data[parameter_name].values for locus in loci])
+        variables[f"locus_{parameter_name}"] = "locus_point", parameter_values, {"long_name": "a parameter"}
+    locus_columns = {
         "kind": ("SN, PD, SB, GR", [locus.kind for locus in loci]),
         "label": ("P n p q: periods, impacts left, right", [locus.label for locus in loci]),
         "first_reason": ("why the locus ends at its first point", [locus.reasons[0] for locus in loci]),
         "last_reason": ("why the locus ends at its last point", [locus.reasons[1] for locus in loci]),
     }
     variables |= {
-        f"locus_{key}": ("locus", entries, {"long_name": meaning}) for key, (meaning, entries) in descriptions.items()
+        f"locus_{column_name}": ("locus", column_values, {"long_name": long_name})
+        for column_name, (long_name, column_values) in locus_columns.items()
     }
     return xr.Dataset(variables)
 
 
 def _codim2_dataset(loci):
-    """Return the special points of all loci, ends included."""
-    first_rows = np.cumsum([0] + [len(item) for item in loci])
-    indexed_points = [(locus_number, item) for locus_number, locus in enumerate(loci) for item in locus.special]
+    """Return the special points of all loci, including the end points."""
+    first_row_of_locus = np.cumsum([0] + [len(locus_or_point) for locus_or_point in loci])
+    indexed_points = [
+        (locus_index, locus_or_point) for locus_index, locus in enumerate(loci) for locus_or_point in locus.special
+    ]
     columns = {
-        "kind": ("CP, GPD, DSB, GR, GG, RG, SN, PD, SB, EP", [item.kind for _, item in indexed_points]),
-        "locus": ("place of its locus among the loci", [locus_number for locus_number, _ in indexed_points]),
+        "kind": (
+            "CP, GPD, DSB, GR, GG, RG, SN, PD, SB, EP",
+            [locus_or_point.kind for _, locus_or_point in indexed_points],
+        ),
+        "locus": ("place of its locus among the loci", [locus_index for locus_index, _ in indexed_points]),
         "point": (
             "its place along locus_point",
-            [first_rows[locus_number] + item.place for locus_number, item in indexed_points],
+            [first_row_of_locus[locus_index] + locus_or_point.place for locus_index, locus_or_point in indexed_points],
         ),
-        "label": ("P n p q: periods, impacts left, right", [item.label for _, item in indexed_points]),
-        "itinerary": ("walls hit, a word a period", [" ".join(item.itinerary) for _, item in indexed_points]),
-        "residual": ("largest error left in its equations", [item.residual for _, item in indexed_points]),
+        "label": (
+            "P n p q: periods, impacts left, right",
+            [locus_or_point.label for _, locus_or_point in indexed_points],
+        ),
+        "itinerary": (
+            "walls hit, a word a period",
+            [" ".join(locus_or_point.itinerary) for _, locus_or_point in indexed_points],
+        ),
+        "residual": (
+            "largest error left in its equations",
+            [locus_or_point.residual for _, locus_or_point in indexed_points],
+        ),
     }
     return xr.Dataset(
         {
-            f"codim2_{key}": ("codim2", np.array(entries), {"long_name": meaning})
-            for key, (meaning, entries) in columns.items()
+            f"codim2_{column_name}": ("codim2", np.array(column_values), {"long_name": long_name})
+            for column_name, (long_name, column_values) in columns.items()
         }
     )
 
 
 def _margin_dataset(margin):
-    """Return the nearest point of each kind, and the change of each free parameter."""
-    points, names = margin.points, list(margin.free)
-    changes = np.array([[point.change[name] for name in names] for point in points]).reshape(len(points), len(names))
+    """Return the nearest bifurcation of each kind and the changes of the free parameters that lead to it."""
+    near_points, free_names = margin.points, list(margin.free)
+    parameter_changes = np.array(
+        [[near_point.change[free_name] for free_name in free_names] for near_point in near_points]
+    ).reshape(len(near_points), len(free_names))
     columns = {
-        "kind": ("SN, PD, SB, GR", [point.kind for point in points]),
-        "distance": ("from the scene, in units of the free numbers", [point.distance for point in points]),
-        "status": ("reached, or behind another", [point.status for point in points]),
-        "edge": ("what ends the boundary there, if anything does", [point.edge for point in points]),
-        "residual": ("largest number left in its equations", [point.residual for point in points]),
+        "kind": ("SN, PD, SB, GR", [near_point.kind for near_point in near_points]),
+        "distance": (
+            "from the scene, in units of the free numbers",
+            [near_point.distance for near_point in near_points],
+        ),
+        "status": ("reached, or behind another", [near_point.status for near_point in near_points]),
+        "edge": ("what ends the boundary there, if anything does", [near_point.edge for near_point in near_points]),
+        "residual": ("largest number left in its equations", [near_point.residual for near_point in near_points]),
     }
     variables = {
-        f"near_{key}": ("near", np.array(entries), {"long_name": meaning})
-        for key, (meaning, entries) in columns.items()
+        f"near_{column_name}": ("near", np.array(column_values), {"long_name": long_name})
+        for column_name, (long_name, column_values) in columns.items()
     }
-    variables["near_change"] = ("near", "free"), changes, {"long_name": "of each free number"}
+    variables["near_change"] = ("near", "free"), parameter_changes, {"long_name": "of each free number"}
     variables["free_unit"] = "free", list(margin.free.values()), {"long_name": "one unit of each free number"}
-    return xr.Dataset(variables, {"free": names})
+    return xr.Dataset(variables, {"free": free_names})
 
 
 def _fit_dataset(fit):
-    """Return the fitted parameters, their errors and covariance."""
-    names = list(fit.values)
+    """Return the fitted parameters, their standard errors and covariance, and the residuals."""
+    parameter_names = list(fit.values)
     variables = {
         "fit_value": ("fitted", list(fit.values.values()), {"long_name": "of each fitted number"}),
         "fit_sigma": ("fitted", list(fit.sigma.values()), {"long_name": "its standard error, inf: not in the record"}),
@@ -293,7 +343,7 @@ def _fit_dataset(fit):
             {"long_name": "measured less fitted, in errors", "units": DIMENSIONLESS},
         ),
     }
-    return xr.Dataset(variables, {"fitted": names, "other": names}, {"fit_status": fit.status.name})
+    return xr.Dataset(variables, {"fitted": parameter_names, "other": parameter_names}, {"fit_status": fit.status.name})
 
 
 def _mirror_indices(motions):

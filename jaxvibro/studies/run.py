@@ -1,4 +1,4 @@
-"""Run the analyses in a scene file and write picture, data and table, all together or not at all."""
+"""Run the analyses in a scene file and write picture, data and table, either all or none."""
 
 import os
 import time
@@ -18,12 +18,12 @@ from ..scene.check import SceneError, host_only, nearest_name
 from ..scene.scales import require_scales
 from ..scene.scene_table import SceneTable
 from ..stores.engines import Engine, LocalEngine
-from . import map_report, report, scene_file
-from .compute import run_studies
-from .csv_tables import csv_tables, requested_tables
-from .figures import loci_picture, main_picture, margin_picture
-from .record_file import load_record
-from .results_dataset import results_dataset
+from . import map_report, results_report, scene_file
+from .csv_tables import csv_tables, requested_table_names
+from .record_file import load_measured_record
+from .result_pictures import draw_loci_picture, draw_main_picture, draw_margin_picture
+from .results_dataset import make_results_dataset
+from .scene_file_studies import run_studies
 from .schema import SceneFile
 
 SUFFIXES = {"picture": ".png", "data": ".nc", "table": ".txt"}
@@ -40,9 +40,9 @@ class Done:
     Attributes
     ----------
     summary : dict
-        Plain numbers, texts, lists and dicts, as ``--json`` prints them.
+        Results as numbers, texts, lists and dicts, as ``--json`` prints them.
     table : str
-        Table for reading.
+        Results as a readable table.
     """
 
     summary: dict[str, Any]
@@ -62,28 +62,29 @@ def run(
 ) -> Done:
     """Run the analyses in a scene file and write their results into a folder.
 
-    The results are a picture, data and a table, with a further picture for a [locus], [margin] or [map]. A [map] also
-    writes its `Store`, from which a later run resumes.
+    The output files are a picture, data and a table. A [locus], [margin] or [map] has an additional picture. A [map]
+    also writes its `Store`, from which a later run resumes. If a [map] is the only analysis, the output files are its
+    picture and the table.
 
     Parameters
     ----------
     path : path-like
-        Scene file. Its name without suffix names the results.
+        Scene file. The names of the output files begin with its name without suffix.
     out : path-like, optional
-        Folder, created if it is missing.
+        Folder of the output files, created if it does not exist.
     changes : iterable of str, optional
-        Other values for this run, each "key=value" as in the file, for example ``"sweep.count=201"``. The prefix
-        "scene." may be left out.
+        Values that replace those in the file, each "key=value" as in the file, for example ``"sweep.count=201"``. The
+        prefix "scene." may be omitted.
     force : bool, optional
-        Overwrite existing results.
+        Overwrite existing files.
     progress : bool, optional
         Show progress bars on stderr.
     csv : bool, optional
         Also write CSV tables of the sweep, the attractors, the branches and the loci, one row per point.
     units : {"scene", "physical"}, optional
-        Units of the tables and pictures. Physical units (N, Hz, mm, ...) need [scene.scales].
+        Units of the tables and pictures. Physical units (N, Hz, mm, ...) require the table [scene.scales].
     engine : LocalEngine or DaskEngine, optional
-        Execution engine of a [map]. None runs in this process.
+        Execution engine of a [map]. None uses a `LocalEngine`.
 
     Returns
     -------
@@ -93,11 +94,13 @@ def run(
     Raises
     ------
     SceneError
-        If the file or the changes break a rule, before any computation. Also, before the other analyses, if no orbit
-        that can be continued is found at the start of a [branch], or if the record of a [fit] has less data than it
-        needs.
+        If the file or a change is invalid, before any computation. If the record of a [fit] has too few data, or the
+        start of a [branch] does not lead to an orbit that can be continued, before the other analyses. If the start of
+        a [margin] does not lead to such an orbit.
+    ArgumentError
+        If `units` is "physical" and the scene has no scales, before any computation.
     FileExistsError
-        If a result already exists, before any computation.
+        If an output file already exists and `force` is False, before any computation.
     OSError
         If a file cannot be read or the folder cannot be written to, before any computation.
 
@@ -117,52 +120,66 @@ def run(
     """
     start_time = time.perf_counter()
     path, out = Path(path), Path(out)
-    file = scene_file.read(path, [_qualified_change(change) for change in changes])
-    for name in PAPER_TABLES:
-        if getattr(file, name):
-            raise SceneError(name, "is a table for `jaxvibro paper`, not for a run", path.name)
-    suffixes = {"table": SUFFIXES["table"]} if file.has_only_map else dict(SUFFIXES)
-    for name, extra_suffixes in EXTRA_SUFFIXES.items():
-        suffixes |= extra_suffixes if getattr(file, name) is not None else {}
+    file_tables = scene_file.read_scene_file(path, [_qualified_change(change) for change in changes])
+    for table_name in PAPER_TABLES:
+        if getattr(file_tables, table_name):
+            raise SceneError(table_name, "is a table for `jaxvibro paper`, not for a run", path.name)
+    suffix_by_kind = {"table": SUFFIXES["table"]} if file_tables.has_only_map else dict(SUFFIXES)
+    for table_name, extra_suffix_by_kind in EXTRA_SUFFIXES.items():
+        suffix_by_kind |= extra_suffix_by_kind if getattr(file_tables, table_name) is not None else {}
     if csv:
-        suffixes |= {f"{table_name} table": f".{table_name}.csv" for table_name in requested_tables(file)}
-    files = {kind: out / (path.stem + suffix) for kind, suffix in suffixes.items()}
-    scene = file.scene.make()
+        suffix_by_kind |= {f"{csv_name} table": f".{csv_name}.csv" for csv_name in requested_table_names(file_tables)}
+    path_by_kind = {
+        output_kind: out / (path.stem + output_suffix) for output_kind, output_suffix in suffix_by_kind.items()
+    }
+    scene = file_tables.scene.make()
     if require_unit_system(units) == "physical":
         require_scales(scene)
-    _require_writable(path, out, files.values(), force)
-    store = None if file.map is None else _map_store(out, path.stem, engine)
-    data_record = None if file.fit is None else load_record(path.parent, file.fit, scene)
-    results = run_studies(file, data_record, progress, store)
-    table = report.results_table(results, path.name, units)
-    contents = (
+    _check_writable_outputs(path, out, path_by_kind.values(), force)
+    map_store = None if file_tables.map is None else _make_map_store(out, path.stem, engine)
+    measured_record = None if file_tables.fit is None else load_measured_record(path.parent, file_tables.fit, scene)
+    results = run_studies(file_tables, measured_record, progress, map_store)
+    results_text = results_report.format_results_table(results, path.name, units)
+    content_by_kind = (
         {}
-        if file.has_only_map
-        else {"picture": main_picture(results, units), "data": netcdf_bytes(results_dataset(results))}
+        if file_tables.has_only_map
+        else {"picture": draw_main_picture(results, units), "data": netcdf_bytes(make_results_dataset(results))}
     )
-    contents["table"] = table.encode()
-    extra_pictures = {
-        "loci": loci_picture,
-        "margin": margin_picture,
-        "map": lambda results, units: map_report.map_picture(results.map, units),
+    content_by_kind["table"] = results_text.encode()
+    draw_by_kind = {
+        "loci": draw_loci_picture,
+        "margin": draw_margin_picture,
+        "map": lambda results, units: map_report.draw_map_picture(results.map, units),
     }
-    contents |= {kind: draw(results, units) for kind, draw in extra_pictures.items() if kind in files}
-    contents |= {f"{table_name} table": text for table_name, text in csv_tables(results, units).items()} if csv else {}
-    files = {kind: files[kind] for kind in contents}
-    _write_files({files[kind]: content for kind, content in contents.items()}, force)
-    output_files = files if store is None else files | {"store": Path(store.path)}
-    summary = report.summary(results, {kind: str(file_path) for kind, file_path in output_files.items()})
-    return Done(summary | {"seconds": round(time.perf_counter() - start_time, 3)}, table)
+    content_by_kind |= {
+        output_kind: draw_picture(results, units)
+        for output_kind, draw_picture in draw_by_kind.items()
+        if output_kind in path_by_kind
+    }
+    content_by_kind |= (
+        {f"{csv_name} table": csv_content for csv_name, csv_content in csv_tables(results, units).items()}
+        if csv
+        else {}
+    )
+    path_by_kind = {output_kind: path_by_kind[output_kind] for output_kind in content_by_kind}
+    _write_files(
+        {path_by_kind[output_kind]: output_content for output_kind, output_content in content_by_kind.items()}, force
+    )
+    output_path_by_kind = path_by_kind if map_store is None else path_by_kind | {"store": Path(map_store.path)}
+    run_summary = results_report.summarise_results(
+        results, {output_kind: str(output_path) for output_kind, output_path in output_path_by_kind.items()}
+    )
+    return Done(run_summary | {"seconds": round(time.perf_counter() - start_time, 3)}, results_text)
 
 
-def _map_store(out, stem, engine):
-    """Return the store of a [map] in an existing folder."""
-    out.mkdir(parents=True, exist_ok=True)
-    return jv.Store(out / (stem + STORE_SUFFIX), engine or LocalEngine())
+def _make_map_store(output_folder, file_stem, engine):
+    """Return the `Store` for a [map]; create the output folder if it does not exist."""
+    output_folder.mkdir(parents=True, exist_ok=True)
+    return jv.Store(output_folder / (file_stem + STORE_SUFFIX), engine or LocalEngine())
 
 
 def _qualified_change(change):
-    """Return a change with its full key: the key of a scene's parameter may begin below [scene]."""
+    """Return a change with its full key: add the prefix "scene." if the key is one of a scene."""
     first_key = change.split("=")[0].split(".")[0].strip()
     table_names, scene_keys = SceneFile.__struct_fields__, SceneTable.__struct_fields__
     is_scene_key = first_key not in table_names and (
@@ -171,21 +188,21 @@ def _qualified_change(change):
     return f"scene.{change}" if is_scene_key else change
 
 
-def _require_writable(path, out, files, force):
-    """Check in advance that all results can be written."""
-    require_writable_folder(out)
-    for file_path in files:
-        if file_path.is_dir() or (file_path.exists() and file_path.samefile(path)):
-            raise FileExistsError(f"out: {file_path} is a folder or the scene file, which are not overwritten")
-        if os.path.lexists(file_path) and not force:
-            raise FileExistsError(f"out: {file_path} already exists; --force overwrites it")
+def _check_writable_outputs(scene_path, output_folder, output_paths, overwrite):
+    """Raise an OSError if an output file could not be written at the end of the run."""
+    require_writable_folder(output_folder)
+    for output_path in output_paths:
+        if output_path.is_dir() or (output_path.exists() and output_path.samefile(scene_path)):
+            raise FileExistsError(f"out: {output_path} is a folder or the scene file, which are not overwritten")
+        if os.path.lexists(output_path) and not overwrite:
+            raise FileExistsError(f"out: {output_path} already exists; --force overwrites it")
 
 
-def _write_files(contents, force):
-    """Write all files under temporary names first, then rename all of them."""
-    with ExitStack() as stack:
-        for path, content in contents.items():
-            path.parent.mkdir(parents=True, exist_ok=True)
-            file = stack.enter_context(atomic_file(path, force))
-            file.write(content)
-            file.flush()
+def _write_files(content_by_path, overwrite):
+    """Write all files under temporary names, then rename all of them."""
+    with ExitStack() as exit_stack:
+        for output_path, content in content_by_path.items():
+            output_path.parent.mkdir(parents=True, exist_ok=True)
+            output_file = exit_stack.enter_context(atomic_file(output_path, overwrite))
+            output_file.write(content)
+            output_file.flush()

@@ -1,4 +1,4 @@
-"""Read and write scene files in TOML, with strict rules."""
+"""Read, check and write scene files in TOML."""
 
 import re
 from os import PathLike
@@ -14,7 +14,7 @@ from ..scene.scene import Scene
 from ..scene.scene_table import make_scene_table
 from . import schema
 from .schema import SceneFile
-from .text_limits import MAX_BYTES, parse_toml, read_content
+from .toml_limits import MAX_BYTES, parse_limited_toml, read_limited_file
 from .validate import check_scene_file
 
 _TABLE_TYPES = {
@@ -26,21 +26,21 @@ _TABLE_TYPES = {
     "scene.right.motion": scene_table.MotionTable,
     "scene.drive": scene_table.MotionTable,
     "scene.scales": scene_table.ScalesTable,
-    "scene.left.law": scene_table.PushTable,
-    "scene.right.law": scene_table.PushTable,
+    "scene.left.law": scene_table.WallLawTable,
+    "scene.right.law": scene_table.WallLawTable,
     "sweep": schema.SweepTable,
-    "sweep.legs": schema.LegTable,
-    "sweep.legs.start": schema.StartTable,
+    "sweep.legs": schema.SweepLegTable,
+    "sweep.legs.start": schema.InitialStateTable,
     "attractors": schema.AttractorsTable,
     "orbits": schema.OrbitsTable,
     "branch": schema.BranchTable,
-    "branch.start": schema.StartTable,
+    "branch.start": schema.InitialStateTable,
     "explore": schema.ExploreTable,
     "locus": schema.LocusTable,
     "map": schema.MapTable,
-    "map.start": schema.StartTable,
+    "map.start": schema.InitialStateTable,
     "spectrum": schema.SpectrumTable,
-    "spectrum.start": schema.StartTable,
+    "spectrum.start": schema.InitialStateTable,
     "basins": schema.BasinsTable,
     "view": schema.ViewTable,
 }
@@ -56,17 +56,17 @@ def load_scene(path: str | PathLike[str], dtype: DTypeLike | None = None) -> Sce
     path : path-like
         Scene file.
     dtype : dtype, optional
-        Floating-point type, as in `make_scene`.
+        Floating-point type, as for `make_scene`.
 
     Returns
     -------
     Scene
-        The scene, as `make_scene` makes it.
+        Scene, as returned by `make_scene`.
 
     Raises
     ------
     SceneError
-        If anything in the file breaks a rule, in the scene or in another table.
+        If the scene or another table of the file is invalid.
     OSError
         If the file cannot be read.
 
@@ -82,14 +82,14 @@ def load_scene(path: str | PathLike[str], dtype: DTypeLike | None = None) -> Sce
     >>> float(jv.load_scene(path).frequency)
     2.1
     """
-    return read(path).scene.make(dtype)
+    return read_scene_file(path).scene.make(dtype)
 
 
 @host_only("return the scene")
 def save_scene(scene: Scene, path: str | PathLike[str], force: bool = False) -> None:
     """Write a single scene to a scene file.
 
-    `load_scene` reads the same numbers from it, bit for bit.
+    `load_scene` then reads the same numbers, bit for bit.
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ def save_scene(scene: Scene, path: str | PathLike[str], force: bool = False) -> 
     Raises
     ------
     ArgumentError
-        If the scene is a batch, or its force or a contact law is not predefined.
+        If the scene is a batch, or has a force or a contact law that is not predefined.
     FileExistsError
         If the file exists and `force` is False.
 
@@ -120,10 +120,10 @@ def save_scene(scene: Scene, path: str | PathLike[str], force: bool = False) -> 
     >>> path.read_text().splitlines()[1]
     'amplitude = 2.0'
     """
-    dump(SceneFile(scene=make_scene_table(scene)), path, force)
+    write_scene_file(SceneFile(scene=make_scene_table(scene)), path, force)
 
 
-def read(path, changes=()):
+def read_scene_file(path, changes=()):
     """Read and check the tables of a scene file.
 
     Parameters
@@ -131,160 +131,187 @@ def read(path, changes=()):
     path : path-like
         Scene file.
     changes : sequence of str, optional
-        Changes, each "key=value" as in `apply_change`, which are made before the check.
+        Changes that are applied before the check, each "key=value" as for `apply_change`.
 
     Returns
     -------
     SceneFile
-        The tables.
+        Tables of the file.
 
     Raises
     ------
     SceneError
-        If the file or a change breaks a rule.
+        If the file or a change is invalid.
     OSError
         If the file cannot be read.
     """
     path = Path(path)
-    return parse_content(path.name, read_content(path), changes)
+    return parse_scene_file(path.name, read_limited_file(path), changes)
 
 
-def parse_content(name, content, changes=()):
+def parse_scene_file(file_name, content, changes=()):
     """Parse and check the content of a scene file.
 
     Parameters
     ----------
-    name : str
-        Name of the file, for messages.
+    file_name : str
+        Name of the file, for error messages.
     content : bytes
         Content of the file.
     changes : sequence of str, optional
-        Changes, each "key=value" as in `apply_change`, which are made before the check.
+        Changes that are applied before the check, each "key=value" as for `apply_change`.
 
     Returns
     -------
     SceneFile
-        The tables.
+        Tables of the file.
 
     Raises
     ------
     SceneError
-        If the content or a change breaks a rule.
+        If the content or a change is invalid.
     """
     try:
-        tables = parse_toml(name, content.decode("utf-8-sig"))
+        plain_tables = parse_limited_toml(file_name, content.decode("utf-8-sig"))
     except ArgumentError:
         raise
     except (ValueError, RecursionError) as error:
-        raise SceneError(name, "must be a TOML file", str(error)) from None
+        raise SceneError(file_name, "must be a TOML file", str(error)) from None
     for change in changes:
-        tables = apply_change(tables, change)
-    return parse_tables(tables)
+        plain_tables = apply_change(plain_tables, change)
+    return parse_tables(plain_tables)
 
 
-def dump(file, path, force=False):
-    """Write a `SceneFile` completely or not at all; raise FileExistsError for an existing file without `force`."""
-    text = msgspec.toml.encode(file)
+def write_scene_file(file, path, force=False):
+    """Write a `SceneFile` to a file; raise FileExistsError if the file exists and `force` is False."""
+    toml_bytes = msgspec.toml.encode(file)
     with atomic_file(path, force) as file:
-        file.write(text)
+        file.write(toml_bytes)
 
 
-def apply_change(tables, change):
-    """Return the plain tables of a scene file with one change, such as "scene.amplitude=3" or "sweep.legs.0.to=1.0".
+def apply_change(plain_tables, change):
+    """Apply a change, for example "scene.amplitude=3" or "sweep.legs.0.to=1.0", to the tables of a scene file.
 
-    Key and value are TOML. A table is merged with the existing one. Entries of a list are numbered from 0. Raises
-    SceneError if the change is not TOML; `parse_tables` refuses unknown keys.
+    Key and value are TOML. A table is merged with the existing table. Entries of a list are numbered from 0. Raises
+    SceneError if the change is not valid TOML. Unknown keys are not detected here but by `parse_tables`.
     """
-    key = change.split("=")[0].strip() or "change"
+    change_key = change.split("=")[0].strip() or "change"
     if len(change) > MAX_BYTES:
-        raise SceneError(key, f"must be at most {MAX_BYTES:,} characters long", "more")
+        raise SceneError(change_key, f"must be at most {MAX_BYTES:,} characters long", "more")
     try:
-        change_tables = parse_toml(key, change)
+        change_tables = parse_limited_toml(change_key, change)
     except ArgumentError:
         raise
     except (ValueError, RecursionError):
         change_tables = {}
     if not change_tables:
-        raise SceneError(key, "must be KEY=VALUE with a TOML value", change)
-    return _merge_tables(tables, change_tables)
+        raise SceneError(change_key, "must be KEY=VALUE with a TOML value", change)
+    return _merge_tables(plain_tables, change_tables)
 
 
-def _merge_tables(old, new):
-    """Return old tables, or lists of them, with the values of new ones."""
-    if isinstance(old, list) and isinstance(new, dict) and all(key in map(str, range(len(old))) for key in new):
+def _merge_tables(old_tables, new_tables):
+    """Return old tables, or lists of tables, with the values of new tables merged into them."""
+    if (
+        isinstance(old_tables, list)
+        and isinstance(new_tables, dict)
+        and all(key in map(str, range(len(old_tables))) for key in new_tables)
+    ):
         return [
-            _merge_tables(entry, new[str(index)]) if str(index) in new else entry for index, entry in enumerate(old)
+            _merge_tables(old_entry, new_tables[str(index)]) if str(index) in new_tables else old_entry
+            for index, old_entry in enumerate(old_tables)
         ]
-    if isinstance(old, dict) and isinstance(new, dict):
-        return {**old, **{key: _merge_tables(old.get(key), value) for key, value in new.items()}}
-    return new
+    if isinstance(old_tables, dict) and isinstance(new_tables, dict):
+        return {**old_tables, **{key: _merge_tables(old_tables.get(key), value) for key, value in new_tables.items()}}
+    return new_tables
 
 
-def parse_tables(tables):
-    """Convert plain tables to a checked `SceneFile`; a SceneError names the key, dotted from the top."""
-    _refuse_unknown("", "", tables)
+def parse_tables(plain_tables):
+    """Convert parsed TOML tables to a valid `SceneFile`; a SceneError names the full dotted key."""
+    _refuse_unknown_keys("", "", plain_tables)
     try:
-        file = msgspec.convert(tables, SceneFile)
+        scene_file = msgspec.convert(plain_tables, SceneFile)
     except msgspec.ValidationError as error:
-        raise _validation_error(tables, str(error)) from None
-    return check_scene_file(file)
+        raise _validation_error(plain_tables, str(error)) from None
+    return check_scene_file(scene_file)
 
 
-def _refuse_unknown(table_key, location, table):
-    """Refuse the first unknown key; msgspec's messages then contain no text of the user's."""
-    names = _TABLE_TYPES[table_key].__struct_encode_fields__
-    for name, value in table.items():
-        if name not in names:
-            raise SceneError(_join_key(location, name), f"is not a key here{describe_choices(name, names)}", value)
-        inner_key, inner_location = _join_key(table_key, name), _join_key(location, name)
-        entries = enumerate(value) if isinstance(value, list) else [(None, value)]
-        for index, entry in entries:
-            if inner_key in _TABLE_TYPES and isinstance(entry, dict):
-                _refuse_unknown(inner_key, inner_location if index is None else f"{inner_location}[{index}]", entry)
+def _refuse_unknown_keys(type_key, table_location, table):
+    """Raise SceneError for the first unknown key.
+
+    The later error messages of msgspec then contain no text of the user.
+    """
+    known_keys = _TABLE_TYPES[type_key].__struct_encode_fields__
+    for key_name, value in table.items():
+        if key_name not in known_keys:
+            raise SceneError(
+                _join_dotted_key(table_location, key_name),
+                f"is not a key here{describe_choices(key_name, known_keys)}",
+                value,
+            )
+        inner_type_key, inner_location = (
+            _join_dotted_key(type_key, key_name),
+            _join_dotted_key(table_location, key_name),
+        )
+        inner_tables = enumerate(value) if isinstance(value, list) else [(None, value)]
+        for table_index, inner_table in inner_tables:
+            if inner_type_key in _TABLE_TYPES and isinstance(inner_table, dict):
+                _refuse_unknown_keys(
+                    inner_type_key,
+                    inner_location if table_index is None else f"{inner_location}[{table_index}]",
+                    inner_table,
+                )
 
 
-def _join_key(prefix, name):
-    """Return a dotted key."""
+def _join_dotted_key(prefix, name):
+    """Join a prefix, which may be empty, and a name to a dotted key."""
     return f"{prefix}.{name}" if prefix else name
 
 
-def _validation_error(tables, message):
-    """Convert msgspec's message, which names the location, to a SceneError with the value there."""
-    complaint, location = re.fullmatch(r"(.*?)(?: - at `\$(.*)`)?", message).groups(default="")
-    keys, value, path = [], tables, ""
-    for name, number in re.findall(r"\.(\w+)|\[(\d+|\.\.\.)\]", location):
-        key = name or (_invalid_entry(tables, keys, value, message) if number == "..." else int(number))
-        keys, value = [*keys, key], value[key]
-        path = f"{path}[{key}]" if isinstance(key, int) else _join_key(path, key)
-    if missing_field := re.search(r"missing required field `(.*)`", complaint):
-        return SceneError(_join_key(path, missing_field[1]), "must be given", None)
-    return SceneError(path, _plain_rule(complaint), value)
+def _validation_error(plain_tables, message):
+    """Convert an error message of msgspec to a SceneError with the dotted key and its value."""
+    rule_of_msgspec, location = re.fullmatch(r"(.*?)(?: - at `\$(.*)`)?", message).groups(default="")
+    key_path, value, dotted_key = [], plain_tables, ""
+    for location_key, entry_number in re.findall(r"\.(\w+)|\[(\d+|\.\.\.)\]", location):
+        key = location_key or (
+            _find_invalid_key(plain_tables, key_path, value, message) if entry_number == "..." else int(entry_number)
+        )
+        key_path, value = [*key_path, key], value[key]
+        dotted_key = f"{dotted_key}[{key}]" if isinstance(key, int) else _join_dotted_key(dotted_key, key)
+    if missing_match := re.search(r"missing required field `(.*)`", rule_of_msgspec):
+        return SceneError(_join_dotted_key(dotted_key, missing_match[1]), "must be given", None)
+    return SceneError(dotted_key, _rule_in_plain_words(rule_of_msgspec), value)
 
 
-def _invalid_entry(tables, keys, table, message):
-    """Return the key of the entry, below some others, for which msgspec gives the same message alone."""
-    for name, value in table.items():
-        single_entry = {name: value}
-        for depth in reversed(range(len(keys))):
-            single_entry = {**_table_at(tables, keys[:depth]), keys[depth]: single_entry}
+def _find_invalid_key(plain_tables, key_path, table, message):
+    """Return the key of the entry of a table that alone causes the same error message of msgspec.
+
+    `key_path` is the path of the table in the file.
+    """
+    for entry_key, value in table.items():
+        single_entry_tables = {entry_key: value}
+        for key_depth in reversed(range(len(key_path))):
+            single_entry_tables = {
+                **_table_at(plain_tables, key_path[:key_depth]),
+                key_path[key_depth]: single_entry_tables,
+            }
         try:
-            msgspec.convert(single_entry, SceneFile)
+            msgspec.convert(single_entry_tables, SceneFile)
         except msgspec.ValidationError as error:
             if str(error) == message:
-                return name
+                return entry_key
     return next(iter(table))
 
 
-def _table_at(tables, keys):
-    """Return the table below some keys."""
-    for key in keys:
-        tables = tables[key]
-    return tables
+def _table_at(plain_tables, key_path):
+    """Return the table at a path of keys."""
+    for key in key_path:
+        plain_tables = plain_tables[key]
+    return plain_tables
 
 
-def _plain_rule(complaint):
-    """Convert "Expected `int` >= 1" to a rule in plain words."""
-    match = re.match(r"Expected `(\w+)[^`]*`([^,]*)", complaint)
-    if match is None:
-        return f"must be valid ({complaint})"
-    return f"must be {_TYPE_WORDS[match[1]]}{match[2]}"
+def _rule_in_plain_words(rule_of_msgspec):
+    """Convert a message of msgspec such as "Expected `int` >= 1" to a rule in plain words."""
+    type_match = re.match(r"Expected `(\w+)[^`]*`([^,]*)", rule_of_msgspec)
+    if type_match is None:
+        return f"must be valid ({rule_of_msgspec})"
+    return f"must be {_TYPE_WORDS[type_match[1]]}{type_match[2]}"

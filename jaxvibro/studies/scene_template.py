@@ -1,4 +1,4 @@
-"""Define the scene file that `jaxvibro init` writes."""
+"""Define the commented scene file that `jaxvibro init` writes."""
 
 SCENE_TEMPLATE = """\
 # A driven mass on a spring between two rigid walls. `jaxvibro run` with this file draws a swept diagram for increasing

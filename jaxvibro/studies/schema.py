@@ -7,7 +7,7 @@ from jaxtyping import Float
 from msgspec import Meta, field
 
 from ..scene.check import MAX_ORBIT_PERIODS
-from ..scene.scene_table import SceneTable, Table
+from ..scene.scene_table import SceneTable, StrictTable
 from ..scene.state import State
 
 MAX_COUNT = 1_000_000
@@ -22,40 +22,56 @@ Name = Annotated[str, Meta(min_length=1)]
 LOCUS_KINDS = ("SN", "PD", "SB", "GR")  # special points that have loci
 
 
-class StartTable(Table, frozen=True):
-    """Initial state at phase 0: position x, in the unit of the walls, and velocity v."""
+class InitialStateTable(StrictTable, frozen=True):
+    """Initial state at phase 0: position x, in the unit of the wall positions, and velocity v."""
 
     x: float
     v: float
 
 
-class LegTable(Table, frozen=True):
-    """Table [[sweep.legs]]: one pass of a sweep, from a first to a last value of the parameter."""
+class SweepLegTable(StrictTable, frozen=True):
+    """Table [[sweep.legs]]: a leg of a sweep, from a first to a last value of the parameter."""
 
     name: Name
     first: float = field(name="from")
     last: float = field(name="to")
-    start: StartTable
+    start: InitialStateTable
 
 
-class SweepTable(Table, frozen=True, kw_only=True):
-    """Table [sweep]: number of values per leg, and drive periods discarded and kept at each."""
+class SweepTable(StrictTable, frozen=True, kw_only=True):
+    """Table [sweep]: sweep of a parameter.
+
+    Attributes
+    ----------
+    parameter : str
+        Parameter of the sweep.
+    count : int
+        Number of values of each leg.
+    settle : int
+        Number of drive periods that are discarded at each value.
+    keep : int
+        Number of drive periods that are recorded at each value.
+    legs : list of SweepLegTable
+        Legs of the sweep.
+    max_seconds : float or None
+        Limit of the wall-clock time in s.
+    """
 
     parameter: Name
     count: Count
     settle: Settle = 300
     keep: Count = 100
-    legs: Annotated[list[LegTable], Meta(min_length=1, max_length=MAX_LEGS)]
+    legs: Annotated[list[SweepLegTable], Meta(min_length=1, max_length=MAX_LEGS)]
     max_seconds: Seconds | None = None
 
-    def values(self, leg: LegTable) -> Float[np.ndarray, " count"]:
-        """Return the parameter's values along a leg, in the order of the sweep: float64, shape (count,)."""
+    def values(self, leg: SweepLegTable) -> Float[np.ndarray, " count"]:
+        """Return the parameter values of a leg in the order of the sweep, float64, shape (count,)."""
         with np.errstate(over="ignore", invalid="ignore"):
             return np.linspace(leg.first, leg.last, self.count)
 
 
-class AttractorsTable(Table, frozen=True):
-    """Table [attractors]: attractors of the scene, with the values in `at`, from random starts."""
+class AttractorsTable(StrictTable, frozen=True):
+    """Table [attractors]: attractors of the scene with the values in `at`, from random initial states."""
 
     starts: Count = 200
     seed: Seed = 0
@@ -63,8 +79,8 @@ class AttractorsTable(Table, frozen=True):
     max_seconds: Seconds | None = None
 
 
-class OrbitsTable(Table, frozen=True):
-    """Table [orbits]: periodic orbits, stable and unstable, near trajectories of the scene with the values in `at`."""
+class OrbitsTable(StrictTable, frozen=True):
+    """Table [orbits]: stable and unstable periodic orbits of the scene with the values in `at`."""
 
     max_period: Periods = 4
     starts: Count = 200
@@ -72,16 +88,16 @@ class OrbitsTable(Table, frozen=True):
     at: dict[str, float] = field(default_factory=dict)
 
 
-class BranchTable(Table, frozen=True, kw_only=True):
+class BranchTable(StrictTable, frozen=True, kw_only=True):
     """Table [branch]: branches of periodic orbits along a parameter.
 
-    The first branch starts at the orbit that the scene, with the values in `at`, approaches from `start`. The others
-    bifurcate from it.
+    The first branch starts at the orbit that the motion from `start` approaches in the scene with the values in `at`.
+    The other branches bifurcate from the first branch, directly or indirectly.
     """
 
     parameter: Name
     bounds: tuple[float, float]
-    start: StartTable = StartTable(0.0, 0.0)
+    start: InitialStateTable = InitialStateTable(0.0, 0.0)
     at: dict[str, float] = field(default_factory=dict)
     settle: Settle = 200
     max_period: Periods = 1
@@ -89,10 +105,10 @@ class BranchTable(Table, frozen=True, kw_only=True):
     max_seconds: Seconds | None = None
 
 
-class ExploreTable(Table, frozen=True, kw_only=True):
-    """Table [explore]: branches of periodic orbits along a parameter, from starts all over its range.
+class ExploreTable(StrictTable, frozen=True, kw_only=True):
+    """Table [explore]: branches of periodic orbits along a parameter, from initial states in its whole range.
 
-    The scene has the values in `at`. All branches that bifurcate from these are followed, too.
+    The scene has the values in `at`. The branches that bifurcate from these branches are continued, too.
     """
 
     parameter: Name
@@ -104,8 +120,8 @@ class ExploreTable(Table, frozen=True, kw_only=True):
     max_seconds: Seconds | None = None
 
 
-class LocusTable(Table, frozen=True, kw_only=True):
-    """Table [locus]: loci, in two parameters, of the special points of [branch] or [explore]."""
+class LocusTable(StrictTable, frozen=True, kw_only=True):
+    """Table [locus]: loci in two parameters of the special points of [branch] or [explore]."""
 
     parameters: tuple[Name, Name]
     bounds: dict[str, tuple[float, float]]
@@ -114,16 +130,17 @@ class LocusTable(Table, frozen=True, kw_only=True):
     max_seconds: Seconds | None = None
 
 
-class MarginTable(Table, frozen=True, kw_only=True):
-    """Table [margin]: nearest bifurcations of an orbit, in units of the free parameters.
+class MarginTable(StrictTable, frozen=True, kw_only=True):
+    """Table [margin]: distance of an orbit to the nearest bifurcations.
 
-    The orbit is the one that the scene, with the values in `at`, approaches from `start`.
+    The table `free` gives the free parameters and their units. The motion from `start` in the scene with the values in
+    `at` approaches the orbit.
     """
 
     free: Annotated[dict[str, float], Meta(min_length=1)]
     bounds: dict[str, tuple[float, float]] = field(default_factory=dict)
     kinds: Annotated[tuple[Name, ...], Meta(min_length=1)] = LOCUS_KINDS
-    start: StartTable = StartTable(0.0, 0.0)
+    start: InitialStateTable = InitialStateTable(0.0, 0.0)
     at: dict[str, float] = field(default_factory=dict)
     settle: Settle = 200
     directions: Count = 128
@@ -131,8 +148,11 @@ class MarginTable(Table, frozen=True, kw_only=True):
     max_seconds: Seconds | None = None
 
 
-class FitTable(Table, frozen=True, kw_only=True):
-    """Table [fit]: free parameters fitted to a record of impacts or samples, a CSV file beside the scene file."""
+class FitTable(StrictTable, frozen=True, kw_only=True):
+    """Table [fit]: fit of free parameters to a measured record of impacts or samples.
+
+    `record` is the path of the CSV file of the record, relative to the folder of the scene file.
+    """
 
     record: Name
     sigma: float
@@ -143,26 +163,26 @@ class FitTable(Table, frozen=True, kw_only=True):
     flawed: bool = True
 
 
-class SpectrumTable(Table, frozen=True, kw_only=True):
-    """Table [spectrum]: both Lyapunov exponents at values of a parameter, each from the same start."""
+class SpectrumTable(StrictTable, frozen=True, kw_only=True):
+    """Table [spectrum]: both Lyapunov exponents at values of a parameter, from one initial state."""
 
     parameter: Name
     first: float = field(name="from")
     last: float = field(name="to")
     count: Count
-    start: StartTable = StartTable(0.0, 0.0)
+    start: InitialStateTable = InitialStateTable(0.0, 0.0)
     settle: Settle = 1000
     error: float = 2e-3
 
     @property
     def values(self) -> Float[np.ndarray, " count"]:
-        """Values of the parameter: float64, shape (count,)."""
+        """Values of the parameter, float64, shape (count,)."""
         with np.errstate(over="ignore", invalid="ignore"):
             return np.linspace(self.first, self.last, self.count)
 
 
-class BasinsTable(Table, frozen=True, kw_only=True):
-    """Table [basins]: attractor of each start of a grid, the scene having the values in `at`."""
+class BasinsTable(StrictTable, frozen=True, kw_only=True):
+    """Table [basins]: attractor of each initial state of a grid, in the scene with the values in `at`."""
 
     x: tuple[float, float]
     v: tuple[float, float]
@@ -174,22 +194,22 @@ class BasinsTable(Table, frozen=True, kw_only=True):
 
     @property
     def grid(self) -> tuple[Float[np.ndarray, " count"], Float[np.ndarray, " count"]]:
-        """Positions and velocities: float64, shape (count,) each."""
+        """Positions and velocities of the grid, float64, shape (count,) each."""
         return np.linspace(*self.x, self.count), np.linspace(*self.v, self.count)
 
 
-class MapTable(Table, frozen=True, kw_only=True):
-    """Table [map]: attractor of the scene, with the values in `at`, at each cell of a grid over two parameters.
+class MapTable(StrictTable, frozen=True, kw_only=True):
+    """Table [map]: attractor at each cell of a grid over two parameters, in the scene with the values in `at`.
 
-    The first parameter is on the y axis, the second on the x axis. `count` gives the number of values of each. `starts`
-    is the number of random starts per cell, in place of the one start.
+    The first parameter is on the y axis, and the second on the x axis. `count` is the number of values of each
+    parameter. `starts` is the number of random initial states per cell, which replace the initial state `start`.
     """
 
     parameters: tuple[Name, Name]
     bounds: dict[str, tuple[float, float]]
     count: tuple[Count, Count]
     quantities: tuple[Name, ...] = ("label", "exponent")
-    start: StartTable = StartTable(0.0, 0.0)
+    start: InitialStateTable = InitialStateTable(0.0, 0.0)
     starts: Count | None = None
     seed: Seed = 0
     along: Name | None = None
@@ -202,15 +222,19 @@ class MapTable(Table, frozen=True, kw_only=True):
     def arguments(self) -> dict[str, Any]:
         """Arguments of `map_parameters`, except for the scene."""
         with np.errstate(over="ignore", invalid="ignore"):
-            parameter_counts = zip(self.parameters, self.count, strict=True)
-            grid = {name: np.linspace(*self.bounds[name], count) for name, count in parameter_counts}
-        start = State(self.start.x, self.start.v) if self.starts is None else self.starts
-        option_names = ("quantities", "along", "settle", "patience", "seed")
-        return {"grid": grid, "start": start, **{name: getattr(self, name) for name in option_names}}
+            names_and_counts = zip(self.parameters, self.count, strict=True)
+            values_by_parameter = {name: np.linspace(*self.bounds[name], count) for name, count in names_and_counts}
+        initial_states = State(self.start.x, self.start.v) if self.starts is None else self.starts
+        option_fields = ("quantities", "along", "settle", "patience", "seed")
+        return {
+            "grid": values_by_parameter,
+            "start": initial_states,
+            **{name: getattr(self, name) for name in option_fields},
+        }
 
 
-class ViewTable(Table, frozen=True, kw_only=True):
-    """Table [[view]]: one action on the page of `jaxvibro view`, the Python line name = call(of, arguments)."""
+class ViewTable(StrictTable, frozen=True, kw_only=True):
+    """Table [[view]]: an action on the page of `jaxvibro view`, the Python line name = call(of, arguments)."""
 
     name: Name
     call: Name
@@ -218,8 +242,8 @@ class ViewTable(Table, frozen=True, kw_only=True):
     arguments: dict[str, Any] = field(default_factory=dict)
 
 
-class SceneFile(Table, frozen=True):
-    """Content of a scene file: the scene, and the analyses that it requests."""
+class SceneFile(StrictTable, frozen=True):
+    """Content of a scene file: the table of the scene and the tables of the analyses."""
 
     scene: SceneTable
     sweep: SweepTable | None = None
@@ -238,17 +262,21 @@ class SceneFile(Table, frozen=True):
 
     @property
     def branch_table(self) -> BranchTable | ExploreTable | None:
-        """Table that gives branches: [branch] or [explore], None without either."""
+        """Table of the branches, [branch] or [explore]; None if the file has neither."""
         return self.branch or self.explore
 
     @property
     def has_only_map(self) -> bool:
         """True if the only analysis is a [map]."""
-        study_names = (name for name in self.__struct_fields__ if name not in ("scene", "map", "panels", "view"))
-        return self.map is not None and not any(getattr(self, name) for name in study_names)
+        analysis_names = (
+            analysis_name
+            for analysis_name in self.__struct_fields__
+            if analysis_name not in ("scene", "map", "panels", "view")
+        )
+        return self.map is not None and not any(getattr(self, analysis_name) for analysis_name in analysis_names)
 
     @property
     def panel_values(self) -> list[dict[str, float]]:
-        """Values of the scene's parameters in each panel; [{}] without [panels]."""
-        rows = zip(*self.panels.values(), strict=True) if self.panels else [()]
-        return [dict(zip(self.panels, row, strict=True)) for row in rows]
+        """Parameter values of each panel of a figure, {name: value}; [{}] if there is no table [panels]."""
+        value_rows = zip(*self.panels.values(), strict=True) if self.panels else [()]
+        return [dict(zip(self.panels, value_row, strict=True)) for value_row in value_rows]

@@ -1,4 +1,4 @@
-"""Fill JAX's compile cache with the code that the first calls for a scene compile."""
+"""Fill the compile cache of JAX by running the usual first calls for a scene."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -8,8 +8,8 @@ from typing import NamedTuple
 import jax
 
 from continuation import numpy_evaluation
-from continuation.cache_file import reason_for_distrust
-from continuation.persistent_jit import cache_folder
+from continuation.persistent_jit import jax_cache_folder
+from continuation.trusted_cache_file import reason_for_distrust
 
 from ..attractors.find import find_attractors
 from ..branches.follow import follow
@@ -35,9 +35,9 @@ class Warmed(NamedTuple):
     folder : Path
         Folder of the compile cache.
     done : tuple of (str, float)
-        Completed steps in order, with their processor time in s.
+        Completed steps in order, each with its processor time in s.
     left : tuple of str
-        Steps that are not possible for this scene, with the reasons.
+        Steps that are not possible for this scene, each with the reason.
     """
 
     folder: Path
@@ -47,17 +47,18 @@ class Warmed(NamedTuple):
 
 @check.host_only("call strobe or monodromy")
 def warm(scene: Scene | None = None, progress: Callable[[str], object] | None = None) -> Warmed:
-    """Run the usual first steps for a scene, so that JAX's compile cache keeps their code.
+    """Run the usual first steps for a scene, so that the compile cache of JAX stores their code.
 
-    The steps are a strobe, its orbit, the branch of that orbit along the amplitude, the branches that bifurcate from
-    its special points, a locus of each kind of special point in amplitude and frequency, and the attractors.
+    The first steps are a stroboscopic map, the orbit that its final state approaches, and the branch of this orbit
+    along the amplitude. The next steps are the branches that bifurcate from the special points of this branch, and a
+    locus of each kind of special point in amplitude and frequency. The last step finds the attractors.
 
     Parameters
     ----------
     scene : Scene, optional
-        Single scene. None takes the scene of the README.
+        Single scene. None uses the scene of the README.
     progress : callable, optional
-        Function that is called with the name of each step before it.
+        Function that is called with the name of each step before the step runs.
 
     Returns
     -------
@@ -67,13 +68,13 @@ def warm(scene: Scene | None = None, progress: Callable[[str], object] | None = 
     Raises
     ------
     ArgumentError
-        If the scene is a batch, JAX has no compile cache, or other users can write to its folder.
+        If the scene is a batch, JAX has no compile cache, or other users can write to the folder of the cache.
 
     Notes
     -----
-    In a later process with this cache these steps compile nothing for scenes with the same kinds of walls, for orbits
-    with as many impacts up to a power of two. JAX keeps only code that takes longer to compile than its setting
-    ``jax_persistent_cache_min_compile_time_secs``, 1 s by default. Set it to 0.
+    A later process with this cache compiles nothing in these steps if the scene has the same kinds of walls, and the
+    number of impacts of the orbit, rounded up to a power of two, is the same. JAX stores only code whose compilation
+    takes longer than the setting ``jax_persistent_cache_min_compile_time_secs``, 1 s by default. Set it to 0.
 
     Examples
     --------
@@ -81,47 +82,50 @@ def warm(scene: Scene | None = None, progress: Callable[[str], object] | None = 
     >>> [name for name, _ in warmed.done][:3]  # doctest: +SKIP
     ['strobe', 'find_orbit', 'follow']
     """
-    folder = cache_folder()
-    if not folder:
-        raise check.ArgumentError("jax_compilation_cache_dir", "must be set: there is no cache to fill", folder)
-    if reason := reason_for_distrust(Path(folder)):
+    cache_path = jax_cache_folder()
+    if not cache_path:
+        raise check.ArgumentError("jax_compilation_cache_dir", "must be set: there is no cache to fill", cache_path)
+    if distrust_reason := reason_for_distrust(Path(cache_path)):
         rule = "must be a folder that no other user can write to, because its contents are executed"
-        raise check.ArgumentError("jax_compilation_cache_dir", rule, reason)
+        raise check.ArgumentError("jax_compilation_cache_dir", rule, distrust_reason)
     scene = make_scene(2.0, 2.1, 0.05, 0.7, (-1.0, 1.0)) if scene is None else scene
-    check.require_single(scene)
-    steps, failures = [], []
+    check.require_single_scene(scene)
+    completed_steps, failed_step_texts = [], []
 
-    def run_step(step_name, function, *arguments):
+    def try_step(step_name, function, *arguments):
         start_time = process_time()
         if progress is not None:
             progress(step_name)
         try:
-            result = function(*arguments)
+            step_result = function(*arguments)
         except (OrbitError, check.ArgumentError, ArithmeticError) as error:
-            failures.append(f"{step_name}: {error}")
+            failed_step_texts.append(f"{step_name}: {error}")
             return None
-        steps.append((step_name, process_time() - start_time))
-        return result
+        completed_steps.append((step_name, process_time() - start_time))
+        return step_result
 
-    previous_patience, numpy_evaluation.MAX_EVALUATIONS = numpy_evaluation.MAX_EVALUATIONS, 0
+    previous_max_evaluations, numpy_evaluation.MAX_EVALUATIONS = numpy_evaluation.MAX_EVALUATIONS, 0
     try:
-        _run_steps(scene, run_step)
+        _run_first_steps(scene, try_step)
     finally:
-        numpy_evaluation.MAX_EVALUATIONS = previous_patience
-    return Warmed(Path(folder), tuple(steps), tuple(failures))
+        numpy_evaluation.MAX_EVALUATIONS = previous_max_evaluations
+    return Warmed(Path(cache_path), tuple(completed_steps), tuple(failed_step_texts))
 
 
-def _run_steps(scene, run_step):
-    """Run the steps in order; later steps need the results of earlier ones."""
-    amplitude, frequency = (float(scene.parameter(name)) for name in ("amplitude", "frequency"))
-    bounds = {"amplitude": (0.0, BOUND_FACTOR * max(1.0, amplitude)), "frequency": (0.7 * frequency, 1.4 * frequency)}
-    start = jax.tree.map(lambda leaf: leaf[0], draw_initial_states(scene, 1, (0,)))
-    strobe_result = run_step("strobe", strobe, scene, start)
-    orbit = strobe_result and run_step("find_orbit", find_orbit, scene, strobe_result[0])
-    branch = orbit and run_step("follow", follow, orbit, "amplitude", bounds["amplitude"])
-    special_points = {special.kind: special for special in branch.special} if branch else {}
-    for kind in (candidate for candidate in SWITCH_KINDS if candidate in special_points):
-        run_step(f"switch at {kind}", switch, special_points[kind])
-    for kind in (candidate for candidate in LOCUS_KINDS if candidate in special_points):
-        run_step(f"locus of {kind}", locus, special_points[kind], ("amplitude", "frequency"), bounds)
-    run_step("find_attractors", find_attractors, scene)
+def _run_first_steps(scene, try_step):
+    """Run all steps in order; `try_step` returns None for a step that is not possible."""
+    amplitude, frequency = (float(scene.parameter(parameter_name)) for parameter_name in ("amplitude", "frequency"))
+    parameter_bounds = {
+        "amplitude": (0.0, BOUND_FACTOR * max(1.0, amplitude)),
+        "frequency": (0.7 * frequency, 1.4 * frequency),
+    }
+    initial_state = jax.tree.map(lambda leaf: leaf[0], draw_initial_states(scene, 1, (0,)))
+    strobe_result = try_step("strobe", strobe, scene, initial_state)
+    orbit = strobe_result and try_step("find_orbit", find_orbit, scene, strobe_result[0])
+    branch = orbit and try_step("follow", follow, orbit, "amplitude", parameter_bounds["amplitude"])
+    special_by_kind = {special_point.kind: special_point for special_point in branch.special} if branch else {}
+    for kind in (available_kind for available_kind in SWITCH_KINDS if available_kind in special_by_kind):
+        try_step(f"switch at {kind}", switch, special_by_kind[kind])
+    for kind in (available_kind for available_kind in LOCUS_KINDS if available_kind in special_by_kind):
+        try_step(f"locus of {kind}", locus, special_by_kind[kind], ("amplitude", "frequency"), parameter_bounds)
+    try_step("find_attractors", find_attractors, scene)

@@ -7,14 +7,20 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from ..attractors import derived_candidates
-from ..attractors.classify import AttractorCandidate, chaotic_candidate, find_chaotic, find_periodic, sample_motion
-from ..attractors.transients import extract_orbit, is_rotation, settle_lanes
-from ..compiled.kernels import BLOCK_WIDTH
-from ..flight.wall_positions import clamp_to_walls
+from ..attractors import derived_attractors
+from ..attractors.classify_attractors import (
+    AttractorCandidate,
+    find_chaotic_attractors,
+    find_periodic_attractors,
+    make_chaotic_attractor,
+    sample_motions,
+)
+from ..attractors.transients import extract_orbit, is_rotated_orbit, settle_lanes
+from ..compiled.kernel_calls import BLOCK_WIDTH
+from ..flight.wall_positions import adapt_to_moved_walls
 from ..maps.initial_conditions import initial_box
 from ..maps.iterate import iterate
-from ..orbits.orbit_comparison import is_same_orbit, is_same_set
+from ..orbits.orbit_comparison import is_same_orbit, samples_fill_same_set
 from ..scene.check import MAX_ORBIT_PERIODS
 from ..scene.codes import Status
 from ..scene.scene import Scene
@@ -28,15 +34,15 @@ PERTURBATION_DIRECTION = (0.6, 0.8)
 
 
 class TransportResult(NamedTuple):
-    """Result of carrying an attractor to a neighbouring value.
+    """Result of carrying the motion on an attractor to a neighbouring value of the parameter.
 
     Attributes
     ----------
     attractor_index : int or None
-        Index among the attractors of that value; None if the motion settled on none.
+        Index among the attractors at the neighbouring value. None if the motion settles on no attractor.
     path : ndarray
-        x, v and contact at phase 0 along the way, over `MAX_ORBIT_PERIODS` periods at each step. Array of shape
-        (N_STEPS, MAX_ORBIT_PERIODS, 3).
+        x, v and contact at phase 0 while the parameter changes, over `MAX_ORBIT_PERIODS` periods at each step. Array of
+        shape (N_STEPS, MAX_ORBIT_PERIODS, 3).
     """
 
     attractor_index: int | None
@@ -55,20 +61,21 @@ class ParameterNode:
         Scene at this value.
     candidates : list of AttractorCandidate
         Attractors, with the indices of their initial states as lanes.
-    n_unresolved : int
+    n_unresolved_starts : int
         Number of initial states on no attractor.
     scale : float
         Largest magnitude of x and v.
     status : int
         Worst status of the initial states.
     transports : dict
-        Results {-1 or 1: {index in `candidates`: `TransportResult`}} towards the previous and the next value.
+        Results ``{-1 or 1: {index in candidates: TransportResult}}``, -1 towards the previous value and 1 towards the
+        next.
     """
 
     value: float
     scene: Scene
     candidates: list[AttractorCandidate]
-    n_unresolved: int
+    n_unresolved_starts: int
     scale: float | np.floating
     status: int
     transports: dict[int, dict[int, TransportResult]] = field(default_factory=lambda: {-1: {}, 1: {}})
@@ -77,145 +84,181 @@ class ParameterNode:
 def transport_attractors(nodes, name, settle):
     """Carry each attractor of some `ParameterNode`s, in order of their values, to the neighbouring values.
 
-    A motion that settles there on an attractor that no initial state found adds it with a share of 0, and it is carried
-    on in turn. There are at most as many rounds as values.
+    If a motion settles on an attractor that no initial state approached, this attractor is added with a share of 0. New
+    attractors are carried in the next round. The number of rounds is the number of values.
     """
     for _ in nodes:
-        tasks = [
-            (node_index, index, direction)
+        transport_tasks = [
+            (node_index, candidate_index, node_step)
             for node_index, node in enumerate(nodes)
-            for index in range(len(node.candidates))
-            for direction in (-1, 1)
-            if 0 <= node_index + direction < len(nodes) and index not in node.transports[direction]
+            for candidate_index in range(len(node.candidates))
+            for node_step in (-1, 1)
+            if 0 <= node_index + node_step < len(nodes) and candidate_index not in node.transports[node_step]
         ]
-        for start in range(0, len(tasks), BLOCK_WIDTH):
-            _transport_batch(nodes, name, tasks[start : start + BLOCK_WIDTH], settle)
+        for first_task_index in range(0, len(transport_tasks), BLOCK_WIDTH):
+            _transport_batch(nodes, name, transport_tasks[first_task_index : first_task_index + BLOCK_WIDTH], settle)
 
 
-def _transport_batch(nodes, name, tasks, settle):
+def _transport_batch(nodes, name, transport_tasks, settle):
     """Carry at most `BLOCK_WIDTH` attractors, (node index, attractor index, direction) each, at the same time."""
-    padded_tasks = tasks + tasks[-1:] * (BLOCK_WIDTH - len(tasks))
+    padded_tasks = transport_tasks + transport_tasks[-1:] * (BLOCK_WIDTH - len(transport_tasks))
     start_values = np.array([nodes[node_index].value for node_index, _, _ in padded_tasks])
-    end_values = np.array([nodes[node_index + direction].value for node_index, _, direction in padded_tasks])
-    states = [nodes[node_index].candidates[index].fields["state"] for node_index, index, _ in padded_tasks]
-    state, status, path = _ramp_parameter(
+    end_values = np.array([nodes[node_index + node_step].value for node_index, _, node_step in padded_tasks])
+    start_states = [
+        nodes[node_index].candidates[candidate_index].attractor_fields["state"]
+        for node_index, candidate_index, _ in padded_tasks
+    ]
+    end_state, worst_status, state_path = _ramp_parameter(
         nodes[0].scene,
         name,
         start_values,
         end_values,
-        _stack_states(nodes[0].scene, states),
-        _node_scales(nodes, padded_tasks),
+        _stack_states(nodes[0].scene, start_states),
+        _max_magnitude_by_task(nodes, padded_tasks),
     )
-    target_nodes = np.array([node_index + direction for node_index, _, direction in tasks])
-    attractor_indices = np.full(len(tasks), -1)
-    for target in np.unique(target_nodes):
-        lanes = np.flatnonzero((target_nodes == target) & (status[: len(tasks)] < Status.CAP))
+    target_node_indices = np.array([node_index + node_step for node_index, _, node_step in transport_tasks])
+    target_indices = np.full(len(transport_tasks), -1)
+    for target_node_index in np.unique(target_node_indices):
+        lanes = np.flatnonzero(
+            (target_node_indices == target_node_index) & (worst_status[: len(transport_tasks)] < Status.CAP)
+        )
         if lanes.size:
-            attractor_indices[lanes] = assign_attractors(
-                nodes[target], jax.tree.map(lambda leaf, lanes=lanes: leaf[lanes], state), settle
+            target_indices[lanes] = assign_or_add_attractors(
+                nodes[target_node_index], jax.tree.map(lambda leaf, lanes=lanes: leaf[lanes], end_state), settle
             )
-    for lane, (node_index, index, direction) in enumerate(tasks):
-        attractor_index = None if attractor_indices[lane] < 0 else int(attractor_indices[lane])
-        nodes[node_index].transports[direction][index] = TransportResult(attractor_index, path[:, :, lane])
+    for lane, (node_index, candidate_index, node_step) in enumerate(transport_tasks):
+        target_index = None if target_indices[lane] < 0 else int(target_indices[lane])
+        nodes[node_index].transports[node_step][candidate_index] = TransportResult(target_index, state_path[:, :, lane])
 
 
-def _node_scales(nodes, tasks):
+def _max_magnitude_by_task(nodes, transport_tasks):
     return np.array(
-        [max(nodes[node_index].scale, nodes[node_index + direction].scale) for node_index, _, direction in tasks]
+        [
+            max(nodes[node_index].scale, nodes[node_index + node_step].scale)
+            for node_index, _, node_step in transport_tasks
+        ]
     )
 
 
 def _stack_states(scene, states):
-    """Stack states of one lane each, at phase 0, into one state of many lanes."""
-    components = ([getattr(state, key) for state in states] for key in ("x", "v", "contact"))
-    x, v, contact = (np.array(values, scene.dtype) for values in components)
+    """Stack single states at phase 0 into one state with many lanes."""
+    components = ([getattr(state, component_name) for state in states] for component_name in ("x", "v", "contact"))
+    x, v, contact = (np.array(component_values, scene.dtype) for component_values in components)
     return State(x, v, np.zeros_like(x), contact)
 
 
-def _ramp_parameter(scene, name, start_values, end_values, state, scale):
-    """Return (state, worst status, path (steps, periods, lanes, 3)) of lanes with slowly changing parameters."""
-    worst_status, path = np.zeros(len(start_values), int), []
-    for step in range(1, N_STEPS + 1):
-        values = end_values if step == N_STEPS else start_values + (end_values - start_values) * ramp_fraction(step)
-        step_scenes = scene.replace(**{name: values})
-        state = jax.tree.map(np.asarray, clamp_to_walls(step_scenes, perturb_states(scene, state, scale)))
+def _ramp_parameter(scene, name, start_values, end_values, state, max_state_magnitude):
+    """Return (final state, worst status, path (steps, periods, lanes, 3)) of lanes with slowly changing parameters."""
+    worst_status, state_path = np.zeros(len(start_values), int), []
+    for step_number in range(1, N_STEPS + 1):
+        step_values = (
+            end_values
+            if step_number == N_STEPS
+            else start_values + (end_values - start_values) * ramp_fraction(step_number)
+        )
+        step_scenes = scene.replace(**{name: step_values})
+        state = jax.tree.map(
+            np.asarray, adapt_to_moved_walls(step_scenes, perturb_free_states(scene, state, max_state_magnitude))
+        )
         iterates = iterate(step_scenes, state, MAX_ORBIT_PERIODS, max_single_lanes=0)
         state, worst_status = iterates.state, np.maximum(worst_status, iterates.status)
-        path.append(np.stack([iterates.x, iterates.v, iterates.contact], -1))
-    return state, worst_status, np.stack(path)
+        state_path.append(np.stack([iterates.x, iterates.v, iterates.contact], -1))
+    return state, worst_status, np.stack(state_path)
 
 
-def ramp_fraction(step):
-    """Return the fraction of the parameter change after `step` steps.
+def ramp_fraction(step_number):
+    """Return the fraction of the parameter change after `step_number` steps.
 
     The steps are small at both ends, where an attractor of one of the values may be near the end of its branch.
     """
-    u = step / N_STEPS
-    return u * u * (3.0 - 2.0 * u)
+    step_fraction = step_number / N_STEPS
+    return step_fraction * step_fraction * (3.0 - 2.0 * step_fraction)
 
 
-def perturb_states(scene, state, scale):
-    """Return slightly perturbed states, unchanged if in contact with a wall; scale: largest magnitude of x and v."""
-    offset = np.where(np.asarray(state.contact) == 0, np.finfo(scene.dtype).eps ** PERTURBATION_POWER * scale, 0.0)
+def perturb_free_states(scene, state, max_state_magnitude):
+    """Return slightly perturbed states; states in contact are unchanged. max_state_magnitude: largest magnitude of x
+    and v."""
+    perturbation_size = np.where(
+        np.asarray(state.contact) == 0, np.finfo(scene.dtype).eps ** PERTURBATION_POWER * max_state_magnitude, 0.0
+    )
     x, v = (
-        np.asarray(component + offset * direction, scene.dtype)
-        for component, direction in zip((state.x, state.v), PERTURBATION_DIRECTION, strict=True)
+        np.asarray(component + perturbation_size * direction_component, scene.dtype)
+        for component, direction_component in zip((state.x, state.v), PERTURBATION_DIRECTION, strict=True)
     )
     return State(x, v, state.phase, state.contact)
 
 
-def assign_attractors(node, state, settle):
+def assign_or_add_attractors(node, state, settle):
     """Return the indices of the node's attractors that states (lanes) approach, -1 for none.
 
     New attractors are added to the node, with their mirror images if the scene is symmetric.
     """
     scene, candidates = node.scene, node.candidates
-    x_min, x_max, _ = initial_box(scene)
-    state = jax.tree.map(np.asarray, clamp_to_walls(scene, perturb_states(scene, state, node.scale)))
-    iterates, periods, _ = settle_lanes(scene, state, settle, max(abs(x_min), abs(x_max)))
-    attractor_indices = np.full(len(periods), -1)
-    for lane in np.flatnonzero(periods):
-        attractor_indices[lane] = _find_orbit(candidates, extract_orbit(iterates, lane, periods[lane])[0], node.scale)
-    nonrecurrent_lanes = np.flatnonzero((periods == 0) & (iterates.status < Status.CAP))
+    start_box_x_min, start_box_x_max, _ = initial_box(scene)
+    state = jax.tree.map(np.asarray, adapt_to_moved_walls(scene, perturb_free_states(scene, state, node.scale)))
+    iterates, recurrence_periods, _ = settle_lanes(
+        scene, state, settle, max(abs(start_box_x_min), abs(start_box_x_max))
+    )
+    attractor_indices = np.full(len(recurrence_periods), -1)
+    for lane in np.flatnonzero(recurrence_periods):
+        attractor_indices[lane] = _find_orbit_index(
+            candidates, extract_orbit(iterates, lane, recurrence_periods[lane])[0], node.scale
+        )
+    nonrecurrent_lanes = np.flatnonzero((recurrence_periods == 0) & (iterates.status < Status.CAP))
     for lane in nonrecurrent_lanes:
-        motion = sample_motion(scene, jax.tree.map(lambda leaf, lane=lane: leaf[[lane]], iterates.state))
+        motion = sample_motions(scene, jax.tree.map(lambda leaf, lane=lane: leaf[[lane]], iterates.state))
         if motion.status[0] < Status.CAP:
-            attractor_indices[lane] = _find_candidate(candidates, chaotic_candidate(scene, motion, node.scale, {}))
-    n_known = len(candidates)
-    for motion in find_periodic(scene, iterates, np.where(attractor_indices < 0, periods, 0), settle, node.scale)[0]:
-        attractor_indices[motion.lanes] = _find_or_add(candidates, motion)
-    for motion in find_chaotic(
+            attractor_indices[lane] = _find_same_attractor(
+                candidates, make_chaotic_attractor(scene, motion, node.scale, {})
+            )
+    n_known_candidates = len(candidates)
+    for found_candidate in find_periodic_attractors(
+        scene, iterates, np.where(attractor_indices < 0, recurrence_periods, 0), settle, node.scale
+    )[0]:
+        attractor_indices[found_candidate.lanes] = _find_or_add_attractor(candidates, found_candidate)
+    for found_candidate in find_chaotic_attractors(
         scene, iterates, nonrecurrent_lanes[attractor_indices[nonrecurrent_lanes] < 0], node.scale
     )[0]:
-        attractor_indices[motion.lanes] = _find_or_add(candidates, motion)
-    if len(candidates) > n_known:
-        candidates += derived_candidates.mirror_images(scene, candidates, node.scale)
+        attractor_indices[found_candidate.lanes] = _find_or_add_attractor(candidates, found_candidate)
+    if len(candidates) > n_known_candidates:
+        candidates += derived_attractors.derive_mirror_images(scene, candidates, node.scale)
     return attractor_indices
 
 
-def _find_orbit(candidates, points, scale):
+def _find_orbit_index(candidates, section_points, max_state_magnitude):
     """Return the index of the periodic attractor with these points, -1 if there is none."""
-    tolerance = np.finfo(points.dtype).eps ** 0.4 * scale
+    tolerance = np.finfo(section_points.dtype).eps ** 0.4 * max_state_magnitude
     for index, candidate in enumerate(candidates):
-        candidate_points = candidate.fields["points"]
-        if candidate.fields["periods"] == len(points) and is_rotation(points, candidate_points, tolerance):
+        candidate_points = candidate.attractor_fields["points"]
+        if candidate.attractor_fields["periods"] == len(section_points) and is_rotated_orbit(
+            section_points, candidate_points, tolerance
+        ):
             return index
     return -1
 
 
-def _find_candidate(candidates, candidate):
+def _find_same_attractor(candidates, new_candidate):
     """Return the index of the candidate that is the same attractor, -1 if there is none."""
-    is_same = is_same_orbit if candidate.fields["periods"] else is_same_set
-    indices = (
-        index for index, other in enumerate(candidates) if other.fields["periods"] == candidate.fields["periods"]
+    is_same_motion = is_same_orbit if new_candidate.attractor_fields["periods"] else samples_fill_same_set
+    same_period_indices = (
+        index
+        for index, other_candidate in enumerate(candidates)
+        if other_candidate.attractor_fields["periods"] == new_candidate.attractor_fields["periods"]
     )
-    return next((index for index in indices if is_same(candidate.impact_points, candidates[index].impact_points)), -1)
+    return next(
+        (
+            index
+            for index in same_period_indices
+            if is_same_motion(new_candidate.impact_points, candidates[index].impact_points)
+        ),
+        -1,
+    )
 
 
-def _find_or_add(candidates, candidate):
+def _find_or_add_attractor(candidates, new_candidate):
     """Return the index of an attractor among the candidates, adding it without initial states if it is new."""
-    index = _find_candidate(candidates, candidate)
+    index = _find_same_attractor(candidates, new_candidate)
     if index < 0:
-        candidates.append(replace(candidate, lanes=[]))
+        candidates.append(replace(new_candidate, lanes=[]))
         return len(candidates) - 1
     return index

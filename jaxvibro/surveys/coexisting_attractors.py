@@ -2,64 +2,71 @@
 
 import numpy as np
 
-from ..orbits.orbit_comparison import is_same_set
-from ..stores.study import blank_columns
-from . import cell_columns
-from .motions import CHAOTIC, UNDECIDED, MotionResults
+from ..orbits.orbit_comparison import samples_fill_same_set
+from ..stores.study_protocol import blank_columns
+from . import map_columns
+from .motion_classification import CHAOTIC, UNDECIDED, MotionResults
 
 
 def attractor_columns(scene, motions: MotionResults, n_starts: int, study_columns) -> dict[str, np.ndarray]:
-    """Return {name: array}, cells first, from the motions of the `n_starts` initial states of each cell."""
-    n_cells, label_codes = len(motions.periods) // n_starts, cell_columns.motion_labels(motions)
+    """Return the columns {name: array}, cells on the first axis, of the attractors of `n_starts` motions per cell."""
+    n_cells, label_codes = len(motions.periods) // n_starts, map_columns.motion_label_codes(motions)
     columns = blank_columns(study_columns, (n_cells,))
-    representatives: list[tuple[int, int, int]] = []  # cell, index and lane of each stored attractor
+    cell_index_lane_triples: list[tuple[int, int, int]] = []  # cell, index and lane of each stored attractor
     columns["label"][:], columns["share"][:] = 0, 0.0
-    for cell in range(n_cells):
-        lanes = np.arange(cell * n_starts, (cell + 1) * n_starts)
-        groups = group_lanes(motions, label_codes, lanes)
-        columns["status"][cell] = motions.status[lanes].max()
-        columns["unresolved"][cell] = 1.0 - sum(map(len, groups)) / n_starts
+    for cell_index in range(n_cells):
+        lanes = np.arange(cell_index * n_starts, (cell_index + 1) * n_starts)
+        attractor_lanes = group_by_attractor(motions, label_codes, lanes)
+        columns["status"][cell_index] = motions.status[lanes].max()
+        columns["unresolved"][cell_index] = 1.0 - sum(map(len, attractor_lanes)) / n_starts
         if "attractors" in columns:
-            columns["attractors"][cell] = len(groups)
-        for index, group in enumerate(groups[: cell_columns.MAX_ATTRACTORS]):
-            columns["share"][cell, index] = len(group) / n_starts
-            representatives.append((cell, index, group[0]))
-    if representatives:
-        cell, index, lane = np.array(representatives).T
-        lane_scenes, lane_motions = cell_columns.select_motions(scene, motions, lane)
-        lane_columns = cell_columns.motion_columns(lane_scenes, lane_motions, study_columns)
-        for name, array in lane_columns.items():
+            columns["attractors"][cell_index] = len(attractor_lanes)
+        for attractor_index, lane_group in enumerate(attractor_lanes[: map_columns.MAX_ATTRACTORS]):
+            columns["share"][cell_index, attractor_index] = len(lane_group) / n_starts
+            cell_index_lane_triples.append((cell_index, attractor_index, lane_group[0]))
+    if cell_index_lane_triples:
+        cell_indices, attractor_indices, lane = np.array(cell_index_lane_triples).T
+        attractor_scenes, attractor_motions = map_columns.select_motion_lanes(scene, motions, lane)
+        attractor_values = map_columns.motion_columns(attractor_scenes, attractor_motions, study_columns)
+        for name, array in attractor_values.items():
             if name != "status":
-                columns[name][cell, index] = array
+                columns[name][cell_indices, attractor_indices] = array
     return columns
 
 
-def group_lanes(motions: MotionResults, label_codes, lanes) -> list[list[int]]:
-    """Return the lanes of each attractor, the most frequent first, then by code and first lane.
+def group_by_attractor(motions: MotionResults, label_codes, lanes) -> list[list[int]]:
+    """Return the lanes of each attractor, in order of decreasing number of lanes, label code and first lane.
 
-    Undecided lanes are on none. Orbits are the same if they have a point on the section in common; chaotic motions if
-    they fill the same set (`orbit_comparison.is_same_set`).
+    Undecided lanes are omitted. Two orbits are the same if they have a point on the section in common. Two chaotic
+    motions are on the same attractor if they fill the same set (`orbit_comparison.samples_fill_same_set`).
     """
-    groups: list[list[int]] = []
-    scale = np.nanmax(abs(motions.points[-1, lanes]), initial=1.0)
-    tolerance = np.finfo(motions.points.dtype).eps ** 0.4 * scale
+    attractor_lanes: list[list[int]] = []
+    max_state_magnitude = np.nanmax(abs(motions.points[-1, lanes]), initial=1.0)
+    tolerance = np.finfo(motions.points.dtype).eps ** 0.4 * max_state_magnitude
     for lane in lanes[motions.periods[lanes] != UNDECIDED].tolist():
-        group = next((group for group in groups if _is_same(motions, group[0], lane, tolerance)), None)
-        if group is None:
-            groups.append([lane])
+        lane_group = next(
+            (
+                lane_group
+                for lane_group in attractor_lanes
+                if _are_on_same_attractor(motions, lane_group[0], lane, tolerance)
+            ),
+            None,
+        )
+        if lane_group is None:
+            attractor_lanes.append([lane])
         else:
-            group.append(lane)
-    return sorted(groups, key=lambda group: (-len(group), int(label_codes[group[0]]), group[0]))
+            lane_group.append(lane)
+    return sorted(attractor_lanes, key=lambda group: (-len(group), int(label_codes[group[0]]), group[0]))
 
 
-def _is_same(motions, first_lane, second_lane, tolerance):
+def _are_on_same_attractor(motions, first_lane, second_lane, tolerance):
     """Return True if two lanes are on the same attractor."""
     n_periods = motions.periods[first_lane]
     if n_periods != motions.periods[second_lane]:
         return False
     if n_periods == CHAOTIC:
-        samples = (motions.points[:, lane] for lane in (first_lane, second_lane))
-        return is_same_set(*(points[np.isfinite(points).all(axis=1)] for points in samples))
+        lane_points = (motions.points[:, lane] for lane in (first_lane, second_lane))
+        return samples_fill_same_set(*(points[np.isfinite(points).all(axis=1)] for points in lane_points))
     return bool(
         (abs(motions.points[-n_periods:, first_lane] - motions.points[-1, second_lane]).max(axis=1) <= tolerance).any()
     )

@@ -7,19 +7,19 @@ import numpy as np
 import xarray as xr
 from jaxtyping import ArrayLike, Float, Real
 
-from continuation.limits import UNLIMITED, limits_of, partial_reason
+from continuation.computation_limits import UNLIMITED, make_limits, partial_result_reason
 
+from ..attractors.basin_fraction_bounds import SIGNIFICANCE_LEVEL, compute_share_bounds
 from ..attractors.find import make_attractors, settle_starts
-from ..attractors.shares import SIGNIFICANCE_LEVEL, share_bounds
-from ..attractors.sweep import STATUS_FLAGS, UNITS_TEXT, equation_text, other_parameters, static_attributes
+from ..attractors.sweep import STATUS_FLAGS, UNITS_TEXT, equation_text, non_parameter_attributes, other_parameters
 from ..maps.initial_conditions import draw_initial_states
 from ..output.units import LENGTH, SPEED, scales_attributes, unit_of
 from ..scene import check
 from ..scene.scene import Scene
 from ..scene.unit_mistakes import require_scene_units
+from .attractor_matching import match_attractors, nearest_rotation
 from .attractor_transport import ParameterNode, transport_attractors
 from .least_shock import least_shock
-from .matching import match_attractors, nearest_rotation
 
 MAX_NETCDF_INT = 2**31 - 1  # largest integer in a NetCDF file of the classic format
 
@@ -61,21 +61,22 @@ def fractions(
     progress : callable, optional
         Called with the number of values whose initial states have settled.
     max_seconds : float, optional
-        Wall-clock time, in s, after which no further value is started and no further shock is searched. The first value
-        is always done. None is no limit.
+        Wall-clock time, in s, after which no further value is started, neither in the search for attractors nor in the
+        search for shocks. The attractors of the first value are always computed. None is no limit.
 
     Returns
     -------
     xarray.Dataset
         Variables with dimensions (name, attractor): ``share``, ``share_low`` and ``share_high``, the basin fraction and
-        its bounds at 95 % confidence, nan where the attractor does not exist; ``label`` (P n p q, ``"chaotic"``),
-        ``""`` where it does not exist; ``kind``, ``"periodic"``, ``"chaotic"`` or ``""``; ``periods``, 0 if it is not
+        its bounds at 95 % confidence, nan where the attractor does not exist; ``label`` as in `Attractor`, ``""`` where
+        the attractor does not exist; ``kind``, ``"periodic"``, ``"chaotic"`` or ``""``; ``periods``, 0 if it is not
         periodic; ``exponent``, the largest Lyapunov exponent per drive period; ``state_x`` and ``state_v``, a state on
-        it at phase 0; ``mirror_of``, the index of its mirror image, its own if it is symmetric, -1 for none. With
-        `shocks`, ``least_shock``: the smallest impulse at phase 0 that makes the motion leave the attractor (see
-        `least_shock`), inf if none does, nan if it is unknown, for example if an impact falls on that phase. Variables
-        along `name`: ``unresolved``, ``unresolved_low`` and ``unresolved_high``, the fraction of initial states on no
-        attractor; ``status``, the worst of the initial states, as in `Impacts`. Attributes: ``starts`` and ``seed``.
+        the attractor at phase 0; ``mirror_of``, the index of the mirror image, equal to that of the attractor if it is
+        symmetric, -1 for none. With `shocks`, ``least_shock``: the smallest impulse at phase 0 that leads to another
+        attractor (see `least_shock`), inf if none does, nan if unknown, for example if an impact falls on phase 0.
+        Variables along `name`: ``unresolved``, ``unresolved_low`` and ``unresolved_high``, the fraction of initial
+        states on no attractor; ``status``, the worst of the initial states, as in `Impacts`. Attributes: ``starts`` and
+        ``seed``.
 
     Raises
     ------
@@ -90,22 +91,23 @@ def fractions(
 
     Notes
     -----
-    The initial states differ between values. So the errors are independent along the parameter, and the result at a
-    value does not depend on the other values.
+    The initial states differ between values. The errors are therefore independent along the parameter, and the result
+    at a value does not depend on the other values.
 
-    An attractor keeps its index as long as the motion that starts on it, carried in small steps of the parameter,
-    approaches its continuation at the next value, and returns from there. This includes period doublings, and grazings
-    without a jump: the label changes. If a branch ends and its motion falls onto another attractor, that one keeps its
-    own index. At a symmetry breaking, the asymmetric attractor whose label comes first, or else whose mean x at phase 0
-    is lower, keeps the index; its mirror image has another. An attractor that is carried to a value at which no initial
-    state found it has the share 0 there.
+    An attractor keeps its index if the motion on it, carried in small steps of the parameter, approaches an attractor
+    at the next value, and the motion carried back approaches the first attractor. This includes period doublings, and
+    grazings without a jump, at which the label changes. If a branch ends and its motion approaches another attractor,
+    the other attractor keeps its own index. At a symmetry breaking, the asymmetric attractor whose label comes first,
+    or for equal labels whose mean x at phase 0 is lower, keeps the index. Its mirror image has another index. An
+    attractor has the share 0 at a value at which no initial state approaches it.
 
     After `max_seconds`, the attractors of the values that are done are still matched. The other values have shares of
     nan, the label ``""`` and the status -1, and the attribute ``stopped`` gives the reason.
 
     References
     ----------
-    Clopper and Pearson (1934): exact bounds. For 0 initial states, or all of them, the bound is one-sided.
+    Clopper and Pearson (1934): exact bounds. Only one bound is nontrivial if none or all of the initial states approach
+    the attractor.
 
     Examples
     --------
@@ -115,40 +117,44 @@ def fractions(
     >>> data["share"].values.round(2).tolist()
     [[0.9, 0.1], [0.95, 0.05]]
     """
-    limits = limits_of(None, max_seconds, None, check.ArgumentError)
-    check.require_single(scene)
+    computation_limits = make_limits(None, max_seconds, None, check.ArgumentError)
+    check.require_single_scene(scene)
     values = _check_values(scene, name, values)
-    starts, settle = check.whole_number("starts", starts, 1), check.whole_number("settle", settle, 0)
-    seed, shocks = check.whole_number("seed", seed, 0), check.whole_number("shocks", shocks, 0)
+    starts, settle = check.check_whole_number("starts", starts, 1), check.check_whole_number("settle", settle, 0)
+    seed, shocks = check.check_whole_number("seed", seed, 0), check.check_whole_number("shocks", shocks, 0)
     nodes: list[ParameterNode] = []
     for value in values:
-        if nodes and limits.expired:
+        if nodes and computation_limits.expired:
             break
-        nodes.append(_settle_node(scene.replace(**{name: value}), float(value), starts, seed, settle))
+        nodes.append(_make_parameter_node(scene.replace(**{name: value}), float(value), starts, seed, settle))
         if progress is not None:
             progress(len(nodes))
     transport_attractors(nodes, name, settle)
     tracks = match_attractors(nodes, name, settle) or [{}]
     node_attractors = [make_attractors(node.scene, node.candidates, starts) for node in nodes]
-    data, n_done = (
+    result_dataset, n_done_values = (
         _make_dataset(scene, name, values[: len(nodes)], nodes, node_attractors, tracks, starts, seed),
         len(nodes),
     )
     if shocks:
-        shock_sizes, n_done = _least_shocks(nodes, node_attractors, tracks, shocks, limits)
+        shock_sizes, n_done_values = _compute_least_shocks(nodes, node_attractors, tracks, shocks, computation_limits)
         shock_attrs = {"long_name": "least impulse at phase 0 that makes the motion leave", "units": SPEED}
-        data = data.assign(least_shock=((name, "attractor"), shock_sizes, shock_attrs)).assign_attrs(shocks=shocks)
+        result_dataset = result_dataset.assign(
+            least_shock=((name, "attractor"), shock_sizes, shock_attrs)
+        ).assign_attrs(shocks=shocks)
     if len(nodes) < len(values):
-        data = _pad_values(data, name, values)
-    if n_done < len(values):
-        data = data.assign_attrs(stopped=partial_reason(n_done, len(values), "values"))
-    return data
+        result_dataset = _pad_missing_values(result_dataset, name, values)
+    if n_done_values < len(values):
+        result_dataset = result_dataset.assign_attrs(
+            stopped=partial_result_reason(n_done_values, len(values), "values")
+        )
+    return result_dataset
 
 
 def _check_values(scene, name, values) -> Float[np.ndarray, " values"]:
-    """Return the values of the parameter, checked."""
+    """Check the values of the parameter and return them as an array."""
     check.require_parameter(name, scene.names, name)
-    values = check.finite_array(name, values, scene.dtype)
+    values = check.check_finite_array(name, values, scene.dtype)
     if values.ndim != 1 or len(values) == 0 or not (np.diff(values) > 0).all():
         raise check.ArgumentError(name, "must be one or more values in increasing order", values)
     require_scene_units("values", scene, name, values)
@@ -156,7 +162,7 @@ def _check_values(scene, name, values) -> Float[np.ndarray, " values"]:
     return values
 
 
-def _settle_node(scene, value, n_starts, seed, settle):
+def _make_parameter_node(scene, value, n_starts, seed, settle):
     """Return the `ParameterNode` of a value with the attractors of its own initial states."""
     start_states = draw_initial_states(scene, n_starts, (seed, int(np.float64(value).view(np.uint64))))
     settled_starts = settle_starts(scene, start_states, settle)
@@ -164,39 +170,43 @@ def _settle_node(scene, value, n_starts, seed, settle):
         value,
         scene,
         settled_starts.candidates,
-        len(settled_starts.failures),
+        len(settled_starts.failure_reasons),
         settled_starts.scale,
         int(settled_starts.status.max()),
     )
 
 
-def _least_shocks(nodes, node_attractors, tracks, n_shocks, limits=UNLIMITED):
-    """Return (smallest impulses, (values, attractors), number of values searched)."""
+def _compute_least_shocks(nodes, node_attractors, tracks, n_shocks, computation_limits=UNLIMITED):
+    """Return (minimal fatal shocks of shape (values, attractors), number of values searched)."""
     shock_sizes = np.full((len(nodes), len(tracks)), np.nan)
     for node_index, node in enumerate(nodes):
-        if limits.expired:
+        if computation_limits.expired:
             return shock_sizes, node_index
         shock_sizes[node_index] = [
-            _least_shock_size(node.scene, node_attractors[node_index], track.get(node_index), n_shocks)
-            for track in tracks
+            _compute_shock_size(node.scene, node_attractors[node_index], attractor_by_node.get(node_index), n_shocks)
+            for attractor_by_node in tracks
         ]
     return shock_sizes, len(nodes)
 
 
-def _pad_values(data, name, values):
-    """Extend the data to all values, blank at those that are not done."""
-    fill_values = {key: BLANK_VALUES.get(key, np.nan) for key in data.data_vars}
-    dtypes = {key: data[key].dtype for key in data.data_vars}
-    padded_data = data.reindex({name: values}, fill_value=fill_values)
-    return padded_data.assign({key: padded_data[key].astype(dtype) for key, dtype in dtypes.items()})
+def _pad_missing_values(result_dataset, name, values):
+    """Extend the Dataset to all values, with `BLANK_VALUES` or nan at values that are not done."""
+    fill_value_by_variable = {
+        variable_name: BLANK_VALUES.get(variable_name, np.nan) for variable_name in result_dataset.data_vars
+    }
+    variable_dtypes = {variable_name: result_dataset[variable_name].dtype for variable_name in result_dataset.data_vars}
+    padded_dataset = result_dataset.reindex({name: values}, fill_value=fill_value_by_variable)
+    return padded_dataset.assign(
+        {variable_name: padded_dataset[variable_name].astype(dtype) for variable_name, dtype in variable_dtypes.items()}
+    )
 
 
-def _least_shock_size(scene, attractors, index, n_shocks):
-    """Return the smallest impulse at phase 0 of an attractor; nan for none, or without a trapping region there."""
-    if index is None:
+def _compute_shock_size(scene, attractors, attractor_index, n_shocks):
+    """Return the size of the minimal fatal shock at phase 0; nan without the attractor or its trapping region."""
+    if attractor_index is None:
         return np.nan
     try:
-        return least_shock(scene, attractors, index, shocks=n_shocks).size
+        return least_shock(scene, attractors, attractor_index, shocks=n_shocks).size
     except check.ArgumentError as error:
         if error.key != "phase":
             raise
@@ -204,28 +214,32 @@ def _least_shock_size(scene, attractors, index, n_shocks):
 
 
 def _make_dataset(scene, name, values, nodes, node_attractors, tracks, n_starts, seed):
-    """Return the named result of the attractors at each value and their tracks along the parameter."""
-    rows = [
-        [_attractor_entry(node_attractors, item, node_index) for item in tracks]
+    """Return the Dataset of the attractors at each value and their tracks along the parameter."""
+    entries_by_value = [
+        [_make_attractor_entry(node_attractors, track, node_index) for track in tracks]
         for node_index in range(len(node_attractors))
     ]
-    for node_index, row in enumerate(rows):
-        for item, entry in zip(tracks, row, strict=True):
-            entry["mirror_of"] = _mirror_index(node_attractors[node_index], item, node_index, tracks)
-    n_unresolved = np.array([item.n_unresolved for item in nodes])
-    lower, upper = np.array([share_bounds(int(count), n_starts) for count in n_unresolved]).T
+    for node_index, value_entries in enumerate(entries_by_value):
+        for track, attractor_variables in zip(tracks, value_entries, strict=True):
+            attractor_variables["mirror_of"] = _mirror_track_index(
+                node_attractors[node_index], track, node_index, tracks
+            )
+    unresolved_counts = np.array([node.n_unresolved_starts for node in nodes])
+    unresolved_lower_bounds, unresolved_upper_bounds = np.array(
+        [compute_share_bounds(int(n_unresolved_starts), n_starts) for n_unresolved_starts in unresolved_counts]
+    ).T
     unresolved_attrs = {"long_name": "share of the starts on no attractor", "units": "1"}
     variables = {
         **{
-            key: ((name, "attractor"), _entry_column(rows, key), column_attrs)
-            for key, column_attrs in COLUMN_ATTRS.items()
+            variable_name: ((name, "attractor"), _make_entry_array(entries_by_value, variable_name), column_attrs)
+            for variable_name, column_attrs in COLUMN_ATTRS.items()
         },
-        "unresolved": (name, n_unresolved / n_starts, unresolved_attrs),
-        "unresolved_low": (name, lower, {"long_name": "lower bound of it at 95 %", "units": "1"}),
-        "unresolved_high": (name, upper, {"long_name": "upper bound of it at 95 %", "units": "1"}),
+        "unresolved": (name, unresolved_counts / n_starts, unresolved_attrs),
+        "unresolved_low": (name, unresolved_lower_bounds, {"long_name": "lower bound of it at 95 %", "units": "1"}),
+        "unresolved_high": (name, unresolved_upper_bounds, {"long_name": "upper bound of it at 95 %", "units": "1"}),
         "status": (
             name,
-            np.array([item.status for item in nodes], np.int32),
+            np.array([node.status for node in nodes], np.int32),
             {"long_name": "worst status", **STATUS_FLAGS},
         ),
     }
@@ -241,10 +255,10 @@ def _make_dataset(scene, name, values, nodes, node_attractors, tracks, n_starts,
         "equation": equation_text(scene),
         "units": UNITS_TEXT,
         "swept": name,
-        **static_attributes(scene),
+        **non_parameter_attributes(scene),
         **scales_attributes(scene),
     }
-    attrs |= {key: float(value) for key, value in other_parameters(scene, name).items()}
+    attrs |= {variable_name: float(value) for variable_name, value in other_parameters(scene, name).items()}
     attrs |= {
         "starts": n_starts,
         "seed": seed if seed <= MAX_NETCDF_INT else str(seed),
@@ -272,42 +286,50 @@ ABSENT_ENTRY |= {"label": "", "kind": "", "periods": 0}
 BLANK_VALUES = {"label": "", "kind": "", "periods": 0, "mirror_of": -1, "status": -1}  # at a value that is not done
 
 
-def _entry_column(rows, key):
-    """Return a variable (values, attractors) of the entries: texts of one width, integers that files hold."""
-    dtype = {"label": str, "kind": str, "periods": np.int32, "mirror_of": np.int32}.get(key, float)
-    return np.array([[entry[key] for entry in row] for row in rows], dtype).reshape(len(rows), -1)
+def _make_entry_array(entries_by_value, variable_name):
+    """Return a variable of the entries as an array (values, attractors) of a type that NetCDF files can store."""
+    dtype = {"label": str, "kind": str, "periods": np.int32, "mirror_of": np.int32}.get(variable_name, float)
+    return np.array(
+        [
+            [attractor_variables[variable_name] for attractor_variables in value_entries]
+            for value_entries in entries_by_value
+        ],
+        dtype,
+    ).reshape(len(entries_by_value), -1)
 
 
-def _attractor_entry(node_attractors, track, node_index):
-    """Return the variables of an attractor at a value; track: {value's index: attractor's index}."""
-    if node_index not in track:
+def _make_attractor_entry(node_attractors, attractor_by_node, node_index):
+    """Return the variables of an attractor at one value; attractor_by_node: {node index: attractor index}."""
+    if node_index not in attractor_by_node:
         return dict(ABSENT_ENTRY)
-    attractor, points = (
-        node_attractors[node_index][track[node_index]],
-        node_attractors[node_index][track[node_index]].points,
+    attractor, section_points = (
+        node_attractors[node_index][attractor_by_node[node_index]],
+        node_attractors[node_index][attractor_by_node[node_index]].points,
     )
-    if node_index - 1 in track and attractor.periods:
-        previous = node_attractors[node_index - 1][track[node_index - 1]]
-        if previous.periods == attractor.periods:
-            points = nearest_rotation(points, previous.points)
+    if node_index - 1 in attractor_by_node and attractor.periods:
+        previous_attractor = node_attractors[node_index - 1][attractor_by_node[node_index - 1]]
+        if previous_attractor.periods == attractor.periods:
+            section_points = nearest_rotation(section_points, previous_attractor.points)
     return {
         "share": attractor.share,
         "share_low": attractor.share_bounds[0],
         "share_high": attractor.share_bounds[1],
         **{key: getattr(attractor, key) for key in ("label", "kind", "periods", "exponent")},
-        "state_x": points[0, 0] if attractor.periods else attractor.state.x,
-        "state_v": points[0, 1] if attractor.periods else attractor.state.v,
+        "state_x": section_points[0, 0] if attractor.periods else attractor.state.x,
+        "state_v": section_points[0, 1] if attractor.periods else attractor.state.v,
     }
 
 
-def _mirror_index(attractors, track, node_index, tracks):
+def _mirror_track_index(attractors, attractor_by_node, node_index, tracks):
     """Return the index of the track of an attractor's mirror image at a value, -1 for none."""
-    image_index = attractors[track[node_index]].mirror_of if node_index in track else None
+    mirror_attractor_index = (
+        attractors[attractor_by_node[node_index]].mirror_of if node_index in attractor_by_node else None
+    )
     return next(
         (
-            index
-            for index, other_track in enumerate(tracks)
-            if image_index is not None and other_track.get(node_index) == image_index
+            track_index
+            for track_index, other_track in enumerate(tracks)
+            if mirror_attractor_index is not None and other_track.get(node_index) == mirror_attractor_index
         ),
         -1,
     )

@@ -7,7 +7,7 @@ import numpy as np
 import xarray as xr
 from jaxtyping import ArrayLike, Real
 
-from continuation.limits import limits_of, partial_reason
+from continuation.computation_limits import make_limits, partial_result_reason
 
 from ..attractors.basin_labels import build_neighbourhoods
 from ..attractors.basins import MAX_PERIODS
@@ -18,7 +18,7 @@ from ..output.units import ANGLE, LENGTH, SPEED, scales_attributes, unit_in_syst
 from ..scene import check
 from ..scene.scene import Scene
 from ..scene.state import State
-from .shock_search import ShockProblem, ShockResult, base_points, empty_result, search_least_shock
+from .shock_search import ShockProblem, ShockResult, empty_result, points_before_shock, search_least_shock
 
 DIRECTIONS = ("v", "xv")
 N_SHOCKS = 1 << 18
@@ -31,11 +31,12 @@ class LeastShock:
     Attributes
     ----------
     size : float
-        Size of the shock, a speed: ``abs(dv)`` or ``hypot(dx, dv)``. inf if no shock up to `reach` leaves.
+        Size of the shock, a speed: ``abs(dv)`` or ``hypot(dx, dv)``. inf if no shock up to `reach` leaves the basin of
+        attraction.
     dx : float
-        Change of position; nan without a shock.
+        Change of position; nan if no shock leaves the basin.
     dv : float
-        Change of velocity; nan without a shock.
+        Change of velocity; nan if no shock leaves the basin.
     state : State
         State on the attractor just before the shock.
     phase : float
@@ -43,21 +44,22 @@ class LeastShock:
     place : int
         Index of the attractor in `attractors`.
     to : int
-        Index of the attractor that the motion approaches after the shock; -1 without a shock.
+        Index of the attractor that the motion approaches after the shock; -1 if no shock leaves the basin.
     bracket : tuple of float
-        A size in the direction of the shock at which the motion stays, and `size`.
+        Size of a shock in the same direction after which the motion returns to the attractor, and `size`.
     until : float
-        All tested shocks in this direction between `size` and this size, at most ``2 * size``, leave. A value close to
-        `size` indicates a thin strip of a basin.
+        Size, at most ``2 * size``, up to which all tested shocks in the same direction leave the basin. A value close
+        to `size` indicates a thin strip of another basin.
     safe : float
-        No smaller shock leaves at any of the phases, since a trapping region of the attractor contains all of them. 0
-        for a chaotic attractor.
+        Size below which no shock at any of the phases leaves the basin, because a trapping region of the attractor
+        contains the states after all such shocks. 0 for a chaotic attractor.
     below : int
-        Number of tested shocks that are smaller than the smallest that leaves at their phase, over all phases.
+        Number of tested shocks that are smaller than the smallest shock at the same phase that leaves the basin, summed
+        over the phases.
     undecided : int
-        Number of these that do not certainly approach any attractor of the tuple.
+        Number of the shocks counted in `below` after which the motion approaches no attractor with certainty.
     least_undecided : float
-        Size of the smallest of all such shocks; inf without.
+        Size of the smallest undecided shock of all tests; inf if no shock is undecided.
     direction : {"v", "xv"}
         Direction of the shocks.
     reach : float
@@ -69,8 +71,8 @@ class LeastShock:
     by_phase : xarray.Dataset
         Size, dx, dv, x, v, to, until, safe, below, undecided and least_undecided at each phase.
     stopped : str
-        Reason why the search ended before it was complete, else ``""``. `size` is then the smallest shock up to then,
-        nan at a phase without a test.
+        Reason why the search ended before it was complete, else ``""``. After an incomplete search, `size` is the size
+        of the smallest tested shock that leaves the basin. Phases without a test have the size nan in `by_phase`.
 
     Examples
     --------
@@ -118,37 +120,52 @@ class LeastShock:
         ArgumentError
             If `units` is unknown, or physical units are requested of a scene without scales.
         """
-        (length_name, x_unit), (speed_name, v_unit) = (
-            unit_in_system(self.scene, unit, units) for unit in (LENGTH, SPEED)
+        (length_name, length_unit_size), (speed_name, speed_unit_size) = (
+            unit_in_system(self.scene, dimension, units) for dimension in (LENGTH, SPEED)
         )
-        headings = (
+        headings_and_units = (
             ("size", speed_name),
             ("dx", length_name),
             ("dv", speed_name),
             ("x", length_name),
             ("v", speed_name),
         )
-        rows = [("phase", *(column_header(name, unit, units) for name, unit in headings), "leads to")]
-        factors = {"size": v_unit, "dx": x_unit, "dv": v_unit, "x": x_unit, "v": v_unit}
+        table_rows = [
+            ("phase", *(column_header(name, dimension, units) for name, dimension in headings_and_units), "leads to")
+        ]
+        unit_size_by_column = {
+            "size": speed_unit_size,
+            "dx": length_unit_size,
+            "dv": speed_unit_size,
+            "x": length_unit_size,
+            "v": speed_unit_size,
+        }
         for phase_index, phase in enumerate(self.by_phase["phase"].values):
             phase_data = self.by_phase.isel(phase=phase_index)
-            destination = int(phase_data["to"])
+            destination_index = int(phase_data["to"])
             destination_text = (
-                f"{destination}: {self.attractors[destination].label}" if destination >= 0 else "none found"
+                f"{destination_index}: {self.attractors[destination_index].label}"
+                if destination_index >= 0
+                else "none found"
             )
-            rows.append(
+            table_rows.append(
                 (
                     f"{phase:.6g}",
-                    *(f"{factor * float(phase_data[name]):.7g}" for name, factor in factors.items()),
+                    *(f"{unit_size * float(phase_data[name]):.7g}" for name, unit_size in unit_size_by_column.items()),
                     destination_text,
                 )
             )
-        note = f"{self.below} smaller shocks tested, {self.undecided} undecided; largest size {v_unit * self.reach:.6g}"
-        safe = (
-            f"no shock below {v_unit * self.safe:.6g} leaves the trapping region of "
+        test_summary = (
+            f"{self.below} smaller shocks tested, {self.undecided} undecided; largest size"
+            f" {speed_unit_size * self.reach:.6g}"
+        )
+        safe_size_text = (
+            f"no shock below {speed_unit_size * self.safe:.6g} leaves the trapping region of "
             f"{self.place}: {self.attractors[self.place].label}"
         )
-        return "\n".join([align_columns(rows), note, safe, *([self.stopped] if self.stopped else [])])
+        return "\n".join(
+            [align_columns(table_rows), test_summary, safe_size_text, *([self.stopped] if self.stopped else [])]
+        )
 
 
 @check.host_only("use strobe")
@@ -168,7 +185,8 @@ def least_shock(
 ) -> LeastShock:
     """Find the smallest shock that moves the motion from one attractor to another.
 
-    The search draws evenly distributed shocks in a disc and shrinks the disc to the smallest shock that leaves.
+    The search tests evenly distributed shocks in a disc. The disc shrinks to the smallest shock that leaves the basin
+    of attraction.
 
     Parameters
     ----------
@@ -183,11 +201,13 @@ def least_shock(
         all points of the attractor at a phase: n points of an orbit of n periods, or a sample of a chaotic attractor.
     direction : {"v", "xv"}, optional
         ``"v"`` changes the velocity only, in both directions. ``"xv"`` also changes the position; the size is then
-        ``hypot(dx, dv)`` in units of the scene, the square root of twice its energy in the free spring.
+        ``hypot(dx, dv)`` in units of the scene, the square root of twice the energy of a mass on the free spring with
+        displacement dx and velocity dv.
     reach : float, optional
-        Largest size searched. The default reaches the whole box of initial states.
+        Largest size of a tested shock. The default reaches the whole box of initial states.
     shocks : int, optional
-        Number of consecutive smaller shocks, evenly distributed, that must stay at each phase.
+        Largest number of evenly distributed shocks in one disc, for each phase. The search ends if no such shock in the
+        disc of the smallest shock leaves the basin.
     patience : int, optional
         Largest number of drive periods of a motion, as in `basins`.
     seed : int, optional
@@ -195,8 +215,8 @@ def least_shock(
     progress : callable, optional
         Called with the number of shocks tested.
     max_seconds : float, optional
-        Wall-clock time, in s, after which the smallest shock up to then is returned, with the reason in ``stopped``.
-        None is no limit.
+        Wall-clock time, in s, after which the search ends. The result is then the smallest of the tested shocks, with
+        the reason in ``stopped``. None is no limit.
 
     Returns
     -------
@@ -206,8 +226,8 @@ def least_shock(
     Raises
     ------
     ArgumentError
-        If the scene has lanes, the attractor is unresolved or has no trapping region at a phase (an impact falls on
-        that phase: choose another one), or a number is invalid.
+        If the scene has lanes, the attractor is unresolved or has no trapping region at a phase, or a number is
+        invalid. An attractor with an impact at the phase has no trapping region: choose another phase.
 
     See Also
     --------
@@ -216,10 +236,12 @@ def least_shock(
 
     Notes
     -----
-    A shock leaves if the motion after it certainly approaches another attractor (see `basins`). A shock through a rigid
-    wall is impossible. A shock after which the motion approaches no known attractor does not count as leaving and is
-    counted separately. The result is the smallest of many tested shocks, not a proven minimum. Below `safe` no shock
-    leaves. A boundary that is fractal has no gradient that leads to it, so the search tests shocks as `basins` does.
+    A shock leaves the basin if the motion after the shock certainly approaches another attractor (see `basins`). A
+    shock that moves the mass beyond a rigid wall is impossible and is not counted. A shock after which the motion
+    approaches no known attractor is undecided and is counted separately. The result is the smallest of many tested
+    shocks, not a proven minimum. No shock smaller than `safe` leaves the basin. The boundary of the basin may be
+    fractal, without a gradient that leads to its nearest point. The search therefore simulates the motion after each
+    shock, as `basins` does.
 
     References
     ----------
@@ -232,85 +254,100 @@ def least_shock(
     >>> shock.direction, attractors[shock.to].label, round(shock.size, 2)
     ('v', 'P100', 4.15)
     """
-    limits = limits_of(None, max_seconds, None, check.ArgumentError)
-    check.require_single(scene)
+    computation_limits = make_limits(None, max_seconds, None, check.ArgumentError)
+    check.require_single_scene(scene)
     if direction not in DIRECTIONS:
         raise check.ArgumentError("direction", f"must be one of {', '.join(DIRECTIONS)}", direction)
     phases = _check_phases(phase)
-    shocks, patience = check.whole_number("shocks", shocks, 1), check.whole_number("patience", patience, 1)
-    place, seed = check.whole_number("place", place, 0), check.whole_number("seed", seed, 0)
+    shocks, patience = check.check_whole_number("shocks", shocks, 1), check.check_whole_number("patience", patience, 1)
+    place, seed = check.check_whole_number("place", place, 0), check.check_whole_number("seed", seed, 0)
     max_size = None if reach is None else _check_reach(reach)
     attractors = find_attractors(scene) if attractors is None else tuple(attractors)
     if place >= len(attractors) or attractors[place].kind == "unresolved":
-        valid_indices = [str(index) for index, item in enumerate(attractors) if item.kind != "unresolved"]
+        valid_indices = [str(index) for index, attractor in enumerate(attractors) if attractor.kind != "unresolved"]
         raise check.ArgumentError("place", f"must be the index of an attractor ({', '.join(valid_indices)})", place)
-    x_min, x_max, max_speed = (float(bound) for bound in initial_box(scene))
-    problems = []
+    start_box_x_min, start_box_x_max, start_box_max_speed = (float(box_bound) for box_bound in initial_box(scene))
+    shock_problems = []
     for phase_angle in phases:
         neighbourhoods = build_neighbourhoods(
-            scene, attractors, float(phase_angle), max(abs(x_min), abs(x_max), max_speed)
+            scene, attractors, float(phase_angle), max(abs(start_box_x_min), abs(start_box_x_max), start_box_max_speed)
         )
         if neighbourhoods[place].region is None:
-            rule = "must be one at which the attractor has a trapping region and no impact; choose another phase"
-            raise check.ArgumentError("phase", rule, float(phase_angle))
-        problems.append(ShockProblem(scene, float(phase_angle), neighbourhoods, place, direction == "xv", patience))
-    max_size = _box_reach(problems, x_min, x_max, max_speed) if max_size is None else max_size
-    count_shocks = _shock_counter(progress)
-    results: list[ShockResult] = []
-    for problem in problems:
-        may_search = not results or not limits.expired
-        results.append(
-            search_least_shock(problem, max_size, shocks, seed, count_shocks, limits)
-            if may_search
-            else empty_result(problem)
+            phase_rule = "must be one at which the attractor has a trapping region and no impact; choose another phase"
+            raise check.ArgumentError("phase", phase_rule, float(phase_angle))
+        shock_problems.append(
+            ShockProblem(scene, float(phase_angle), neighbourhoods, place, direction == "xv", patience)
         )
-    n_complete = sum(item.complete for item in results)
-    stopped = "" if n_complete == len(problems) else partial_reason(n_complete, len(problems), "phases")
-    return _make_result(scene, attractors, place, direction, max_size, phases, results, stopped)
+    max_size = (
+        _size_covering_box(shock_problems, start_box_x_min, start_box_x_max, start_box_max_speed)
+        if max_size is None
+        else max_size
+    )
+    count_shocks = _make_shock_counter(progress)
+    shock_results: list[ShockResult] = []
+    for shock_problem in shock_problems:
+        has_time = not shock_results or not computation_limits.expired
+        shock_results.append(
+            search_least_shock(shock_problem, max_size, shocks, seed, count_shocks, computation_limits)
+            if has_time
+            else empty_result(shock_problem)
+        )
+    n_complete_phases = sum(shock_result.is_complete for shock_result in shock_results)
+    stop_reason = (
+        ""
+        if n_complete_phases == len(shock_problems)
+        else partial_result_reason(n_complete_phases, len(shock_problems), "phases")
+    )
+    return _make_result(scene, attractors, place, direction, max_size, phases, shock_results, stop_reason)
 
 
 def _check_phases(phase):
-    """Return the phases as an array, checked."""
-    phase_angles = np.atleast_1d(check.finite_array("phase", phase, np.float64))
+    """Check the phases and return them as an array."""
+    phase_angles = np.atleast_1d(check.check_finite_array("phase", phase, np.float64))
     if phase_angles.ndim != 1 or not phase_angles.size:
         raise check.ArgumentError("phase", "must be a number or a sequence of numbers", phase_angles)
     return phase_angles
 
 
 def _check_reach(reach):
-    """Return the largest size of a shock, checked."""
-    max_size = check.finite_array("reach", reach, np.float64)
+    """Check the largest size of a shock and return it as a float."""
+    max_size = check.check_finite_array("reach", reach, np.float64)
     if max_size.shape or max_size <= 0:
         raise check.ArgumentError("reach", "must be a positive number", reach)
     return float(max_size)
 
 
-def _box_reach(problems, x_min, x_max, max_speed):
-    """Return a size within which every point of the attractor reaches the whole box."""
-    points = np.concatenate([base_points(problem.neighbourhoods[problem.attractor_index]) for problem in problems])
-    speed = max_speed + abs(points[:, 1]).max()
-    length = max(points[:, 0].max() - x_min, x_max - points[:, 0].min())
-    return float(np.hypot(length, speed) if problems[0].is_planar else speed)
+def _size_covering_box(shock_problems, start_box_x_min, start_box_x_max, start_box_max_speed):
+    """Return a size up to which shocks from each point of the attractor reach the whole box of initial states."""
+    attractor_points = np.concatenate(
+        [
+            points_before_shock(shock_problem.neighbourhoods[shock_problem.attractor_index])
+            for shock_problem in shock_problems
+        ]
+    )
+    max_dv = start_box_max_speed + abs(attractor_points[:, 1]).max()
+    max_dx = max(attractor_points[:, 0].max() - start_box_x_min, start_box_x_max - attractor_points[:, 0].min())
+    return float(np.hypot(max_dx, max_dv) if shock_problems[0].changes_position else max_dv)
 
 
-def _shock_counter(progress):
+def _make_shock_counter(report_n_tested):
     """Return a function that counts the shocks of all calls and reports the total."""
-    n_tried = 0
+    n_tested = 0
 
-    def count_shocks(n_new):
-        nonlocal n_tried
-        n_tried += n_new
-        if progress is not None:
-            progress(n_tried)
+    def count_shocks(n_new_shocks):
+        nonlocal n_tested
+        n_tested += n_new_shocks
+        if report_n_tested is not None:
+            report_n_tested(n_tested)
 
     return count_shocks
 
 
-def _make_result(scene, attractors, index, direction, max_size, phases, results, stopped):
+def _make_result(scene, attractors, attractor_index, direction, max_size, phases, shock_results, stop_reason):
     """Return the `LeastShock` of the results at all phases."""
-    by_phase = _make_dataset(scene, phases, results)
-    best_index = int(np.nanargmin([result.size for result in results]))
-    best_result = results[best_index]
+    by_phase = _make_dataset(scene, phases, shock_results)
+    best_index = int(np.nanargmin([shock_result.size for shock_result in shock_results]))
+    best_result = shock_results[best_index]
     return LeastShock(
         size=best_result.size,
         dx=float(best_result.shock[0]),
@@ -319,46 +356,48 @@ def _make_result(scene, attractors, index, direction, max_size, phases, results,
             float(best_result.point_before[0]), float(best_result.point_before[1]), float(phases[best_index]), 0.0
         ),
         phase=float(phases[best_index]),
-        place=index,
-        to=best_result.to,
+        place=attractor_index,
+        to=best_result.destination_index,
         bracket=best_result.bracket,
-        until=best_result.until,
-        safe=min(result.safe for result in results),
-        below=sum(result.below for result in results),
-        undecided=sum(result.undecided for result in results),
-        least_undecided=min(result.least_undecided for result in results),
+        until=best_result.max_leaving_size,
+        safe=min(shock_result.safe_size for shock_result in shock_results),
+        below=sum(shock_result.n_smaller_tested for shock_result in shock_results),
+        undecided=sum(shock_result.n_undecided for shock_result in shock_results),
+        least_undecided=min(shock_result.least_undecided for shock_result in shock_results),
         direction=direction,
         reach=max_size,
         attractors=attractors,
         scene=scene,
         by_phase=by_phase,
-        stopped=stopped,
+        stopped=stop_reason,
     )
 
 
-def _make_dataset(scene, phases, results):
+def _make_dataset(scene, phases, shock_results):
     """Return the results at each phase as a Dataset."""
 
-    def variable(getter, dtype=float, **attrs):
-        return "phase", np.array([getter(result) for result in results], dtype), attrs
+    def make_variable(get_value, dtype=float, **attrs):
+        return "phase", np.array([get_value(shock_result) for shock_result in shock_results], dtype), attrs
 
     return xr.Dataset(
         {
-            "size": variable(lambda result: result.size, long_name="least shock that leaves", units=SPEED),
-            "dx": variable(lambda result: result.shock[0], units=LENGTH),
-            "dv": variable(lambda result: result.shock[1], units=SPEED),
-            "x": variable(lambda result: result.point_before[0], long_name="displacement before it", units=LENGTH),
-            "v": variable(lambda result: result.point_before[1], long_name="velocity before it", units=SPEED),
-            "to": variable(lambda result: result.to, int, long_name="attractor that it leads to, -1 none"),
-            "until": variable(
-                lambda result: result.until, long_name="up to here all in its direction leave", units=SPEED
+            "size": make_variable(lambda result: result.size, long_name="least shock that leaves", units=SPEED),
+            "dx": make_variable(lambda result: result.shock[0], units=LENGTH),
+            "dv": make_variable(lambda result: result.shock[1], units=SPEED),
+            "x": make_variable(lambda result: result.point_before[0], long_name="displacement before it", units=LENGTH),
+            "v": make_variable(lambda result: result.point_before[1], long_name="velocity before it", units=SPEED),
+            "to": make_variable(
+                lambda result: result.destination_index, int, long_name="attractor that it leads to, -1 none"
             ),
-            "safe": variable(lambda result: result.safe, long_name="no smaller one leaves", units=SPEED),
-            "below": variable(lambda result: result.below, int, long_name="smaller ones tried"),
-            "undecided": variable(
-                lambda result: result.undecided, int, long_name="smaller ones that end on nothing known"
+            "until": make_variable(
+                lambda result: result.max_leaving_size, long_name="up to here all in its direction leave", units=SPEED
             ),
-            "least_undecided": variable(
+            "safe": make_variable(lambda result: result.safe_size, long_name="no smaller one leaves", units=SPEED),
+            "below": make_variable(lambda result: result.n_smaller_tested, int, long_name="smaller ones tried"),
+            "undecided": make_variable(
+                lambda result: result.n_undecided, int, long_name="smaller ones that end on nothing known"
+            ),
+            "least_undecided": make_variable(
                 lambda result: result.least_undecided, long_name="the least of all such", units=SPEED
             ),
         },

@@ -1,10 +1,10 @@
 """Compare the working tree with an earlier commit, bit by bit: `python -m tests.baseline.compare [COMMIT] [FOLDER]`.
 
-Both run `compute.py` on this machine, each in an environment of its own, made from the locked requirements of its
-commit. The script reports each array that differs, whether the files written by the earlier commit can be read, and
-public names, parameters and attributes that are missing. The exit status is 1 if anything differs. With `--store` the
-files of the earlier commit and the present values and signatures replace those in `tests/baseline/stored`, which the
-tests read.
+Both run `compute.py` on this machine, each in an environment of its own, made from the locked requirements
+of its commit. The script reports each array that differs, whether the files written by the earlier commit can be read,
+and public names, parameters and attributes that are missing. The exit status is 1 if anything differs. With `--store`
+the files of the earlier commit and the present values and signatures replace those in `tests/baseline/stored`, which
+the tests read.
 
 The strobes of `solver` differ from those of d03bcd9: step 17 bounded the error of a step by its motion (8e3943b).
 """
@@ -29,7 +29,8 @@ SCRIPT = Path(compute.__file__)
 
 
 def results(checkout, folder):
-    """Make the environment of a checkout, run `compute.py` in it, and return the values and the signatures."""
+    """Make the environment of a checkout, run `compute.py` in it, and return the values and the
+    signatures."""
     subprocess.run(["make", "--silent", ".venv/.dev"], cwd=checkout, check=True)
     clean = {key: value for key, value in os.environ.items() if not key.startswith(("JAX_", "PYTHON", "XLA_"))}
     environment = clean | {"PYTHONPATH": str(checkout)}

@@ -170,7 +170,7 @@ def encode(array):
 
 
 def decode(record):
-    """The array of a record of `encode`."""
+    """The array of a record of `encode_record`."""
     dtype, values = np.dtype(record["dtype"]), record["values"]
     if dtype.kind == "c":
         values = [complex(*map(float.fromhex, pair)) for pair in values]

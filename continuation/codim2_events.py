@@ -1,0 +1,173 @@
+"""Locate codimension-two points on curves of special points in two parameters.
+
+The located points are intersections with curves of other kinds, double Hopf and double Neimark-Sacker points, zeros of
+normal-form coefficients, and the resonances R3 and R4.
+"""
+
+from functools import partial
+
+import numpy as np
+
+from . import augmented_systems, event_search
+from .branch_closure import SystemEventDetector
+from .continuation_loop import End
+from .event_search import Event
+from .intermediate_points import point_at_length
+from .normal_forms import border_vectors, critical_eigenvalue, lyapunov_coefficient, normal_form_coefficient
+from .problem import EQUILIBRIA, FIXED_POINTS, ORBITS, eigenvalues_at, is_hopf, is_neimark_sacker, matrix_of_kind
+
+# Tolerance of a double eigenvalue, relative to 1 + the largest: its error is the square root of a rounding error.
+DOUBLE_TOLERANCE = 1e-4
+CRITICAL_TOLERANCE = 1e-7  # tolerance of a critical pair of eigenvalues, relative to 1 + the largest
+# Further matrices that become singular on a curve of each kind: {kind: {label: kind of the matrix}}
+_MAP_INTERSECTIONS = {"SN": {"FF": "PD", "R1": "NS"}, "PD": {"FF": "SN", "R2": "NS"}, "NS": {"R1": "SN", "R2": "PD"}}
+INTERSECTIONS = {
+    EQUILIBRIA: {"SN": {"BT": "HB"}, "HB": {"BT": "SN"}},
+    FIXED_POINTS: _MAP_INTERSECTIONS,
+    ORBITS: _MAP_INTERSECTIONS,
+}
+# {label: (double eigenvalue, kind of the point if it is simple, condition in this case)}
+DOUBLE_EIGENVALUES = {
+    "BT": (0.0, "ZH", is_hopf),
+    "R1": (1.0, "FN", is_neimark_sacker),
+    "R2": (-1.0, "PN", is_neimark_sacker),
+}
+ZERO_COEFFICIENT = 1e-12  # largest absolute value of a vanishing coefficient
+SELF_CROSSINGS = {"HB": "HH", "NS": "NN"}  # kinds of points where two pairs of eigenvalues are critical
+RESONANCE_ANGLES = {"R3": 0.5, "R4": 0.0}  # negative cosine of the angle of the multipliers on a curve of NS
+
+
+class CurveEventDetector(SystemEventDetector):
+    """Detector of codimension-two points on a curve of special points of one kind."""
+
+    def __init__(self, base_system, kind, param_names):
+        super().__init__(base_system, param_names)
+        self.kind = kind
+
+    def find_events(self, task, points, diagnostics, known_branch_points, termination):
+        test_values = event_search.test_function_values(task.problem, points, task.args)
+        events = event_search.locate_events(
+            task.problem, points, test_values, task.control, task.args, known_branch_points
+        )
+        classified_events = [
+            self.classify_event(event, task.args) for event in events if event.kind in test_values or event.kind == "BP"
+        ]
+        return [*(event for event in classified_events if event), *self.locate_codim2_events(task, points)]
+
+    def end_at_special_point(self, z, kind):
+        """Return the `End` of a curve of HB or NS if its critical eigenvalues coincide at the special point, else None.
+
+        Beyond this point the two eigenvalues are real.
+        """
+        return End.STOPPED if self.kind in SELF_CROSSINGS and kind in DOUBLE_EIGENVALUES else None
+
+    def classify_event(self, event, constants):
+        """Return the event with the kind that the eigenvalues determine; None if there is no codimension-two point."""
+        if event.kind == "BP":
+            return self.classify_self_crossing(event, constants)
+        if event.kind not in DOUBLE_EIGENVALUES:
+            return event
+        double_eigenvalue, kind_if_simple, critical_pair_test = DOUBLE_EIGENVALUES[event.kind]
+        eigenvalues = eigenvalues_at(self.system, self.names, event.z, constants)
+        if np.sum(abs(eigenvalues - double_eigenvalue) < DOUBLE_TOLERANCE * (1.0 + abs(eigenvalues).max())) > 1:
+            return event
+        return (
+            event._replace(kind=kind_if_simple)
+            if critical_pair_test(self.system, self.names, event.z, constants)
+            else None
+        )
+
+    def classify_self_crossing(self, event, constants):
+        """Return an HH or NN event if two pairs of eigenvalues are critical, else None."""
+        eigenvalues = eigenvalues_at(self.system, self.names, event.z, constants)
+        complex_eigenvalues = eigenvalues[eigenvalues.imag > CRITICAL_TOLERANCE]
+        critical_distances = abs(complex_eigenvalues.real) if self.kind == "HB" else abs(abs(complex_eigenvalues) - 1.0)
+        has_two_pairs = (
+            self.kind in SELF_CROSSINGS
+            and np.sum(critical_distances < CRITICAL_TOLERANCE * (1.0 + abs(eigenvalues).max())) > 1
+        )
+        return event._replace(kind=SELF_CROSSINGS[self.kind]) if has_two_pairs else None
+
+    def locate_codim2_events(self, task, points):
+        """Yield an `Event` at each zero of the leading normal-form coefficient and at each resonance R3 or R4."""
+        for label, codim2_function in self.codim2_functions(task.args).items():
+            if label == "CP":
+                tangent_products = np.sum(points.tangent[1:, -2:] * points.tangent[:-1, -2:], axis=1)
+                function_values = np.cumprod(np.append(1.0, np.sign(tangent_products)))
+            else:
+                function_values = np.array([codim2_function(z, z) for z in points.z])
+            if (
+                abs(function_values).max() <= ZERO_COEFFICIENT
+            ):  # it vanishes along the curve, as in area-preserving systems
+                continue
+            for row_before in np.flatnonzero(function_values[:-1] * function_values[1:] < 0):
+                event = self.locate_zero(label, codim2_function, task, points, int(row_before))
+                if event is not None:
+                    yield event
+
+    def codim2_functions(self, constants):
+        """Return {label: function of (z, nearby z)}; each function is zero at codimension-two points of its label.
+
+        Functions that need third derivatives are omitted for periodic orbits.
+        """
+        system_kind_and_names, is_periodic_orbit = (self.system, self.kind, self.names), self.system.kind == ORBITS
+
+        def leading_coefficient(z, reference_z):
+            return normal_form_coefficient(
+                *system_kind_and_names,
+                z,
+                constants,
+                border_vectors(matrix_of_kind(*system_kind_and_names, reference_z, constants)),
+            )
+
+        def first_lyapunov(z, reference_z):
+            return lyapunov_coefficient(*system_kind_and_names, z, constants)
+
+        def cosine_difference(z, reference_z, minus_cosine):
+            return (
+                critical_eigenvalue(self.kind, eigenvalues_at(self.system, self.names, z, constants)).real
+                + minus_cosine
+            )
+
+        if self.kind == "SN":
+            return {"CP": leading_coefficient}
+        label = {"PD": "GPD", "SB": "DSB", "HB": "GH", "NS": "CH"}[self.kind]
+        coefficient_functions = {label: leading_coefficient if self.kind in ("PD", "SB") else first_lyapunov}
+        resonance_functions = (
+            {
+                label: partial(cosine_difference, minus_cosine=minus_cosine)
+                for label, minus_cosine in RESONANCE_ANGLES.items()
+            }
+            if self.kind == "NS"
+            else {}
+        )
+        return resonance_functions if is_periodic_orbit else coefficient_functions | resonance_functions
+
+    def locate_zero(self, label, codim2_function, task, points, row_before):
+        """Locate the zero of a function on the curve by Newton's method.
+
+        Returns None if the method does not converge or the zero lies outside the step.
+        """
+        z_before, step_length = points.z[row_before], float(points.step[row_before + 1])
+        halfway_point = point_at_length(task, points, row_before, 0.5 * step_length)
+        z_guess = (
+            z_before + 0.5 * step_length * points.tangent[row_before] if halfway_point is None else halfway_point.z
+        )
+
+        def augmented_system(z):
+            residual, jacobian = (
+                np.asarray(array) for array in augmented_systems.evaluate_problem(task.problem, z, task.args)
+            )
+            function_gradient = augmented_systems.two_point_derivative(lambda z: codim2_function(z, z_guess), z)
+            return np.append(residual, codim2_function(z, z_guess)), np.vstack([jacobian, function_gradient])
+
+        solution = augmented_systems.solve_newton(augmented_system, z_guess)
+        if solution.z is None:
+            return None
+        event_length = float(np.sum(task.control.scale**2 * points.tangent[row_before] * (solution.z - z_before)))
+        is_in_interval = -0.05 * step_length <= event_length <= 1.05 * step_length
+        return (
+            Event(label, row_before, min(max(event_length, 0.0), step_length), solution.z, solution.residual)
+            if is_in_interval
+            else None
+        )

@@ -1,0 +1,330 @@
+"""Define the equations of a special point in two parameters of the scene as a `continuation` problem.
+
+The unknowns are z = (times, speeds, first parameter, second parameter). One equation is added to those of the orbit:
+
+- GR: an impact has zero speed.
+- SN: the Jacobian with respect to times and speeds is singular, for a perturbation that returns unchanged.
+- PD: the Jacobian is singular, for a perturbation that returns with the opposite sign.
+
+A symmetric orbit is represented by one half. A perturbation of the half returns unchanged at SN and with the opposite
+sign at SB. Both are regular points of these equations, whereas an SB is a singular point of the equations of the whole
+orbit.
+
+With soft walls, the derivatives with respect to the parameters and the derivatives of the Jacobian are central
+differences (`evaluate_by_differences`). The equations are then compiled once instead of many times. These differences
+only determine the search direction. The position of a locus follows from the equations and from their exact first
+derivatives with respect to times and speeds. A smooth grazing contact with a soft wall
+(`soft_wall_grazing.is_smooth_soft_wall`) is an impact without effect, because the equations with a contact phase are
+singular at zero speed.
+
+The equations of a sticking orbit have no cyclic structure, because a release does not depend on the preceding impacts.
+Next to a grazing, the block of a single row is singular. The equations are therefore solved as one dense matrix.
+"""
+
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Float, Int
+
+from continuation.arclength import solve_bordered
+from continuation.array_type import Array
+from continuation.problem import Problem
+
+from ..compiled.kernel_calls import call_as_kernel
+from ..flight.flight_coefficients import flow_coefficients
+from ..orbits import cyclic_system, impact_equations
+from ..orbits.impact_equations import ImpactSequence
+from ..problem import branches_from_grazing, grazing_contact
+from ..problem.orbit_equations import (
+    OrbitEquations,
+    continuation_problem,
+    evaluate_impact_system,
+    evaluate_with_variations,
+    mark_impact_rows,
+    scene_at,
+    sequence_at,
+)
+from ..scene.scene import Scene
+
+DIFFERENCE_STEP = 1e-5  # relative to 1 + |z|: step of central differences
+
+
+class GrazingEquations(NamedTuple):
+    """Equations of a locus of GR.
+
+    Attributes
+    ----------
+    scene, parameter_marks, sequence
+        As in `OrbitEquations`, with the grazing contact as an impact.
+    special_row_mask : jax.Array
+        1 at the impact with zero speed, else 0. Array of shape (rows,).
+    slack : jax.Array
+        Largest penetration of a flight that counts as rounding.
+    """
+
+    scene: Scene
+    parameter_marks: Scene
+    sequence: ImpactSequence
+    special_row_mask: Float[Array, " rows"]
+    slack: Float[Array, ""]
+
+    @property
+    def impact_rows(self) -> Int[np.ndarray, " impacts"]:
+        """Rows of the impacts other than the grazing contact. Their speeds must be positive."""
+        return np.flatnonzero(mark_impact_rows(self.sequence) & (self.special_row_mask == 0))
+
+
+@grazing_contact.sticking_margins.register
+def _(problem: GrazingEquations, diagnostics):
+    return diagnostics.sticking_time, np.where(
+        problem.special_row_mask > 0, np.inf, diagnostics.min_contact_force
+    )  # at the grazing contact the contact force may become positive: a DG
+
+
+class SingularEquations(NamedTuple):
+    """Equations of a locus of SN, PD or SB.
+
+    Attributes
+    ----------
+    scene, parameter_marks, sequence
+        As in `OrbitEquations`.
+    multiplier : jax.Array
+        1 if the critical perturbation returns unchanged (SN), -1 if it returns with the opposite sign (PD, SB).
+    """
+
+    scene: Scene
+    parameter_marks: Scene
+    sequence: ImpactSequence
+    multiplier: Float[Array, ""]
+
+    impact_rows = OrbitEquations.impact_rows  # type: ignore[misc]  # shared property
+    slack = OrbitEquations.slack  # type: ignore[misc]  # shared property
+
+
+def _grazing_system(z, problem):
+    residual, jacobian = evaluate_impact_system(z, problem)
+    zero_speed_selector = _zero_speed_selector(z, problem)
+    return _append_value(residual, jnp.sum(zero_speed_selector * z)), (jacobian, zero_speed_selector)
+
+
+def _zero_speed_selector(z, problem):
+    n_rows = len(problem.special_row_mask)
+    return jnp.concatenate([jnp.zeros(n_rows), problem.special_row_mask, jnp.zeros(len(z) - 2 * n_rows)])
+
+
+def _singular_system(z, problem):
+    """Append w J v, divided by the length of its gradient w J' v, to the equations of the orbit.
+
+    J is the Jacobian with respect to times and speeds. w and v are its left and right null vectors at the special
+    point, and approximate them elsewhere. The appended value is approximately the distance from the special point.
+    Second derivatives commute. The gradient with respect to times and speeds is therefore w times the derivative of J
+    along v (Govaerts, Numerical Methods for Bifurcations of Dynamical Equilibria, 4.1.2).
+    """
+    residual, jacobian, jacobian_param_slopes = evaluate_with_variations(z, problem)
+    left_null, right_null = cyclic_system.null_vectors(jacobian, problem.multiplier)
+    coeffs, n_unknowns = flow_coefficients(scene_at(problem, z)), len(left_null)
+
+    def jacobian_at(unknowns):
+        sequence = sequence_at(problem, unknowns)._replace(multiplier=problem.multiplier)
+        return cyclic_system.assemble_block_matrix(impact_equations.residual_and_jacobian(coeffs, sequence)[1])
+
+    cyclic_jacobian, jacobian_along_null = jax.jvp(jacobian_at, (z[:n_unknowns],), (right_null,))
+    jacobian_along_null = cyclic_jacobian._replace(
+        diagonal=jacobian_along_null.diagonal, coupling=jacobian_along_null.coupling
+    )
+    return _append_singularity(
+        problem, residual, jacobian, jacobian_param_slopes, jacobian_along_null, left_null, right_null
+    )
+
+
+def _append_singularity(problem, residual, jacobian, jacobian_param_slopes, jacobian_along_null, left_null, right_null):
+    """Append the normalised w J v to F; return the values and their derivatives."""
+    parameter_gradient = jnp.stack(
+        [
+            cyclic_system.bilinear_form(left_null, jacobian_param_slope, right_null, problem.multiplier)
+            for jacobian_param_slope in jacobian_param_slopes
+        ]
+    )
+    singularity_gradient = jnp.concatenate(
+        [cyclic_system.left_product(left_null, jacobian_along_null), parameter_gradient]
+    )
+    gradient_norm = jnp.sqrt(jnp.sum(singularity_gradient * singularity_gradient))
+    return _append_value(
+        residual, cyclic_system.bilinear_form(left_null, jacobian, right_null, problem.multiplier) / gradient_norm
+    ), (jacobian, singularity_gradient / gradient_norm)
+
+
+def _soft_grazing_system(z, problem):
+    residual, jacobian, _ = evaluate_by_differences(z, problem)
+    return _append_value(residual, jnp.sum(_zero_speed_selector(z, problem) * z)), (
+        jacobian,
+        _zero_speed_selector(z, problem),
+    )
+
+
+def _soft_singular_system(z, problem):
+    residual, jacobian, (*jacobian_param_slopes, jacobian_along_null) = evaluate_by_differences(
+        z, problem, problem.multiplier
+    )
+    return _append_singularity(
+        problem,
+        residual,
+        jacobian,
+        jacobian_param_slopes,
+        jacobian_along_null,
+        *cyclic_system.null_vectors(jacobian, problem.multiplier),
+    )
+
+
+def evaluate_by_differences(z, problem, multiplier=None):
+    """Evaluate the equations, and differentiate them and their Jacobian by central differences.
+
+    Returns F, its Jacobian as a `CyclicBlockMatrix`, and a list of derivatives of this matrix. The list holds the
+    derivative with respect to each parameter. If a multiplier is given, the last entry is the derivative along the
+    right null vector.
+    """
+    n_rows, n_orbit_unknowns = len(problem.sequence.sides), 2 * len(problem.sequence.sides)
+    n_null_directions, last_row = int(multiplier is not None), jnp.sum(problem.sequence.sides != 0) - 1
+    difference_steps = DIFFERENCE_STEP * (
+        1.0 + jnp.append(abs(z[n_orbit_unknowns:]), jnp.full(n_null_directions, jnp.max(abs(z[:n_orbit_unknowns]))))
+    )
+    shift_directions = np.concatenate(
+        [[[0.0] * len(difference_steps)], np.eye(len(difference_steps)), -np.eye(len(difference_steps))]
+    )
+
+    def evaluate_shifted(shift_index, block_arrays):
+        signed_steps = (
+            lax.dynamic_index_in_dim(jnp.asarray(shift_directions, z.dtype), shift_index, keepdims=False)
+            * difference_steps
+        )
+        shifted_z = jnp.concatenate(
+            [z[:n_orbit_unknowns], z[n_orbit_unknowns:] + signed_steps[: len(z) - n_orbit_unknowns]]
+        )
+        coeffs, sequence = flow_coefficients(scene_at(problem, shifted_z)), sequence_at(problem, z)
+        if n_null_directions:  # zero at k = 0, at z itself, where the null vector is not known yet
+            right_null = _scale_to_unit_maximum(
+                cyclic_system.null_vectors(_cyclic_matrix_at(block_arrays, 0, last_row), multiplier)[1]
+            )
+            null_shift = jnp.where(signed_steps[-1] == 0, 0.0, signed_steps[-1] * right_null)
+            sequence = impact_equations.append_first_impact(sequence, coeffs.period, ((null_shift, multiplier),))
+        residual, residual_derivatives = impact_equations.residual_and_jacobian(coeffs, sequence)
+        cyclic_matrix, n_unrolled_rows = cyclic_system.assemble_block_matrix(residual_derivatives), len(sequence.sides)
+        block = cyclic_matrix._replace(
+            param_blocks=cyclic_system.pair_times_and_speeds(residual[:, None], n_unrolled_rows)
+        )[:3]
+        return [
+            lax.dynamic_update_index_in_dim(block_array, block[:n_rows], shift_index, 0)
+            for block_array, block in zip(block_arrays, block, strict=True)
+        ]
+
+    empty_block_arrays = [
+        jnp.zeros((len(shift_directions), n_rows, 2, block_width), z.dtype) for block_width in (2, 2, 1)
+    ]
+    block_arrays = lax.fori_loop(0, len(shift_directions), evaluate_shifted, empty_block_arrays)
+    cyclic_matrix = _cyclic_matrix_at(block_arrays, 0, last_row)
+    residual = jnp.where(jnp.arange(n_rows) <= last_row, cyclic_matrix.param_blocks[:, :, 0].T, 0.0).reshape(-1)
+    cyclic_derivatives = [
+        _cyclic_derivative(block_arrays, direction_index, difference_steps, last_row)
+        for direction_index in range(len(difference_steps))
+    ]
+    parameter_columns = jnp.concatenate(
+        [derivative.param_blocks for derivative in cyclic_derivatives[: len(z) - n_orbit_unknowns]], 2
+    )
+    if n_null_directions:
+        largest_null_component = jnp.max(abs(cyclic_system.null_vectors(cyclic_matrix, multiplier)[1]))
+        cyclic_derivatives[-1] = jax.tree.map(
+            lambda leaf: leaf * largest_null_component, cyclic_derivatives[-1]._replace(last_row=1.0)
+        )._replace(last_row=last_row)
+    return (
+        residual,
+        cyclic_matrix._replace(param_blocks=parameter_columns),
+        [derivative._replace(param_blocks=parameter_columns) for derivative in cyclic_derivatives],
+    )
+
+
+def _scale_to_unit_maximum(vector):
+    return vector / jnp.max(abs(vector))
+
+
+def _cyclic_matrix_at(block_arrays, shift_index, last_row):
+    """Return the `CyclicBlockMatrix` of one evaluation. Its parameter block holds F."""
+    return cyclic_system.CyclicBlockMatrix(*(blocks[shift_index] for blocks in block_arrays), last_row)
+
+
+def _cyclic_derivative(block_arrays, direction_index, difference_steps, last_row):
+    """Return the central difference of the matrix along one direction."""
+    n_directions = len(difference_steps)
+    return cyclic_system.CyclicBlockMatrix(
+        *(
+            (blocks[1 + direction_index] - blocks[1 + n_directions + direction_index])
+            / (2.0 * difference_steps[direction_index])
+            for blocks in block_arrays
+        ),
+        last_row,
+    )
+
+
+def _append_value(residual, appended_value):
+    return jnp.concatenate([residual, appended_value[None]])
+
+
+def _solve_bordered(jacobian, border_row, right_sides):
+    cyclic_matrix, appended_row = jacobian
+    return cyclic_system.solve_bordered(cyclic_matrix, jnp.stack([appended_row, border_row]), right_sides)
+
+
+def _dense_system(cyclic_system_function, z, problem):
+    """Return (F, dF/dz) of a grazing or singular system, with dF/dz as a dense matrix.
+
+    For an empty row, F holds its unknowns, which must vanish.
+    """
+    residual, (cyclic_matrix, appended_row) = cyclic_system_function(z, problem)
+    is_empty_unknown = jnp.tile(problem.sequence.sides == 0, 2)
+    orbit_residual = jnp.where(is_empty_unknown, z[: len(is_empty_unknown)], residual[:-1])
+    return _append_value(orbit_residual, residual[-1]), jnp.concatenate(
+        [cyclic_system.dense_matrix(cyclic_matrix), appended_row[None]]
+    )
+
+
+def _make_problem(cyclic_system_function):
+    return Problem(
+        cyclic_system_function, _solve_bordered, partial(_dense_system, cyclic_system_function), (), call_as_kernel
+    )
+
+
+GRAZING, SINGULAR = _make_problem(_grazing_system), _make_problem(_singular_system)
+SOFT_GRAZING, SOFT_SINGULAR = _make_problem(_soft_grazing_system), _make_problem(_soft_singular_system)
+STICKING_PROBLEMS = {
+    has_soft_walls: Problem(
+        partial(_dense_system, system), solve_bordered, partial(_dense_system, system), (), call_as_kernel
+    )
+    for has_soft_walls, system in ((False, _grazing_system), (True, _soft_grazing_system))
+}
+
+
+@branches_from_grazing.replace_sequence.register
+def _(problem: GrazingEquations, sequence, rows):
+    special_row_mask = np.zeros(len(sequence.sides))
+    special_row_mask[: len(rows)] = problem.special_row_mask[list(rows)]
+    has_smooth_grazing = problem.sequence.grazing is not None
+    return problem._replace(
+        sequence=sequence._replace(grazing=special_row_mask if has_smooth_grazing else None),
+        special_row_mask=special_row_mask,
+    )
+
+
+@continuation_problem.register
+def _(problem: GrazingEquations):
+    has_soft_walls = bool(problem.scene.soft_sides)
+    if problem.sequence.releases is not None:
+        return STICKING_PROBLEMS[has_soft_walls]
+    return SOFT_GRAZING if has_soft_walls else GRAZING
+
+
+continuation_problem.register(
+    SingularEquations, lambda problem: SOFT_SINGULAR if problem.scene.soft_sides else SINGULAR
+)

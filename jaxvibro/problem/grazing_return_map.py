@@ -1,0 +1,260 @@
+"""Compute the derivative from a grazing contact to the next, along the orbit that omits the grazing contacts."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from continuation import augmented_systems
+from continuation.persistent_jit import FAST_COMPILE, persistent_jit
+
+from ..compiled.kernel_calls import call_as_kernel
+from ..flight import flow_matrix
+from ..flight.flight_coefficients import flow_coefficients
+from ..flight.flow_dispatch import flow_of
+from ..orbits import impact_equations
+from ..orbits.contact_maps import saltation_matrices
+from ..orbits.flight_clearance import OVERLAP_FACTOR, state_in_flight
+from ..scene.symmetry import stays_symmetric
+from .branches_from_grazing import OrbitImpact, include_grazing_contacts, replace_impacts
+from .grazing_contact import contact_durations_at, find_grazing_contacts, orbit_duration_at
+from .grazing_jumps import OmittedGrazing, find_omitted_grazings
+from .orbit_diagnostics import flight_without_impacts
+from .orbit_equations import OrbitEquations, continuation_problem, mark_impact_rows, scene_at, sequence_at
+from .orbit_point import OrbitPoint, is_own_mirror_image
+
+HALF_TOLERANCE = 1e-6  # relative to the orbit's duration; applies to contacts half of it apart or identical
+REPEAT_TOLERANCE = 1e-6  # relative to the scene's length; residual of an orbit with fewer periods
+
+
+class GrazingReturn(NamedTuple):
+    """Orbit at a grazing without its grazing contacts, and the map from one contact to the next.
+
+    Attributes
+    ----------
+    reduced_problem : OrbitEquations
+        Equations of the orbit.
+    z : ndarray
+        Unknowns of the orbit.
+    omitted_grazings : tuple of OmittedGrazing
+        The grazing contacts.
+    matrix : ndarray
+        Derivative of (x, v) at the next contact with respect to (x, v) at the first, array of shape (2, 2). For a
+        symmetric orbit that grazes both walls, `matrix` covers half of the orbit, followed by the mirror image.
+    is_half_orbit : bool
+        True if `matrix` covers half of the orbit.
+    return_time : float
+        Duration from one contact to the next.
+    """
+
+    reduced_problem: OrbitEquations
+    z: Float[np.ndarray, " unknowns"]
+    omitted_grazings: tuple[OmittedGrazing, ...]
+    matrix: Float[np.ndarray, "2 2"]
+    is_half_orbit: bool
+    return_time: float
+
+
+def compute_grazing_return(scene, parameter_name, problem, z, length_scale):
+    """Compute the return map at a grazing.
+
+    Parameters
+    ----------
+    scene : Scene
+        Scene at the point.
+    parameter_name : str
+        Parameter of the branch.
+    problem : OrbitEquations
+        Equations of the orbit.
+    z : ndarray
+        Unknowns at the grazing.
+    length_scale : float
+        Length of the scene.
+
+    Returns
+    -------
+    GrazingReturn or None
+        Return map; None if the point has no grazing contacts.
+    """
+    grazing_contacts = find_grazing_contacts(problem, z, length_scale)
+    if not grazing_contacts:
+        return None
+    reduced_problem, reduced_z, omitted_locations = include_grazing_contacts(
+        problem, z, grazing_contacts, (False,) * len(grazing_contacts)
+    )
+    omitted_grazings = find_omitted_grazings(scene, reduced_problem, reduced_z, omitted_locations, length_scale)
+    reduced_problem, reduced_z, omitted_grazings = _reduce_repeated_orbit(
+        reduced_problem, reduced_z, omitted_grazings, length_scale
+    )
+    is_half_orbit = _are_mirror_images(scene, parameter_name, reduced_problem, reduced_z, omitted_grazings)
+    first_and_next_contact = (
+        (omitted_grazings[0], omitted_grazings[1]) if is_half_orbit else (omitted_grazings[0], omitted_grazings[0])
+    )
+    return_matrix = _matrix_between(reduced_problem, reduced_z, *first_and_next_contact) * (
+        -1.0 if is_half_orbit else 1.0
+    )
+    return GrazingReturn(
+        reduced_problem,
+        reduced_z,
+        omitted_grazings,
+        return_matrix,
+        is_half_orbit,
+        orbit_duration_at(reduced_problem, reduced_z) * (0.5 if is_half_orbit else 1.0),
+    )
+
+
+def _reduce_repeated_orbit(reduced_problem, reduced_z, omitted_grazings, length_scale):
+    """Reduce a repeated orbit, with its grazing contacts, to a single traversal of the shorter orbit."""
+    n_periods, impact_row_indices = (
+        int(reduced_problem.sequence.periods),
+        reduced_problem.impact_rows if len(reduced_problem.sequence.sides) else (),
+    )
+    for n_short_periods in (
+        period_divisor
+        for period_divisor in range(1, n_periods)
+        if n_periods % period_divisor == 0 and len(impact_row_indices) * period_divisor % n_periods == 0
+    ):
+        impacts = [
+            OrbitImpact(
+                reduced_z[k],
+                reduced_z[len(reduced_problem.sequence.sides) + k],
+                reduced_problem.sequence.sides[k],
+                True,
+            )
+            for k in impact_row_indices
+        ]
+        short_problem, short_z = replace_impacts(
+            reduced_problem, reduced_z, impacts[: len(impact_row_indices) * n_short_periods // n_periods]
+        )
+        short_problem = short_problem._replace(
+            sequence=short_problem.sequence._replace(periods=np.asarray(float(n_short_periods)))
+        )
+        residual, _ = augmented_systems.evaluate_problem(continuation_problem(short_problem), short_z, short_problem)
+        if abs(np.asarray(residual)).max() <= REPEAT_TOLERANCE * length_scale:
+            return short_problem, short_z, _contacts_in_traversal(short_problem, short_z, omitted_grazings)
+    return reduced_problem, reduced_z, omitted_grazings
+
+
+def _contacts_in_traversal(short_problem, short_z, omitted_grazings):
+    """Return the grazing contacts of a repeated orbit relative to a single traversal, without duplicates."""
+    orbit_duration, contact_durations, distinct_contacts = (
+        orbit_duration_at(short_problem, short_z),
+        contact_durations_at(short_problem, short_z),
+        [],
+    )
+    flight_starts = (
+        short_z[short_problem.impact_rows] + contact_durations[short_problem.impact_rows]
+        if len(short_problem.sequence.sides)
+        else np.zeros(1)
+    )
+    for omitted_grazing in omitted_grazings:
+        elapsed_times = (omitted_grazing.time - flight_starts) % orbit_duration
+        row = int(np.argmin(elapsed_times))
+        contact_in_traversal = omitted_grazing._replace(
+            row=row, time_in_flight=float(elapsed_times[row]), time=float(flight_starts[row] + elapsed_times[row])
+        )
+        time_distances = (
+            abs(
+                (contact_in_traversal.time - other_contact.time + 0.5 * orbit_duration) % orbit_duration
+                - 0.5 * orbit_duration
+            )
+            for other_contact in distinct_contacts
+        )
+        if not any(distance < HALF_TOLERANCE * orbit_duration for distance in time_distances):
+            distinct_contacts.append(contact_in_traversal)
+    return tuple(distinct_contacts)
+
+
+def _are_mirror_images(scene, parameter_name, reduced_problem, reduced_z, omitted_grazings):
+    """Test whether the two grazing contacts of an orbit are mirror images on all orbits of the branch."""
+    if (
+        len(omitted_grazings) != 2
+        or omitted_grazings[0].depth.side == omitted_grazings[1].depth.side
+        or not stays_symmetric(scene, parameter_name)
+    ):
+        return False
+    orbit_duration = orbit_duration_at(reduced_problem, reduced_z)
+    if (
+        abs((omitted_grazings[1].time - omitted_grazings[0].time) % orbit_duration - 0.5 * orbit_duration)
+        > HALF_TOLERANCE * orbit_duration
+    ):
+        return False
+    n_rows, impact_row_indices = (
+        len(reduced_problem.sequence.sides),
+        np.flatnonzero(mark_impact_rows(reduced_problem.sequence)),
+    )
+    section_state = (0.0, 0.0) if n_rows else reduced_z[:2]
+    impact_columns = (
+        reduced_z[impact_row_indices],
+        reduced_z[n_rows + impact_row_indices],
+        np.asarray(reduced_problem.sequence.sides)[impact_row_indices],
+    )
+    return is_own_mirror_image(
+        scene, OrbitPoint(reduced_z[-1], *impact_columns, int(reduced_problem.sequence.periods), *section_state, 0.0)
+    )
+
+
+def _matrix_between(reduced_problem, reduced_z, start_contact, end_contact):
+    """Return the derivative of the state from a contact to another contact, or to itself after one traversal."""
+    n_flights = max(1, len(reduced_problem.impact_rows))
+    flight_start_times, flight_end_times = (
+        np.zeros(max(1, len(reduced_problem.sequence.sides))),
+        np.full(max(1, len(reduced_problem.sequence.sides)), np.inf),
+    )
+    if start_contact.row == end_contact.row and start_contact.time_in_flight < end_contact.time_in_flight:
+        flight_start_times[start_contact.row], flight_end_times[end_contact.row] = (
+            start_contact.time_in_flight,
+            end_contact.time_in_flight,
+        )
+        return _matrices_of_rows(reduced_problem, reduced_z, flight_start_times, flight_end_times)[0][start_contact.row]
+    first_start_times, last_end_times = flight_start_times.copy(), flight_end_times.copy()
+    first_start_times[start_contact.row], last_end_times[end_contact.row] = (
+        start_contact.time_in_flight,
+        end_contact.time_in_flight,
+    )
+    first_flight_matrices, last_flight_matrices, whole_flight_matrices = (
+        _matrices_of_rows(reduced_problem, reduced_z, *time_limits)
+        for time_limits in (
+            (first_start_times, flight_end_times),
+            (flight_start_times, last_end_times),
+            (flight_start_times, flight_end_times),
+        )
+    )
+    contact_to_contact, row = first_flight_matrices[0][start_contact.row], start_contact.row
+    while True:
+        row = (row + 1) % n_flights
+        flight_matrices, impact_matrices = last_flight_matrices if row == end_contact.row else whole_flight_matrices
+        contact_to_contact = flight_matrices[row] @ impact_matrices[row] @ contact_to_contact
+        if row == end_contact.row:
+            return contact_to_contact
+
+
+def _flight_impact_matrices(problem, z, flight_start_times, flight_end_times):
+    """Return (matrices of the flights between two times, saltation matrices of the impacts), by entries."""
+    if len(problem.sequence.sides):
+        coeffs, sequence = flow_coefficients(scene_at(problem, z)), sequence_at(problem, z)
+        flights = impact_equations.compute_flights(coeffs, sequence)
+        impact_matrices, durations = saltation_matrices(coeffs, flights.contact_map, sequence.sides)[0], flights.time
+    else:
+        coeffs, flights = flight_without_impacts(problem, z)
+        identity_entries, durations = jnp.ones_like(flights.time), flights.time / OVERLAP_FACTOR
+        impact_matrices = identity_entries, 0.0 * identity_entries, 0.0 * identity_entries, identity_entries
+    x, v, cosine, sine = state_in_flight(coeffs, flights, flight_start_times)
+    _, matrix = flow_of(coeffs).fly_with_matrix(
+        coeffs, x, v, cosine, sine, jnp.minimum(flight_end_times, durations) - flight_start_times
+    )
+    return jnp.stack(flow_matrix.matrix_by_rows(matrix)), jnp.stack(impact_matrices)
+
+
+@persistent_jit(compiler_options=FAST_COMPILE, numpy_first=_flight_impact_matrices)
+def _compiled_matrices(problem, z, flight_start_times, flight_end_times):
+    return call_as_kernel(_flight_impact_matrices, problem, z, flight_start_times, flight_end_times)
+
+
+def _matrices_of_rows(problem, z, flight_start_times, flight_end_times):
+    """Return (flight matrices between two times, saltation matrices), arrays of shape (rows, 2, 2)."""
+    flight_impact_entries = _compiled_matrices(problem, z, flight_start_times, flight_end_times)
+    return tuple(
+        np.moveaxis(np.asarray(matrix_entries), 0, -1).reshape(-1, 2, 2) for matrix_entries in flight_impact_entries
+    )

@@ -1,0 +1,78 @@
+"""Check the contact law of a soft wall; each error names the key, the rule and the value."""
+
+from dataclasses import replace
+from functools import lru_cache
+
+import jax
+import numpy as np
+
+from . import check
+from .force import trace_jaxpr, with_positional_params
+from .force_checks import check_callable
+from .push import PREDEFINED_CONTACT_LAWS, Push, hertz, hunt_crossley
+
+N_ARGUMENTS = 2  # depth and rate
+PARAMETER_RULES = {
+    "stiffness": (lambda value: value > 0, "must be greater than 0"),
+    "dissipation": (lambda value: value >= 0, "must not be negative"),
+}
+LAW_PARAMETERS = {hertz: ("stiffness",), hunt_crossley: ("stiffness", "dissipation")}
+
+
+def check_contact_law(side, wall, to_checked_array, dtype, scene_force):
+    """Return the contact law of a wall with checked parameters; ``to_checked_array(key, value)`` converts a number."""
+    key, contact_law = f"{side}.law", wall.law
+    if not isinstance(contact_law, Push):
+        raise check.ArgumentError(key, "must be a Push or None", contact_law)
+    if scene_force is None:
+        rule = "needs a scene with a force; the spring is jv.Force('polynomial', {'c1': 1.0, 'damping': ...})"
+        raise check.ArgumentError(key, rule, contact_law.function)
+    function = check_callable(key, contact_law, PREDEFINED_CONTACT_LAWS, "depth, rate, numbers")
+    params = {name: to_checked_array(f"{key}.{name}", value) for name, value in contact_law.numbers.items()}
+    _check_predefined_params(key, function, params)
+    parameter_names = tuple(params)
+    _check_traceable(key, function, parameter_names, np.dtype(dtype))
+    if not check.is_traced(*params.values()):
+        _check_zero_at_surface(key, function, params, dtype)
+    return replace(contact_law, function=function, numbers=params)
+
+
+def _check_predefined_params(key, function, params):
+    """Check the names and the values of the parameters if the contact law is predefined."""
+    if function not in LAW_PARAMETERS:
+        return
+    if set(params) != set(LAW_PARAMETERS[function]):
+        raise check.ArgumentError(f"{key}.numbers", f"must be {', '.join(LAW_PARAMETERS[function])}", tuple(params))
+    for name, value in params.items():
+        if not check.is_traced(value):
+            satisfies_rule, rule = PARAMETER_RULES[name]
+            check.require(f"{key}.{name}", rule, value, satisfies_rule(value))
+
+
+@lru_cache(256)
+def _check_traceable(key, function, parameter_names, dtype):
+    """Check that JAX can trace a contact law, and that the law returns one number."""
+    try:
+        output_avals = trace_jaxpr(function, parameter_names, dtype, N_ARGUMENTS).out_avals
+    except Exception as error:
+        error_text = check.shorten_text(f"{type(error).__name__}: {error}", 160)
+        raise check.ArgumentError(key, f"cannot be traced by JAX ({error_text})", function) from None
+    if len(output_avals) != 1 or output_avals[0].shape != () or output_avals[0].dtype != dtype:
+        outputs_text = ", ".join(f"{output.dtype}{list(output.shape)}" for output in output_avals)
+        raise check.ArgumentError(key, f"must return one number of type {dtype} for scalar arguments", outputs_text)
+
+
+def _check_zero_at_surface(key, function, params, dtype):
+    """Check that a contact law is 0 at depth 0 and rate 0."""
+    zero = np.zeros((), dtype)
+    with jax.ensure_compile_time_eval():
+        surface_acceleration = np.asarray(
+            _compile_positional_law(function, tuple(params))(zero, zero, *params.values())
+        )
+    check.require(key, "must be 0 where depth and rate are 0", surface_acceleration, surface_acceleration == 0)
+
+
+@lru_cache(256)
+def _compile_positional_law(function, parameter_names):
+    """Return the compiled contact law as a function of depth, rate and positional parameters."""
+    return jax.jit(with_positional_params(function, parameter_names, N_ARGUMENTS))

@@ -1,0 +1,206 @@
+"""Define the domain of each parameter of a scene, and the leaf of the scene that holds the parameter."""
+
+from dataclasses import replace
+
+import jax
+import numpy as np
+
+from . import check
+from .scene import replace_unchecked
+from .unit_mistakes import format_parameter_value, require_scene_units, unit_hint
+
+EQUALITY_TOLERANCE = 8.0 * np.finfo(float).eps  # relative difference up to which two values count as equal
+
+
+def parameter_domain(scene, name):
+    """Return the interval of values that a parameter may have.
+
+    Parameters
+    ----------
+    scene : Scene
+        Single scene.
+    name : str
+        Name of the parameter.
+
+    Returns
+    -------
+    lower : float
+        Lower end.
+    upper : float
+        Upper end. An end at which the walls meet is not a valid value.
+    """
+    infinity = np.inf
+    if name.startswith("force."):
+        return -infinity, infinity
+    if name == "frequency" or name.endswith("stiffness"):
+        return np.finfo(float).tiny, infinity
+    if name.endswith("damping"):
+        return 0.0, infinity
+    if name.endswith("restitution"):
+        return 0.0, 1.0
+    if name.endswith("position") and len(scene.walls) == 2:
+        total_wall_amplitude = sum(
+            abs(float(wall.motion.amplitude)) for wall in scene.walls.values() if wall.motion is not None
+        )
+        lower = -infinity if name.startswith("left") else float(scene.left.position) + total_wall_amplitude
+        upper = infinity if name.startswith("right") else float(scene.right.position) - total_wall_amplitude
+        return lower, upper
+    return -infinity, infinity
+
+
+def check_parameter_bounds(scene, name, bounds):
+    """Check the bounds of a parameter.
+
+    Parameters
+    ----------
+    scene : Scene
+        Single scene.
+    name : str
+        Name of the parameter.
+    bounds : tuple of float
+        Lower and upper bound.
+
+    Returns
+    -------
+    lower : float
+        Lower bound.
+    upper : float
+        Upper bound.
+
+    Raises
+    ------
+    ArgumentError
+        If `name` is not a parameter, or `bounds` are not two finite numbers, the first smaller, that enclose the
+        scene's value.
+    """
+    check.require_parameter(name, scene.names, name)
+    checked_bounds = np.asarray(bounds, float) if np.shape(bounds) == (2,) else np.array([np.nan, np.nan])
+    if not (np.isfinite(checked_bounds).all() and checked_bounds[0] < checked_bounds[1]):
+        raise check.ArgumentError("bounds", "must be (low, high), two finite numbers, the first smaller", bounds)
+    value = float(scene.parameter(name))
+    if not checked_bounds[0] <= value <= checked_bounds[1]:
+        rule = (
+            f"must contain the initial {name},"
+            f" {format_parameter_value(scene, name)}{unit_hint(scene, name, *checked_bounds)}"
+        )
+        raise check.ArgumentError("bounds", rule, bounds)
+    return float(checked_bounds[0]), float(checked_bounds[1])
+
+
+def check_parameter_values(scene, name, values):
+    """Check values of a parameter.
+
+    Parameters
+    ----------
+    scene : Scene
+        Single scene.
+    name : str
+        Name of the parameter.
+    values : array_like
+        One-dimensional, with at least one value.
+
+    Returns
+    -------
+    ndarray
+        The values, float64.
+
+    Raises
+    ------
+    ArgumentError
+        If `name` is not a parameter, or a value makes no valid scene.
+    """
+    check.require_parameter(name, scene.names, values)
+    checked_values = check.check_real_array("values", values, np.float64)
+    if checked_values.ndim != 1 or not len(checked_values):
+        raise check.ArgumentError("values", f"must be a one-dimensional array of at least one value of {name}", values)
+    require_scene_units("values", scene, name, checked_values)
+    scene.replace(**{name: checked_values})
+    return checked_values
+
+
+def mark_parameters(scene, *names):
+    """Mark the leaves of the scene that hold some parameters.
+
+    Parameters
+    ----------
+    scene : Scene
+        Single scene.
+    *names : str or tuple of str
+        Parameters. A tuple of names is one parameter that several leaves share.
+
+    Returns
+    -------
+    scene : Scene
+        The scene with a leaf for each parameter, which holds the value of the parameter. If the hardness is among the
+        parameters, the soft walls have the hardness 0, and the leaf `harder` is 0.
+    markers : Scene
+        Tree of the same structure with 1 at the first parameter, 2 at the second, and 0 elsewhere.
+
+    Notes
+    -----
+    The scene gets the leaf `harder`, an increase of the hardness, for any choice of parameters if the scene has a
+    hardness. The compiled code is therefore the same for all choices. The leaves are NumPy arrays, because the host
+    reads them many times.
+    """
+    scene = jax.tree.map(np.asarray, scene)
+    for name in flatten_names(names):
+        scene = replace_unchecked(scene, {name: 0.0 if name == "hardness" else scene.parameter(name)})
+    if scene.hardens:
+        scene = replace(scene, harder=np.zeros(()))
+    marker_tree = jax.tree.map(lambda leaf: np.int32(0), scene)
+    for marker_value, name_or_tuple in enumerate(names, 1):
+        for name in flatten_names([name_or_tuple]):
+            marker = np.int32(marker_value)
+            marker_tree = (
+                replace(marker_tree, harder=marker)
+                if name == "hardness"
+                else replace_unchecked(marker_tree, {name: marker})
+            )
+    return scene, marker_tree
+
+
+def flatten_names(names):
+    """Return the names of parameters, with tuples of names flattened, as one list.
+
+    Parameters
+    ----------
+    names : sequence of str or tuple of str
+        The names.
+
+    Returns
+    -------
+    list of str
+        The names in order.
+    """
+    return [name for name_or_tuple in names for name in check.make_name_tuple("names", name_or_tuple)]
+
+
+def common_parameter_value(scene, name):
+    """Return the value of a parameter, or the common value of several parameters that vary together.
+
+    Parameters
+    ----------
+    scene : Scene
+        Single scene.
+    name : str or tuple of str
+        One parameter, or several.
+
+    Returns
+    -------
+    float
+        The value.
+
+    Raises
+    ------
+    ArgumentError
+        If the values differ.
+    """
+    values = {
+        parameter_name: float(scene.parameter(parameter_name))
+        for parameter_name in check.make_name_tuple("names", name)
+    }
+    min_value, max_value = min(values.values()), max(values.values())
+    if max_value - min_value > EQUALITY_TOLERANCE * max(abs(min_value), abs(max_value)):
+        rule = "must have one value in one tuple; for a common shift add the results of each alone"
+        raise check.ArgumentError("names", rule, values)
+    return min_value
