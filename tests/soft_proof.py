@@ -26,7 +26,7 @@ LATE = 1e-6  # an entry's time may be off by so much of the scale over its speed
 class Row(NamedTuple):
     """One draw's errors, those of lengths and speeds over the bound; inf where the itinerary is wrong.
 
-    The bound is 1e-12 scale (1 + norm), for sharp with the sharp norm (`soft.ImpactFitProblem`). times: in t.
+    The bound is 1e-12 scale (1 + norm), for sharp with the sharp norm (`soft.Record`). times: in t.
     """
 
     seed: int
@@ -84,7 +84,7 @@ def slope_errors(members):
     """{way: (seed, error, fine error) of each reference's d(x, v)/d(x, v)} of one structure.
 
     error: over the product of the factors' norms; fine: over the compact one, x counted as there
-    (`soft.ImpactFitProblem`)."""
+    (`soft.Record`)."""
     scene, start = batch([each.draw for each in members])
     lanes = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (len(members),)), scene)
 

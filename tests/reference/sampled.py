@@ -62,6 +62,6 @@ class Until(Way):
 
 
 def soft_end(draw, time, precision=400):
-    """The `soft.ImpactFitProblem` of the way to a time. Raises Discard and Undecided as `soft.strobe` does."""
+    """The `soft.Record` of the way to a time. Raises Discard and Undecided as `soft.strobe` does."""
     with ctx.workprec(precision):
         return Until(draw, time).go()

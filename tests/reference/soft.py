@@ -21,7 +21,7 @@ PARTS = 4  # of a flight or a contact: so often the norm is taken on the way
 
 @dataclass
 class Record(orbit.Record):
-    """What happened; as in `orbit.ImpactFitProblem`, an entry into a soft wall being an impact: its time, side, and
+    """What happened; as in `orbit.Record`, an entry into a soft wall being an impact: its time, side, and
     speed.
 
     exits: times since the strobe's start and sides at which the mass left a soft wall. held: the side of the one it is

@@ -23,7 +23,7 @@ PLAIN = ("norm", "product", "sharp", "compact", "scale", "least_minimum", "least
 
 
 class Kept(NamedTuple):
-    """A seed, its draw and what of its `soft.ImpactFitProblem` is compared; x, v, times, speeds and jacobian are
+    """A seed, its draw and what of its `soft.Record` is compared; x, v, times, speeds and jacobian are
     Decimals."""
 
     seed: int
