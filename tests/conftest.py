@@ -68,6 +68,15 @@ def pytest_pyfunc_call(pyfuncitem):
     return pyfuncitem.stash.get(smoke.STOPPED, None)
 
 
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_teardown(item):
+    """After a stopped test tear down all fixtures: one that was stopped must run again for the next test."""
+    result = yield
+    if item.stash.get(smoke.STOPPED, None):
+        item.session._setupstate.teardown_exact(None)
+    return result
+
+
 @pytest.fixture(autouse=True)
 def small():
     """What is compiled is let go, and given back to the system, where a process has grown large."""

@@ -90,8 +90,11 @@ def script_error(name, arguments, seconds=SCRIPT_SECONDS):
     return output[-2000:] or f"exit status {process.returncode}" if failed else ""
 
 
-class OutOfTime(BaseException):
-    """A long test has run for its time without an error; no `except Exception` of the code under test catches it."""
+class OutOfTime(pytest.fail.Exception):
+    """A long test has run for its time without an error.
+
+    No `except Exception` of the code under test catches it; pytest knows it, and lets a stopped fixture be torn down.
+    """
 
 
 STOPPED = pytest.StashKey[bool]()  # of a test whose time ended

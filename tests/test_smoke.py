@@ -1,5 +1,7 @@
 """The verification scripts run: a small case of a third of them in each run."""
 
+import subprocess
+import sys
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -35,3 +37,39 @@ def test_a_test_that_is_stopped_has_passed():
     report = conftest.pytest_runtest_makereport(item, call)
     next(report)
     assert call.excinfo is None and item.stash[smoke.STOPPED]
+
+
+STOPPED_FIXTURE = """
+import time
+
+import pytest
+
+from tests import smoke
+
+smoke.TEST_SECONDS = 0.2
+times = iter([60.0, 0.0])
+
+
+@pytest.fixture(scope="module")
+def value():
+    time.sleep(next(times))
+    return 3
+
+
+@pytest.mark.smoke
+def test_stopped(value):
+    raise AssertionError("called without its fixture")
+
+
+def test_next(value):
+    assert value == 3
+"""
+
+
+def test_a_stopped_fixture_runs_again_for_the_next_test(tmp_path):
+    """The first test is stopped in a fixture of the module; the second one needs its value."""
+    (tmp_path / "test_two.py").write_text(STOPPED_FIXTURE)
+    options = ["-p", "tests.conftest", "-p", "no:cacheprovider", "-c", "/dev/null", "-m", "smoke or not smoke"]
+    command = [sys.executable, "-m", "pytest", *options, str(tmp_path)]
+    output = subprocess.run(command, cwd=smoke.ROOT, capture_output=True, text=True, check=False).stdout
+    assert "2 passed" in output, output
