@@ -8,28 +8,44 @@ import platform
 from contextlib import nullcontext
 from pathlib import Path
 
-import jax
-import matplotlib
-import pytest
-from hypothesis import settings
-
-from . import checked_types, smoke
-
-LARGE = 4e9  # bytes that a process may hold: ten scenes with soft walls, each with functions of its own
-
 CACHE = {
     "JAX_COMPILATION_CACHE_DIR": str(Path(__file__).parents[1] / ".pytest_cache" / "jax"),
     "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
     "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "-1",
 }
-os.environ.update({name: value for name, value in CACHE.items() if name not in os.environ})  # of processes begun here
+os.environ.update({name: value for name, value in CACHE.items() if name not in os.environ})  # before jax is imported
+
+import jax  # noqa: E402
+import matplotlib as mpl  # noqa: E402
+import pytest  # noqa: E402
+from hypothesis import settings  # noqa: E402
+
+from . import checked_types, smoke, tiers  # noqa: E402
+
+LARGE = 4e9  # bytes that a process may hold: ten scenes with soft walls, each with functions of its own
 
 jax.config.update("jax_enable_x64", True)
 gc.set_threshold(50_000, 20, 50)  # tracing makes many objects that stay: a twentieth of the time went to their rounds
 checked_types.install()
-matplotlib.use("Agg")
+mpl.use("Agg")
 settings.register_profile("same", deadline=None, derandomize=True, print_blob=True)
 settings.load_profile("same")
+
+
+def pytest_addoption(parser):
+    """Add the options that choose a tier, or draws of properties."""
+    parser.addoption("--tier", choices=tiers.TIERS, default=None, help="run the tests of a tier of tests/tiers.toml")
+    parser.addoption("--draws", type=int, default=None, help="of each property, instead of the tier's number")
+
+
+def pytest_generate_tests(metafunc):
+    """Make a test of each kind of a property that is drawn in the tier."""
+    if not getattr(metafunc.function, "is_property", False):
+        return
+    tier, draws = metafunc.config.getoption("tier") or "push", metafunc.config.getoption("draws")
+    folder, name = (text.removeprefix("test_") for text in (metafunc.module.__name__.rpartition(".")[2], metafunc.function.__name__))
+    rows = [(row.kind, draws or row.number(tier)) for row in tiers.draws_of(folder, name)]
+    metafunc.parametrize(("kind", "draws"), [pytest.param(*row, id=row[0]) for row in rows if row[1]])
 
 
 @pytest.hookimpl(tryfirst=True)

@@ -104,6 +104,11 @@ def van_der_pol(n, p, x, v, k, memory):
     return -x[k] + n.times(p["gain"], n.dot(square, v, k))
 
 
+def falling(n, p, x, v, k, memory):
+    """A constant pull without a spring."""
+    return -(p["c0"] if k == 0 else 0) - 2 * n.times(p["damping"], v[k])
+
+
 FORCES = {"duffing": duffing, "pendulum": pendulum, "stribeck": stribeck, "van_der_pol": van_der_pol}
 
 

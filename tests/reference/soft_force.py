@@ -1,6 +1,6 @@
 """Soft walls with laws of their own beside forces that are no spring: series by hand, in digits as many as one likes.
 
-x'' = f(t, x, v) + A cos(omega t) between two walls that stand still, less the push of a wall beyond it. Within a wall
+x'' = f(t, x, v) + A cos(omega t + phase) between two walls that stand still, less the push of a wall beyond it. Within a wall
 the series are in s, depth = e^2 and dt = 2 e ds, in which k depth^1.5 is k e^3.
 """
 
@@ -19,10 +19,11 @@ def duffing(p, x, v, k, memory):
     return -x[k] - p["cubic"] * _product(square, x, k) - 2 * p["damping"] * v[k]
 
 
-def series(force, p, amplitude, frequency, t, x, v):
+def series(force, p, amplitude, frequency, phase, t, x, v):
     """Taylor coefficients of x from t on."""
     place, speed, memory = [mpf(x), mpf(v)], [mpf(v)], {}
-    drive = [amplitude * mp.cos(frequency * t), -amplitude * frequency * mp.sin(frequency * t)]
+    angle = frequency * t + phase
+    drive = [amplitude * mp.cos(angle), -amplitude * frequency * mp.sin(angle)]
     for k in range(mp.dps - 1):
         if k > 1:
             drive.append(-(frequency**2) * drive[k - 2] / (k * (k - 1)))
@@ -48,9 +49,9 @@ LAWS = {"linear": linear, "hertz": hertz, "hunt_crossley": hunt_crossley}
 
 def _within(force, p, law, q, drive, wall, sign, t, e, w):
     """(coefficients in s of e, of the rate of the depth, and of the time since) within the wall on a side."""
-    amplitude, frequency = drive
+    amplitude, frequency, phase = drive
     root, rate, time = [mpf(e)], [mpf(w)], [mpf(0)]
-    cosine, sine = [mp.cos(frequency * t)], [mp.sin(frequency * t)]
+    cosine, sine = [mp.cos(frequency * t + phase)], [mp.sin(frequency * t + phase)]
     square, cube, place, speed, pull, memory = [], [], [], [], [], {}
     for k in range(mp.dps):
         square.append(_product(root, root, k))
@@ -118,10 +119,10 @@ def _first(terms, step, start):
     return None, least
 
 
-def flown(force, p, law, q, amplitude, frequency, walls, x, v):
+def flown(force, p, law, q, amplitude, frequency, walls, x, v, phase=0):
     """((x, v) after a period of the drive, [(time, side, speed) of the entries], the least speed at a wall, the least
     clearance, or depth, where the motion turns back)."""
-    drive = mpf(amplitude), mpf(frequency)
+    drive = mpf(amplitude), mpf(frequency), mpf(phase)
     p, q = ({name: mpf(value) for name, value in each.items()} for each in (p, q))
     walls = [mpf(wall) for wall in walls]
     t, end, x, v, side, fresh = mpf(0), 2 * mp.pi / drive[1], mpf(x), mpf(v), 0, 0

@@ -1,0 +1,136 @@
+"""Which tests run when, and of how many draws: the table `tests/tiers.toml`, and decorators of properties.
+
+A property is a test that holds for random scenes of each kind (`tests/kinds.py`). Draws are reproducible. A failing draw
+is written to `tests/examples.json`; commit it with the correction, and it is tried first from then on.
+"""
+
+import json
+import os
+import tomllib
+from dataclasses import dataclass
+from functools import cache, wraps
+from pathlib import Path
+
+import numpy as np
+from hypothesis import HealthCheck, Phase, example, given, settings
+
+from .kinds import KINDS, ROWS
+
+FOLDER = Path(__file__).parent
+TABLE, EXAMPLES = FOLDER / "tiers.toml", FOLDER / "examples.json"
+TIERS = ("push", "ci", "release")
+
+
+@dataclass(frozen=True)
+class Draws:
+    """A property of a kind: its name, and the number of draws in each tier."""
+
+    folder: str
+    name: str
+    kind: str
+    numbers: tuple[int, int, int]
+
+    def number(self, tier):
+        """Return the number of draws in a tier."""
+        return self.numbers[TIERS.index(tier)]
+
+
+@cache
+def table():
+    """Return the table: {folder: {property: {"draws": ..., "kinds": ..., "of": ...}}}, and the tiers of other tests."""
+    return tomllib.loads(TABLE.read_text("utf-8"))
+
+
+@cache
+def draws_of(folder, name):
+    """Return the Draws of a property, one for each of its kinds."""
+    try:
+        row = table()[folder][name]
+    except KeyError:
+        raise KeyError(f"tests/tiers.toml must have a row [{folder}.{name}]") from None
+    rows = {kind: row["draws"] for kind in row.get("kinds", KINDS)} | row.get("of", {})
+    if unknown := rows.keys() - KINDS:
+        raise KeyError(f"tests/tiers.toml: [{folder}.{name}] names unknown kinds {sorted(unknown)}")
+    return [Draws(folder, name, kind, tuple(numbers)) for kind, numbers in rows.items()]
+
+
+def tier_of(nodeid):
+    """Return the tier of a test that is no property: the first in which it runs."""
+    for tier in ("release", "ci"):
+        if any(nodeid.startswith(prefix) for prefix in table()["tests"][tier]):
+            return tier
+    return "push"
+
+
+def examples_of(name, kind):
+    """Return the draws of a property and a kind that once failed."""
+    return json.loads(EXAMPLES.read_text("utf-8")).get(f"{name}[{kind}]", []) if EXAMPLES.exists() else []
+
+
+def keep_example(name, kind, draw):
+    """Add a failing draw to the permanent examples."""
+    kept = json.loads(EXAMPLES.read_text("utf-8")) if EXAMPLES.exists() else {}
+    rows = kept.setdefault(f"{name}[{kind}]", [])
+    if draw not in rows:
+        rows.append(draw)
+        partial = EXAMPLES.with_suffix(f".{os.getpid()}")
+        partial.write_text(json.dumps(kept, indent=1, sort_keys=True) + "\n", "utf-8")
+        partial.rename(EXAMPLES)
+
+
+def of_batches(check):
+    """Make a property of check(kind, scene, state): hypothesis draws batches, and shrinks one that fails."""
+
+    @wraps(check)
+    def test(kind, draws):
+        name, last = check.__name__, []
+
+        @settings(max_examples=draws, suppress_health_check=list(HealthCheck), phases=tuple(Phase))
+        @given(rows=ROWS)
+        def holds(rows):
+            last[:] = [rows]
+            check(KINDS[kind], *KINDS[kind].batch(rows))
+
+        for rows in examples_of(name, kind):
+            holds = example(rows=[tuple(row) for row in rows])(holds)
+        try:
+            holds()
+        except Exception:
+            keep_example(name, kind, [list(row) for row in last[0]])
+            raise
+
+    return _as_property(test)
+
+
+def of_numbers(check):
+    """Make a property of check(kind, number): the draws are numbered from 0, which suits expensive ones."""
+
+    @wraps(check)
+    def test(kind, draws):
+        name = check.__name__
+        for number in sorted({*examples_of(name, kind), *range(first_draw(), first_draw() + draws)}):
+            try:
+                check(KINDS[kind], number)
+            except Exception as error:
+                keep_example(name, kind, number)
+                error.add_note(f"draw {number} of {name}[{kind}]")
+                raise
+
+    return _as_property(test)
+
+
+def first_draw():
+    """Return the number of the first draw: a part of a release run starts later."""
+    return int(os.environ.get("FIRST_DRAW", "0"))
+
+
+def _as_property(test):
+    """Give a property the arguments that pytest fills in."""
+    del test.__wrapped__
+    test.is_property = True
+    return test
+
+
+def seed_of(kind, number):
+    """Return a random generator of a draw."""
+    return np.random.default_rng([20, sorted(KINDS).index(kind.name), number])

@@ -1,0 +1,143 @@
+"""Motions of single scenes by the reference implementations, in one form for every kind of scene.
+
+Nothing here shares code with the package. A motion whose impacts rounding decides is refused with `Discard`.
+"""
+
+from functools import partial
+from typing import NamedTuple
+
+import mpmath
+import numpy as np
+from mpmath import mpf
+
+from .reference import orbit, own_force, rests, soft, soft_force, special
+from .reference.scene import Motion, Scene, Soft, Term, Wall
+from .reference.search import Discard
+
+DIGITS = 34
+APART = mpf(10) ** -10  # of two states, for a derivative by differences
+CLEAR = 100.0  # allowed errors from a wall, or a graze, at which a motion counts as decided
+CHATTER_SPEED = 1e-4  # slower impacts are hops of a chatter, which a flight of a user-defined force counts one by one
+
+
+class Truth(NamedTuple):
+    """A motion over some drive periods.
+
+    x, v: the end; times, sides, speeds: of the impacts and of the entries into soft walls; numbers of many digits.
+    matrix: the derivative of the end by the initial state, None where it is not computed. allowed: absolute error that
+    a correct computation with a given relative error of 1 may have: the scale of the motion times the growth of errors.
+    least_clearance: at turning points, None where it is not computed.
+    """
+
+    x: object
+    v: object
+    times: list
+    sides: list
+    speeds: list
+    matrix: np.ndarray | None
+    allowed: float
+    least_clearance: float | None = None
+
+
+def plain(scene):
+    """Return a scene as the references' record of floats."""
+
+    def wall(given):
+        if given is None:
+            return None
+        motion = given.motion and Motion(float(given.motion.amplitude), float(given.motion.phase), given.motion.harmonic)
+        if given.soft:
+            return Soft(float(given.position), float(given.stiffness), float(given.damping), motion)
+        bounce = scene.restitution if given.restitution is None else given.restitution
+        return Wall(float(given.position), float(bounce), motion)
+
+    drive = tuple(Term(float(term.amplitude), term.harmonic, float(term.phase)) for term in scene.drive or ())
+    damping = 0.0 if scene.damping is None else float(scene.damping)
+    numbers = damping, float(scene.frequency), float(scene.amplitude)
+    return Scene(*numbers, wall(scene.left), wall(scene.right), drive)
+
+
+def closed_form(scene, x, v, phase, periods=1):
+    """Return the motion of a linear oscillator: ball arithmetic, certified impacts."""
+    given = plain(scene)
+    is_soft = any(isinstance(wall, Soft) for _, wall in given.walls())
+    record = (soft if is_soft else orbit).strobe(given, x, v, phase, periods=periods)
+    matrix = np.array([[float(entry) for entry in row] for row in record.jacobian])
+    norm = max(record.norm, getattr(record, "sharp", 0.0))
+    allowed = record.scale * (1.0 + norm)
+    events = record.times, [int(side) for side in record.sides], record.speeds
+    return Truth(record.x, record.v, *events, matrix, allowed, record.least_minimum)
+
+
+def resting(scene, x, v, phase, periods=1):
+    """Return the end of a motion that may stick: hops one by one, at many digits; without impacts' times."""
+    with mpmath.workdps(DIGITS):
+        given = special.exact(plain(scene))
+        begin = mpf(phase) / given.omega
+        end = begin + special.span(given, periods)
+        start = begin, mpf(x), mpf(v)
+        hit = rests.first(given, start, 0, rests.GRID, 1, end)
+        if hit is None or hit.time >= end:
+            place = special.fly(given, *start, end)
+        else:
+            if hit.speed < orbit.SLOWEST or end - hit.time < orbit.EDGE:
+                raise Discard("a slow impact, or one at the end")
+            again = special.restitution(given, hit.side) * hit.speed
+            place = rests.state_after(given, hit.side, hit.time, again, end)
+    scale = max(abs(x), abs(v), *(abs(float(each)) for each in place), abs(float(given.amplitude)), 1.0)
+    return Truth(*place, None, None, None, None, 1e2 * scale)
+
+
+FORCES = {"duffing": own_force.duffing, "polynomial": own_force.falling}
+
+
+def series(scene, x, v, phase, periods=1):
+    """Return the motion under a user-defined force between rigid walls: Taylor series by hand."""
+    given, tolerance = plain(scene), float(scene.force.tolerance)
+    walls, bounces = [], []
+    for wall in (given.left, given.right):
+        walls.append(wall and (wall.position if wall.motion is None else (wall.position, *wall.motion)))
+        bounces.append(wall.restitution if wall else 0.0)
+    numbers = {name: float(value) for name, value in scene.force.numbers.items()}
+    fly = partial(own_force.flown, FORCES[scene.force.function.__name__], numbers, given.amplitude, given.omega, tuple(walls))
+    fly = partial(fly, tuple(bounces), phase=phase, periods=periods, most=60)
+    with mpmath.workdps(DIGITS):
+        try:
+            true = fly(x, v)
+            matrix = _differences(lambda *state: fly(*state).end, true.end, x, v)
+        except own_force.RunsAwayError as error:
+            raise Discard("it runs away") from error
+        except ArithmeticError as error:
+            raise Discard("hops without an end") from error
+    size = max(*(abs(float(each)) for each in true.end), abs(x), abs(v), 4.0 + abs(given.amplitude))
+    return _decided(true.end, true.hits, matrix, size, float(true.least), float(true.nearest), tolerance)
+
+
+def contact_series(scene, x, v, phase, periods=1):
+    """Return the motion under a user-defined force between soft walls with a contact law."""
+    assert periods == 1
+    law, force, tolerance = scene.left.law, scene.force, float(scene.force.tolerance)
+    own, push = ({name: float(value) for name, value in given.numbers.items()} for given in (force, law))
+    ends = float(scene.left.position), float(scene.right.position)
+    drive = float(scene.amplitude), float(scene.frequency)
+    fly = partial(soft_force.flown, soft_force.duffing, own, soft_force.LAWS[law.function.__name__], push, *drive, ends)
+    with mpmath.workdps(DIGITS):
+        place, hits, slowest, nearest = fly(x, v, phase)
+        matrix = _differences(lambda *state: fly(*state, phase)[0], place, x, v)
+    size = max(*(abs(float(each)) for each in place), abs(x), abs(v), 4.0 + abs(drive[0]))
+    return _decided(place, hits, matrix, size, float(slowest), float(nearest), tolerance)
+
+
+def _differences(end, place, x, v):
+    """Return the derivative of an end by the initial state, by differences."""
+    columns = [end(mpf(x) + APART, mpf(v)), end(mpf(x), mpf(v) + APART)]
+    return np.array([[float((column[k] - place[k]) / APART) for column in columns] for k in (0, 1)])
+
+
+def _decided(place, hits, matrix, size, slowest, nearest, tolerance):
+    """Return the Truth of a motion, unless it comes too near to a graze for its tolerance."""
+    allowed = 20.0 * size * (1.0 + abs(matrix).max())
+    if min(nearest, slowest**2 / (2.0 * size)) < CLEAR * tolerance * allowed or slowest < 1e-2:
+        raise Discard("a near graze")
+    times, sides, speeds = zip(*hits, strict=True) if hits else ((), (), ())
+    return Truth(*place, list(times), list(sides), list(speeds), matrix, allowed)
