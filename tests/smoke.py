@@ -111,10 +111,11 @@ def choose(items):
 
 
 @contextmanager
-def time_limit(seconds):
-    """Raise OutOfTime in the main thread after some seconds."""
+def time_limit(stash, seconds=TEST_SECONDS):
+    """Raise OutOfTime in the main thread after some seconds, and note it in the stash of the test."""
 
     def stop(number, frame):
+        stash[STOPPED] = True
         raise OutOfTime
 
     previous = signal.signal(signal.SIGALRM, stop)

@@ -3,11 +3,10 @@
 import subprocess
 import sys
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 
-from . import conftest, smoke
+from . import smoke
 
 NAMES = sorted(smoke.SCRIPTS)
 
@@ -29,25 +28,17 @@ def test_a_script_that_fails_is_reported():
     assert "no_such_kind" in smoke.script_error("soft_studies", ["no_such_kind"])
 
 
-def test_a_test_that_is_stopped_has_passed():
-    def run():
-        raise smoke.OutOfTime
-
-    item, call = SimpleNamespace(stash={}), pytest.CallInfo.from_call(run, "call")
-    report = conftest.pytest_runtest_makereport(item, call)
-    next(report)
-    assert call.excinfo is None and item.stash[smoke.STOPPED]
-
-
-STOPPED_FIXTURE = """
+STOPPED = """
 import time
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from tests import smoke
 
 smoke.TEST_SECONDS = 0.2
-times = iter([60.0, 0.0])
+times, waits = iter([60.0, 0.0]), iter([60.0])
 
 
 @pytest.fixture(scope="module")
@@ -57,19 +48,30 @@ def value():
 
 
 @pytest.mark.smoke
-def test_stopped(value):
+def test_with_a_stopped_fixture(value):
     raise AssertionError("called without its fixture")
 
 
 def test_next(value):
     assert value == 3
+
+
+@pytest.mark.smoke
+@given(number=st.integers())
+def test_of_draws(number):
+    time.sleep(next(waits, 0.0))
+
+
+@pytest.mark.smoke
+def test_wrong():
+    assert False
 """
 
 
-def test_a_stopped_fixture_runs_again_for_the_next_test(tmp_path):
-    """The first test is stopped in a fixture of the module; the second one needs its value."""
-    (tmp_path / "test_two.py").write_text(STOPPED_FIXTURE)
+def test_a_stopped_test_has_passed_and_its_fixtures_run_again_for_the_next_test(tmp_path):
+    """Tests are stopped in a fixture of the module, whose value the next one needs, and in a draw of hypothesis."""
+    (tmp_path / "test_stopped.py").write_text(STOPPED)
     options = ["-p", "tests.conftest", "-p", "no:cacheprovider", "-c", "/dev/null", "-m", "smoke or not smoke"]
     command = [sys.executable, "-m", "pytest", *options, str(tmp_path)]
     output = subprocess.run(command, cwd=smoke.ROOT, capture_output=True, text=True, check=False).stdout
-    assert "2 passed" in output, output
+    assert "3 passed" in output and "1 failed" in output, output
