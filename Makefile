@@ -31,7 +31,7 @@ THIS := $(INSTALL) --no-deps --no-build-isolation --editable .
 COMPILE := $(UV) pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-annotate \
 	--no-emit-index-url --no-emit-find-links --custom-compile-command "make lock"
 
-.PHONY: help run paper test test-slow test-long test-browser mutate bench reliability notebooks docs format lock clean
+.PHONY: help run paper test test-ci release-tests test-browser mutate bench reliability notebooks docs format lock clean
 .DELETE_ON_ERROR:
 
 help: ## list the targets
@@ -47,13 +47,13 @@ test: $(VENV)/.dev ## run the linter, the type checker and the tests that take s
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
-	$(PYTEST) -m "not slow and not long and not browser"
+	$(PYTEST) --tier push
 
-test-slow: $(VENV)/.dev ## run the tests that take minutes in all
-	$(PYTEST) -m "(slow and not long and not browser) or smoke"
+test-ci: $(VENV)/.dev ## run what CI adds: tests that take minutes in all, and more draws of the properties
+	$(PYTEST) --tier ci
 
-test-long: $(VENV)/.dev ## run the tests that take minutes each
-	$(PYTEST) -m "long and not browser"
+release-tests: $(VENV)/.dev ## run what a release adds, into out/release/; goes on where it was stopped
+	$(BIN)/python -m tests.release out/release
 
 test-browser: $(VENV)/.dev ## test the explorer in a headless Chromium
 	$(BIN)/python -m pytest -m browser tests/browser

@@ -34,30 +34,63 @@ settings.load_profile("same")
 
 def pytest_addoption(parser):
     """Add the options that choose a tier, or draws of properties."""
-    parser.addoption("--tier", choices=tiers.TIERS, default=None, help="run the tests of a tier of tests/tiers.toml")
-    parser.addoption("--draws", type=int, default=None, help="of each property, instead of the tier's number")
+    parser.addoption(
+        "--tier", choices=tiers.TIERS, help="run only what a tier adds to the ones before (tests/tiers.toml)"
+    )
+    parser.addoption("--draws", type=int, help="of each property, instead of the tier's number")
+
+
+def module_name(module):
+    """Return the name of a test module without the package."""
+    return module.__name__.removeprefix("tests.")
 
 
 def pytest_generate_tests(metafunc):
-    """Make a test of each kind of a property that is drawn in the tier."""
+    """Make a test of each kind of a property, with the draws of the tier if it has more than the tier before."""
     if not getattr(metafunc.function, "is_property", False):
         return
-    tier, draws = metafunc.config.getoption("tier") or "push", metafunc.config.getoption("draws")
-    folder, name = (text.removeprefix("test_") for text in (metafunc.module.__name__.rpartition(".")[2], metafunc.function.__name__))
-    rows = [(row.kind, draws or row.number(tier)) for row in tiers.draws_of(folder, name)]
-    metafunc.parametrize(("kind", "draws"), [pytest.param(*row, id=row[0]) for row in rows if row[1]])
+    folder = module_name(metafunc.module).removeprefix("properties.test_")
+    draws, tier = metafunc.config.getoption("draws"), metafunc.config.getoption("tier")
+    names = tuple(metafunc.function.kinds)
+    rows = tiers.draws_of(folder, metafunc.function.__name__.removeprefix("test_"), names)
+    numbers = [(row.kind, draws or row.in_tier(tier)) for row in rows]
+    metafunc.parametrize(("kind", "draws"), [pytest.param(*row, id=row[0]) for row in numbers if row[1]])
 
 
 @pytest.hookimpl(tryfirst=True)
-def pytest_collection_modifyitems(items):
-    """Mark the long tests that are tried for a few seconds."""
-    for item in smoke.choose(items):
+def pytest_collection_modifyitems(config, items):
+    """Select the tests of a tier; those whose pages need a browser run before a release alone."""
+    release = [item for item in items if own_tier(item) == "release" and not item.get_closest_marker("browser")]
+    for item in smoke.choose(release):
         item.add_marker(pytest.mark.smoke)
+    tier = config.getoption("tier")
+    if tier is None:
+        return
+    chosen = [item for item in items if is_in_tier(item, tier)]
+    config.hook.pytest_deselected(items=[item for item in items if item not in set(chosen)])
+    items[:] = chosen
+
+
+def own_tier(item):
+    """Return the first tier in which a test runs that is no property; of a property "", as its draws decide."""
+    if getattr(item.function, "is_property", False):
+        return ""
+    marked = [
+        tier
+        for mark, tier in (("long", "release"), ("browser", "release"), ("slow", "ci"))
+        if item.get_closest_marker(mark)
+    ]
+    return marked[0] if marked else tiers.tier_of(module_name(item.module), item.name)
+
+
+def is_in_tier(item, tier):
+    """Return whether a test is what a tier adds to the ones before it."""
+    return own_tier(item) in ("", tier) or (tier == "ci" and item.get_closest_marker("smoke") is not None)
 
 
 def limited(item):
     """Run a phase of a test, with a time limit if the test is only tried."""
-    tried = item.get_closest_marker("smoke") and "smoke" in item.config.getoption("markexpr")
+    tried = item.get_closest_marker("smoke") and item.config.getoption("tier") == "ci"
     with smoke.time_limit(item.stash, smoke.TEST_SECONDS) if tried else nullcontext():
         return (yield)
 

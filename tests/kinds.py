@@ -9,6 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import diffrax
+import jax
 import numpy as np
 from hypothesis import strategies as st
 
@@ -37,6 +38,23 @@ NUMBERS = {
     "first": (0.0, 1.0, (0.0,)),  # two numbers with a meaning of their own in each kind
     "second": (0.0, 1.0, ()),
 }
+# ranges in which scenes lose energy and have attractors, for studies of single scenes
+TAME = {
+    "amplitude": (0.5, 4.0, ()),
+    "frequency": (0.8, 4.0, ()),
+    "damping": (0.02, 0.3, ()),
+    "left": (-1.5, -0.2, ()),
+    "gap": (0.8, 2.5, ()),
+    "left_restitution": (0.3, 0.9, ()),
+    "right_restitution": (0.3, 0.9, ()),
+    "left_swing": (0.0, 0.1, ()),
+    "right_swing": (0.0, 0.1, ()),
+    "share": (0.1, 0.9, ()),
+    "v": (-1.0, 1.0, ()),
+    "phase": (0.0, 0.0, ()),
+    "first": (0.05, 0.5, ()),
+    "second": (0.3, 0.7, ()),
+}
 
 
 def _number(low, high, often):
@@ -48,11 +66,11 @@ def _number(low, high, often):
 ROWS = st.lists(st.tuples(*(_number(*rule) for rule in NUMBERS.values())), min_size=LANES, max_size=LANES)
 
 
-def draw_rows(seed, lanes=LANES):
-    """Draw rows by number: the same ranges as `ROWS`, reproducible from the seed."""
+def draw_rows(seed, lanes=LANES, ranges=NUMBERS):
+    """Draw rows by number, reproducible from the seed."""
     rng = np.random.default_rng([19, seed])
     columns = []
-    for low, high, often in NUMBERS.values():
+    for low, high, often in (NUMBERS | ranges).values():
         column = np.round(rng.uniform(low, high, lanes) * GRID) / GRID
         if often:
             column = np.where(rng.random(lanes) < 0.2, rng.choice(often, lanes), column)
@@ -88,6 +106,11 @@ class Kind:
     def draw(self, seed, lanes=LANES):
         """Return a batch by number."""
         return self.batch(draw_rows(seed, lanes))
+
+    def draw_single(self, seed):
+        """Return a scene that loses energy, and a state, both without a batch, by number."""
+        batch = self.batch(draw_rows(seed, 1, TAME))
+        return jax.tree.map(lambda leaf: float(leaf[0]) if np.ndim(leaf) else leaf, batch)
 
 
 def wall_ends(scene, phase):

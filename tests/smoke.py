@@ -101,11 +101,10 @@ STOPPED = pytest.StashKey[bool]()  # of a test whose time ended
 
 
 def choose(items):
-    """The long tests that are tried: the first one of a third of the files that have any."""
+    """Return, of release tests, the first one of a third of the files that have any."""
     first = {}
     for item in items:
-        if item.get_closest_marker("long") and not item.get_closest_marker("browser"):
-            first.setdefault(item.path, item)
+        first.setdefault(item.path, item)
     chosen = part()
     return [item for k, (_, item) in enumerate(sorted(first.items())) if k % PARTS == chosen]
 

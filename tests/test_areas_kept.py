@@ -15,7 +15,6 @@ def test_resonances_of_the_motion_without_impacts():
     assert [one.value for one in branch.special] == pytest.approx([2.5, 3.0, 4.0, 4.5], abs=1e-10)
 
 
-@pytest.mark.long
 def test_resonances_of_orbits_with_impacts():
     scene = jv.make_scene(1.5, 2.7, walls=(None, 0.5), **KEPT)
     found = next(
@@ -43,7 +42,6 @@ def elliptic():
     return orbit
 
 
-@pytest.mark.long
 def test_the_twist_is_what_rotation_numbers_say(elliptic):
     told = jv.twist(elliptic)
     angle = abs(np.angle(elliptic.multipliers[0]))
@@ -68,7 +66,6 @@ def test_the_twist_is_what_rotation_numbers_say(elliptic):
     assert np.sum(weight * off) / action == pytest.approx(told, rel=1e-5)
 
 
-@pytest.mark.long
 def test_a_motion_without_impacts_has_no_twist():
     free = jv.find_orbit(jv.make_scene(0.1, 2.5, walls=(None, 1.0), **KEPT), jv.State(-0.1 / 5.25, 0.0), settle=0)
     assert jv.twist(free) == pytest.approx(0.0, abs=1e-14)

@@ -134,7 +134,6 @@ def test_kinds(hint, right, wrong):
     assert [value for value in wrong if kind.accepts(value)] == []
 
 
-@pytest.mark.slow
 def test_invalid_calls_of_every_function(monkeypatch, tmp_path):
     """A draw of `python -m tests.arguments_proof`: the whole call, with all that it compiles."""
     monkeypatch.chdir(tmp_path)

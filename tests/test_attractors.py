@@ -185,7 +185,6 @@ def test_too_many_impacts_are_told():
     assert np.isfinite(one.state.x) and abs(one.state.x) <= 1e-3
 
 
-@pytest.mark.long
 def test_a_mass_that_sticks():
     """No rebound: what lands leaves with the wall's speed; at phase 0 it still rests on the right wall, pressed on."""
     sticky = scene(2.0, 0.4, 0.05, 0.0)
@@ -196,7 +195,6 @@ def test_a_mass_that_sticks():
     assert one.exponent == -np.inf
 
 
-@pytest.mark.long
 def test_many_impacts_in_a_period_are_all_counted():
     found = jv.find_attractors(scene(8.0, 0.25, 0.05, 0.8, (-0.2, 0.2)), starts=16)
     for one in found:
@@ -206,7 +204,6 @@ def test_many_impacts_in_a_period_are_all_counted():
     assert any(one.kind == "periodic" for one in found)
 
 
-@pytest.mark.slow
 def test_walls_that_move_oppositely_keep_the_symmetry():
     left, right = (jv.Wall(place, motion=jv.Motion(0.2)) for place in (-1.0, 1.0))
     found = jv.find_attractors(scene(1.0, walls=(left, right)), starts=64)
@@ -214,7 +211,6 @@ def test_walls_that_move_oppositely_keep_the_symmetry():
     assert {one.label for one in found} == {"P100", "P111"}
 
 
-@pytest.mark.slow
 def test_single_precision():
     found = jv.find_attractors(scene(4.65, dtype=jnp.float32), starts=64)
     assert sorted(one.label for one in found) == ["P111", "P111", "P112", "P121"]
@@ -297,7 +293,6 @@ def test_points_at_the_walls():
     assert samples_fill_same_set(part, sets[0]) and samples_fill_same_set(sets[0], part)
 
 
-@pytest.mark.long
 def test_states_run_one_by_one_are_those_of_a_block_but_for_a_rounding():
     rng = np.random.default_rng(4)
     start = jv.State(rng.uniform(-1, 1, 9), rng.uniform(-3, 3, 9), np.full(9, 0.4), np.zeros(9))

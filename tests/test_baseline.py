@@ -17,7 +17,6 @@ def stored():
     return compare.read(STORED)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("part", ["strobe", "readme", "map"])
 def test_the_numbers_are_those_of_before(stored, part, tmp_path):
     values = {"strobe": compute.strobes, "readme": lambda: compute.readme(None), "map": compute.map_cells}[part]()

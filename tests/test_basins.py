@@ -62,7 +62,6 @@ def test_labels_are_those_of_states_run_on_alone(name, phase):
     np.testing.assert_allclose(data["fraction"], shares, atol=1e-15)
 
 
-@pytest.mark.long
 def test_the_mirrored_picture_half_a_period_later_has_the_twins_swapped():
     scene, attractors = known("figure 5")
     x, v = np.linspace(-1.0, 1.0, 41), np.linspace(-3.0, 3.0, 41)
@@ -73,7 +72,6 @@ def test_the_mirrored_picture_half_a_period_later_has_the_twins_swapped():
     np.testing.assert_allclose(after["point_x"].values[twins], -before["point_x"].values, atol=1e-12)
 
 
-@pytest.mark.long
 def test_a_chaotic_attractor_takes_the_starts_that_stay_on_it():
     scene = jv.make_scene(5.24, 2.1, 0.05, 0.7, (-1.0, 1.0))
     attractors = jv.find_attractors(scene, starts=100)
@@ -89,7 +87,6 @@ def test_a_chaotic_attractor_takes_the_starts_that_stay_on_it():
     assert apart.max() < 0.2
 
 
-@pytest.mark.slow
 def test_what_has_no_trap_is_not_certain():
     scene, attractors = known("figure 5")
     data = jv.basins(scene, np.linspace(-1.0, 1.0, 9), np.linspace(-3.0, 3.0, 9), 0.0, attractors[:1], patience=40)
@@ -102,7 +99,6 @@ def test_what_has_no_trap_is_not_certain():
     assert trapping_region.find_trapping_ellipses(elastic, point, orbit.state.phase, 3.0) is None
 
 
-@pytest.mark.slow
 def test_no_state_of_a_trap_leaves_it():
     scene, attractors = known("figure 5")
     rng = np.random.default_rng(0)
@@ -118,7 +114,6 @@ def test_no_state_of_a_trap_leaves_it():
         assert np.hypot(*after.T).max() < 1.0
 
 
-@pytest.mark.long
 def test_single_precision_has_basins():
     scene = jv.make_scene(**FIG5, dtype=jnp.float32)
     data = jv.basins(scene, np.linspace(-0.9, 0.9, 9), np.linspace(-3.0, 3.0, 9))
@@ -150,7 +145,6 @@ def test_what_cannot_be_is_refused(key, given):
     assert caught.value.key == key
 
 
-@pytest.mark.slow
 def test_progress_counts_starts():
     scene, attractors = known("figure 5")
     counts = []
@@ -200,7 +194,6 @@ def test_dimension_of_a_cantor_set_of_boundaries():
     assert abs(found.value - 1.0 - np.log(2) / np.log(3)) < 3 * found.error
 
 
-@pytest.mark.slow
 def test_a_picture_of_basins_tells_all_attractors_apart():
     scene, attractors = known("figure 5")
     data = jv.basins(scene, np.linspace(-1.2, 1.0, 23), np.linspace(-3.0, 3.0, 21), 0.0, attractors)

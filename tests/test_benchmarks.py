@@ -146,7 +146,6 @@ def test_compiled_is_for_a_while():
     assert numpy_evaluation.MAX_EVALUATIONS == before > 0
 
 
-@pytest.mark.slow
 def test_our_own_sides_map_as_the_reference_does():
     states = draw(24)
     true = truth.find(states)
@@ -161,7 +160,6 @@ def test_our_own_sides_map_as_the_reference_does():
         assert verdict.wrong == 0 and verdict.worst < 1e-11 and verdict.judged > 12
 
 
-@pytest.mark.long
 def test_duffings_oscillator_is_mapped_as_the_reference_does():
     states = draw(32)  # a multiple of heyoka's lanes
     true = truth.duffing(states)
@@ -189,7 +187,6 @@ def test_at_equal_error_the_cheapest_of_ours_that_is_as_exact_is_what_counts():
     assert scipy.kept and not diffrax.kept and heyoka.remark == own_force.UNLIKE
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("work", [kernel.Work(8), kernel.Work(8, walls=1), kernel.Work(8, moving=True)])
 def test_work_is_what_it_is_called(work):
     scene, state = work.given
@@ -199,7 +196,6 @@ def test_work_is_what_it_is_called(work):
     assert np.all(np.asarray(impacts.status) < Status.CAP)
 
 
-@pytest.mark.slow
 def test_the_share_done_in_full_is_that_of_all_periods(monkeypatch):
     given_up = iter([[0, 0, 0, 1], [0, 1, 1, 1], [0, 0, 0, 0]])
     met = []
@@ -237,7 +233,6 @@ def test_pictures_are_drawn(tmp_path):
     assert text.startswith("![what](bars.png)\n\n| quantity |") and text.endswith("| a |\n\n- said")
 
 
-@pytest.mark.long
 def test_all_of_it_runs_in_small(tmp_path):
     (tmp_path / "limit.py").write_text(YARDSTICK.format(value="0.5"))
     plain = {name: text for name, text in os.environ.items() if not name.startswith("JAX_")}

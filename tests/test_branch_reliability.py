@@ -82,7 +82,6 @@ def test_a_branch_lies_between_its_ends():
         assert truth.low < truth.start < truth.high and truth.bounds[0] < min(value for _, value in truth.special)
 
 
-@pytest.mark.long
 def test_a_measurement(monkeypatch):
     """But for jaxcont, which compiles for minutes; it follows one branch below."""
     monkeypatch.delitem(branches.METHODS, "jaxcont on our map")

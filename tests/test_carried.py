@@ -31,7 +31,6 @@ def _bent(slopes):
     return np.maximum(1.0, abs(slopes).max((1, 2), keepdims=True)) ** 2
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("periods", (1, 3))
 @pytest.mark.parametrize("kind", [RIGID[k] for k in (1, 4, 5)])
 def test_of_random_scenes_they_are_those_of_the_replay(kind, periods, monkeypatch):

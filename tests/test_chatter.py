@@ -41,7 +41,6 @@ def test_critical_hops_near_the_release_shrink_in_proportion(bounce):
     assert 2.0 * near[0] - near[1] == pytest.approx(0.375 * (1.0 - q * q) * fall, rel=1e-6)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("bounce", [0.3, 0.8])
 def test_a_hop_at_the_critical_speed_is_followed_by_one(bounce):
     scene = jv.make_scene(3.0, 0.8, 0.2, bounce, (None, jv.Wall(0.4, motion=jv.Motion(0.1, 1.0))))

@@ -32,7 +32,6 @@ def resonant(locus):
     return point
 
 
-@pytest.mark.slow
 def test_fold_and_doubling_leave_a_resonant_grazing_quadratically(resonant):
     with mpmath.workdps(30):
         omega, *coefficients = proof.resonance(GAMMA, R, WALL, 1)
@@ -54,7 +53,6 @@ def test_fold_and_doubling_leave_a_resonant_grazing_quadratically(resonant):
         assert abs((10.0 * shares[1] - shares[0]) / 9.0 - 1.0) < 1e-4
 
 
-@pytest.mark.slow
 def test_what_leaves_is_told_and_leads_back(resonant):
     folds, doublings = jv.switch(resonant)
     assert (folds.kind, doublings.kind) == ("SN", "PD")
@@ -64,7 +62,6 @@ def test_what_leaves_is_told_and_leads_back(resonant):
         assert one.data["least_speed"][1:].min() > 0 and abs(one.data["least_speed"][0]) < 1e-12
 
 
-@pytest.mark.long
 def test_the_fold_of_the_doubled_orbit_leaves_a_degenerate_doubling():
     """Along it the doubled orbit is an SN of branches that come from elsewhere; it is tangent to the PD."""
     span = {"amplitude": (0.0, 20.0), "frequency": (0.6, 3.2)}
@@ -92,7 +89,6 @@ def breaking():
     return end
 
 
-@pytest.mark.long
 def test_grazings_of_lopsided_and_doubled_orbits_leave_nonhyperbolic_grazings(breaking):
     through, lopsided = jv.switch(breaking)
     assert (through.kind, through.label, lopsided.kind, lopsided.label) == ("GR", "P122", "GR", "P112")

@@ -5,7 +5,6 @@ import pytest
 from tests import compositions_proof
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("first", [0, 10])
 def test_compositions(first, tmp_path):
     results = compositions_proof.children(range(first, first + 10), tmp_path)

@@ -69,7 +69,6 @@ def test_the_map_and_its_derivatives(walls):
         assert "func.func public @main" in lowered(function, LANES)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("walls", ["two", "soft"])
 def test_long_runs(walls):
     one = scene(walls)

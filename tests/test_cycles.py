@@ -61,7 +61,6 @@ def circle(segments, speed=1.0):
     return np.append(points.reshape(-1), 2.0 * np.pi / speed)
 
 
-@pytest.mark.slow
 def test_a_period_doubling_and_the_doubled_orbit():
     found = co.trace(flown(band, 3), circle(3, 1.5), {"m": -0.2, "w": 1.5}, "m", (-0.3, 0.3))
     assert kinds(found) == ["PD"]
@@ -80,7 +79,6 @@ def test_a_period_doubling_and_the_doubled_orbit():
     assert close(double.eigenvalues[:, 0].real, np.exp(-4 * rounds * double.p["m"]), 1e-10)
 
 
-@pytest.mark.slow
 def test_a_neimark_sacker_point_of_an_orbit_and_its_curve():
     found = co.trace(flown(spiral, 1), circle(1), {"m": -0.1, "k": 0.29}, "m", (-0.2, 0.2))
     assert kinds(found) == ["NS"]
@@ -104,7 +102,6 @@ def rings(u, time, p, args):
     return size * jnp.stack([jnp.cos(after), jnp.sin(after)])
 
 
-@pytest.mark.slow
 def test_an_isola_of_orbits_closes_whatever_its_phase():
     angles = np.pi * np.arange(2)
     points = 2.5 * np.stack([np.cos(angles), np.sin(angles)], 1)
@@ -160,7 +157,6 @@ def taylor_orbit(u, period, b):
     return u, period, np.linalg.det(monodromy)
 
 
-@pytest.mark.long
 def test_the_brusselator_from_its_hopf_point_and_back():
     at, orbits = {"a": 1.0, "b": 1.0}, periodic_orbits(brusselator, segments=4)
     (hopf,) = co.trace(co.equilibria(brusselator), [1.0, 1.0], at, "b", (0.5, 3.0)).points("HB")

@@ -109,7 +109,6 @@ def test_bounces_are_those_of_the_closed_form(gravity, height, bounce, frequency
         assert status == Status.FULL
 
 
-@pytest.mark.slow
 def test_a_thousand_bounces_lose_a_few_roundings_of_the_time_that_is_gone():
     for bounce, near in ((0.99, 2e-12), (0.999, 4e-12), (1.0, 2e-12)):
         scene, state = ball(c0=9.81, bounce=bounce, frequency=0.7), jv.State(2.0, 0.0)
@@ -144,7 +143,6 @@ def three_bounces_exactly(numbers):
     return jnp.stack([*times, *speeds, *end])
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     "numbers", [(0.6, -0.2, 0.7, 0.85, 0.0), (1.2, 0.1, 1.0, 0.8, 0.0), (0.6, -0.2, 0.7, 0.85, -1.0)]
 )
@@ -155,7 +153,6 @@ def test_derivatives_of_bounces_are_those_of_the_closed_form(numbers):
     assert abs(found - exact).max() <= 1e-9 * abs(exact).max()
 
 
-@pytest.mark.slow
 def test_a_mass_at_rest_forgets_its_start_but_moves_with_its_floor():
     def end(numbers):
         start = jv.State(numbers[2] + numbers[0], numbers[1])
@@ -165,7 +162,6 @@ def test_a_mass_at_rest_forgets_its_start_but_moves_with_its_floor():
     assert jax.jacfwd(end)(jnp.array([1.0, 0.0, 0.0])).tolist() == [[0.0, 0.0, 1.0], [0.0, 0.0, 0.0]]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("bounce", [0.0, 0.5])
 def test_strobe_sample_and_simulate_agree_on_a_ball_that_comes_to_rest(bounce):
     scene, start = ball(bounce=bounce), jv.State(0.7, 0.0)
@@ -208,7 +204,6 @@ def test_complete_chatter_is_told_by_full_and_a_least_speed_of_0():
     assert fewer.least_speed > 0.0
 
 
-@pytest.mark.slow
 def test_what_has_decayed_below_the_smallest_length_is_at_rest():
     scene = jv.make_scene(amplitude=0.0, frequency=1.0, damping=0.3, restitution=0.5, walls=(0.0, None))
     for size in (1e-110, 1e-123, 1e-140, 1e-300):
@@ -223,14 +218,12 @@ def test_random_degenerate_lanes_end_where_they_may():
     assert not counts.any(), first[:1]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("structure", degenerate_proof.STRUCTURES, ids=lambda structure: structure.name)
 def test_random_degenerate_lanes_of_every_kind_end_where_they_may(structure):
     counts, first = degenerate_proof.tried(np.random.default_rng(59), structure, 1024)
     assert not counts.any(), first[:1]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("bounce", [0.0, 0.5])
 def test_the_orbit_of_a_ball_at_rest_and_its_attractor(bounce):
     scene = ball(bounce=bounce)
@@ -242,7 +235,6 @@ def test_the_orbit_of_a_ball_at_rest_and_its_attractor(bounce):
     assert (only.label, only.share, only.rests) == ("P100", 1.0, True)
 
 
-@pytest.mark.slow
 def test_a_scene_without_a_drive_is_named_as_the_reason_why_there_is_no_orbit():
     free = jv.make_scene(amplitude=0.0, frequency=1.3, damping=0.0, restitution=1.0, walls=(0.0, None))
     for scene in (free, ball(bounce=1.0)):

@@ -17,7 +17,6 @@ def scene():
     return jv.make_scene(2.0, OMEGA, 0.05, R, (-1.0, 1.0))
 
 
-@pytest.mark.slow
 def test_as_explore_gives_them(scene):
     values = [0.3, 0.05]
     seen = []
@@ -39,7 +38,6 @@ def test_as_explore_gives_them(scene):
         assert min(abs(each.value - touch) for each in one.points("GR")) < 1e-11
 
 
-@pytest.mark.slow
 def test_kept_in_a_store(scene, tmp_path):
     asked, seen = ("amplitude", (0.0, 2.0), "damping", [0.3, 0.1]), []
     plain = jv.diagrams(scene, *asked, max_period=1)
@@ -55,7 +53,6 @@ def test_kept_in_a_store(scene, tmp_path):
         jv.diagrams(scene, *asked, max_period=2, store=jv.Store(tmp_path / "diagrams"))
 
 
-@pytest.mark.slow
 def test_what_the_starts_of_all_values_settle_on(scene):
     scenes = [scene.replace(damping=gamma) for gamma in (0.3, 0.05)]
     tasks = [make_exploration_request(each, "amplitude", BOUNDS, 1, 0, None, 0.1) for each in scenes]

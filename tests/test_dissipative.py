@@ -190,7 +190,6 @@ def test_what_is_proved_is_true_of_samples():
     assert proved > 8 and proved + grows > 55  # there is hardly one of which nothing is known
 
 
-@pytest.mark.slow
 def test_a_neutral_saddle_is_no_neimark_sacker_point():
     """Van der Pol's oscillator between walls, P111 beyond its symmetry breaking: two real multipliers of product 1."""
     own = jv.make_scene(6.0, 2.1, restitution=0.8, walls=WALLS, force=jv.Force("van_der_pol", {"gain": 0.2}))
@@ -212,7 +211,6 @@ def test_a_neutral_saddle_is_no_neimark_sacker_point():
         assert abs(a * d - b * c - 1) < 1e-9 and abs(a + d - np.sum(point.multipliers).real) < 1e-9
 
 
-@pytest.mark.long
 def test_areas_that_stay_as_they_are_have_no_special_points_of_rounding():
     """A motion that is its own image in reversed time has the determinant 1, whatever the force feeds and takes."""
     force = jv.Force(lambda t, x, v, p: -x - p["c"] * x * v, {"c": 0.2})

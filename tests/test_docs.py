@@ -209,7 +209,6 @@ def test_links_lead_somewhere(page):
     assert [link for link in links if not (path.parent / link).exists()] == []
 
 
-@pytest.mark.slow
 def test_the_site_is_built_without_a_warning(tmp_path):
     pages.write(tmp_path / "pages")
     build = [sys.executable, "-m", "sphinx", "--fail-on-warning", "--keep-going", "--quiet"]

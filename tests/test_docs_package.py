@@ -10,7 +10,6 @@ import tomllib
 import venv
 from pathlib import Path
 
-import pytest
 import yaml
 
 import jaxvibro as jv
@@ -36,7 +35,6 @@ def test_the_hooks_are_the_lines_of_make_test():
     assert checks == [line.strip() for line in recipe[:-1]] and last == "make test"
 
 
-@pytest.mark.slow
 def test_a_wheel_runs_outside_of_the_checkout(tmp_path):
     def called(*command):
         quiet = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}

@@ -94,7 +94,6 @@ def examples(dotted):
     return parsed if parsed.examples else None
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("dotted", [name for name in (*PUBLIC, *RECORDS, *MEMBERS) if examples(name)])
 def test_the_examples_of_a_docstring_run(dotted, predefined, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)

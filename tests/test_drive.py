@@ -85,7 +85,6 @@ def test_random_scenes_against_ball_arithmetic():
     assert max(row.clearance for row in rows) < 0.01
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("place", [5, 9])
 def test_moving_and_soft_walls_against_ball_arithmetic(place):
     kinds = len(harmonics_proof.KINDS)
@@ -101,7 +100,6 @@ def test_a_term_of_the_first_harmonic_is_the_drive_itself():
     near(told(driven((2.0, 1, 0.0), amplitude=0.0), state), told(driven(), state), 1e-13)
 
 
-@pytest.mark.long
 def test_terms_without_amplitude_are_a_scene_without_them():
     state = starts(3)
     near(told(driven((2.0, 1, 0.0), amplitude=0.0), state), told(plain(), state), 1e-13)
@@ -114,7 +112,6 @@ def test_a_constant_force_shifts_the_walls_and_the_motion():
     near(told(driven((force, 0, 0.0)), state), (replace(end, x=end.x + force), hits), 1e-13)
 
 
-@pytest.mark.long
 def test_a_mass_that_a_constant_force_holds_to_a_wall_rests_and_is_released():
     """By drives that grow, some of which let it go: the press changes its sign."""
     force, strength = 1.75, np.linspace(0.1, 3.0, LANES)
@@ -172,7 +169,6 @@ def _differences(scene, name, start):
     return np.array([float(one) for one in (4 * single - double) / 3])
 
 
-@pytest.mark.slow
 def test_derivatives_by_each_term_against_ball_arithmetic():
     terms = tuple(Term(*term) for term in TERMS)
     reference = Scene(GAMMA, OMEGA, 2.0, Wall(-1.0, R), Wall(1.0, R), terms)
@@ -190,7 +186,6 @@ def test_derivatives_by_each_term_against_ball_arithmetic():
     assert abs(forward - true).max() < 1e-11 and abs(backwards - forward).max() < 1e-12
 
 
-@pytest.mark.slow
 def test_the_product_of_p_and_q_is_the_derivative():
     scene, state = driven(*TERMS), jv.State(0.3, 1.5)
 
@@ -202,7 +197,6 @@ def test_the_product_of_p_and_q_is_the_derivative():
     assert abs(np.asarray(jv.monodromy(scene, state)) - by).max() < 1e-12 * abs(by).max()
 
 
-@pytest.mark.long
 def test_the_way_back_leads_back():
     scene, state = driven(*TERMS), starts(1)
     end, hits = jv.strobe(scene, state)
@@ -218,7 +212,6 @@ def spring(t, x, v, p):
     return -x - 2.0 * p["damping"] * v
 
 
-@pytest.mark.long
 def test_beside_a_force_that_is_the_spring_it_is_the_same():
     scene, state = driven(*TERMS), starts(2)
     force = jv.Force(spring, {"damping": GAMMA})
@@ -230,7 +223,6 @@ def test_beside_a_force_that_is_the_spring_it_is_the_same():
 # ---- orbits and branches -----------------------------------------------------------------------------------------
 
 
-@pytest.mark.long
 def test_a_branch_along_a_term_has_the_points_that_the_strobe_has(tmp_path):
     scene = jv.make_scene(2.0, OMEGA, GAMMA, R, (-1.0, 1.0), drive=[(0.3, 2, 0.5)])
     branch = jv.follow(jv.find_orbit(scene, jv.State(0.9, -1.1), settle=300), "drive.0.amplitude", bounds=(0.0, 3.0))
@@ -269,7 +261,6 @@ def test_searched_impacts_are_those_of_ball_arithmetic():
     assert max(abs(one.time - time) for one, time in zip(found, times[1:], strict=True)) < 1e-9
 
 
-@pytest.mark.long
 def test_a_fit_finds_the_numbers_of_terms():
     scene = driven(*TERMS)
     _, hits = jv.strobe(scene, jv.State(0.3, 1.5), periods=12, slots=60)
@@ -361,7 +352,6 @@ def test_terms_of_a_scene_in_units():
     assert abs(float(scene.drive[0].amplitude) - 1.0 / (8.0 * 0.5)) < 1e-15 and scene.drive[0].harmonic == 3
 
 
-@pytest.mark.long
 def test_a_soft_scene_of_several_terms_is_that_of_ball_arithmetic_in_its_derivative():
     place = 8
     kinds = len(harmonics_proof.KINDS)

@@ -88,7 +88,6 @@ def test_the_motion_that_meets_no_wall_is_there_where_no_start_settles_on_it():
     assert grazing.label == "P100" and abs(grazing.value - 0.3 * size) < 1e-12
 
 
-@pytest.mark.long
 def test_around_a_resonance_the_motion_that_meets_no_wall_is_there_on_both_sides():
     scene = jv.make_scene(0.2, 1.0, 0.02, 0.3, (-1.0, 1.0))
     diagram = jv.explore(scene, "frequency", (0.5, 1.6), max_period=1)
@@ -97,7 +96,6 @@ def test_around_a_resonance_the_motion_that_meets_no_wall_is_there_on_both_sides
     assert [min(abs(np.array(found) - each)) < 1e-12 for each in w] == [True, True]
 
 
-@pytest.mark.slow
 def test_a_scene_of_one_wall_that_moves():
     wall = jv.Wall(0.8, 0.6, motion=jv.Motion(0.1, 0.5))
     scene = jv.make_scene(1.0, 1.8, 0.1, 0.6, (None, wall))
@@ -140,7 +138,6 @@ def test_a_folder_without_a_diagram(tmp_path):
         jv.load_diagram(tmp_path / "none")
 
 
-@pytest.mark.slow
 def test_both_halves_of_symmetric_orbits_leave_a_breaking_that_is_come_to_from_aside():
     """The starts' P112 goes through the SB into its mirror image: of the symmetric P111 that leaves it one half is
     stable, and neither is the other's image."""

@@ -65,7 +65,6 @@ def numbers(value):
     return np.concatenate([np.ravel(value[name].values) for name in sorted(value) if value[name].dtype.kind in "if"])
 
 
-@pytest.mark.slow
 def test_the_python_that_is_shown_has_the_numbers_of_the_page():
     results = {SCENE_NAME: two_walls()}
     for one in LINES:

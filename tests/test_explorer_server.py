@@ -29,7 +29,6 @@ def served():
         shown.stop()
 
 
-@pytest.mark.slow
 def test_what_was_evaluated_is_compiled_while_nobody_waits(monkeypatch):
     done, quiet = queue.Queue(), threading.Event()
     monkeypatch.setattr(precomputation, "compile_numpy_functions", lambda: iter([done.put(1)]))

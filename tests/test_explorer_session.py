@@ -126,7 +126,6 @@ def test_what_cannot_be_is_one_line_and_changes_nothing(desk, message, rule):
     assert desk.session.page == before
 
 
-@pytest.mark.slow
 def test_parameters_and_ranges_of_the_axes(desk):
     given = {"parameter": "frequency", "bounds": (2.0, 2.2), "second": "damping", "second_bounds": (0.0, 0.1)}
     desk.say(messages.SetAxes(**given, variable="speed"))
@@ -137,7 +136,6 @@ def test_parameters_and_ranges_of_the_axes(desk):
     assert desk.session.page.variable == "speed"
 
 
-@pytest.mark.slow
 def test_what_is_found_after_it_was_undone_has_all_that_it_refers_to(desk):
     desk.say(messages.SetParameter(name="damping", value=0.06))
     desk.say(messages.RunAction(call="follow"))
@@ -150,7 +148,6 @@ def test_what_is_found_after_it_was_undone_has_all_that_it_refers_to(desk):
     assert names[-1].startswith("branch_")
 
 
-@pytest.mark.slow
 def test_a_grid_is_refined_in_place(desk):
     told = desk.ask("basins", count=32)
     grids = [line for line in desk.session.page.lines if line.call == "basins"]

@@ -37,7 +37,6 @@ def are_the_same(one, other):
     return True
 
 
-@pytest.mark.slow
 def test_a_grazing_for_amplitudes_at_two_of_which_there_is_none(touch):
     """P100 touches at A = sqrt(D): least at resonance, so that most amplitudes are passed twice, the first time above;
     below the least and where the bound of the frequency comes first there is no such point."""
@@ -60,7 +59,6 @@ def test_a_grazing_for_amplitudes_at_two_of_which_there_is_none(touch):
     assert are_the_same(family[1], jv.locus(found, ("frequency", "damping"), TOUCHING))
 
 
-@pytest.mark.slow
 def test_a_fold_over_damping(branch):
     (fold,) = branch.points("SN")
     values = [0.2, GAMMA, 0.35]
@@ -77,7 +75,6 @@ def test_a_fold_over_damping(branch):
         assert are_the_same(locus, jv.locus(found, PAIR, BOUNDS))
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("third", "values"), [("right.position", [1.0, 1.02, 0.97]), ("right.restitution", [R, 0.72])])
 def test_a_fold_whose_symmetry_the_third_parameter_breaks(branch, third, values):
     """Where the walls are alike half the orbit is followed, else all of it."""

@@ -43,7 +43,6 @@ def noisy(seed=0, without=(), more=(), flawless=False):
     return jv.ImpactRecord(times[order], sides[order], SIGMA, flawed=not flawless)
 
 
-@pytest.mark.slow
 def test_a_motion_leaves_nothing_open_and_derivatives_are_those_of_differences():
     times, sides, speeds = motion()
     nodes = ChainNodes(sides.astype(float), 0 * times, times, speeds)
@@ -65,7 +64,6 @@ def test_a_motion_leaves_nothing_open_and_derivatives_are_those_of_differences()
     assert abs(by[6] - found.derivatives[6, :, 2]).max() < 1e-6
 
 
-@pytest.mark.long
 def test_a_motion_goes_on_from_soft_walls_both_ways():
     """Through stays within a moving soft wall, as the kernel has it, and the chain's equations leave nothing open."""
     moving = jv.Wall(-0.7, stiffness=30.0, damping=0.2, motion=jv.Motion(0.1, 2.0, harmonic=2))
@@ -87,7 +85,6 @@ def test_a_motion_goes_on_from_soft_walls_both_ways():
     assert MotionPredictor(sunk, 0.0).next_impacts(Impact(-1.0, 0.0, 0.1), 50.0, 1) == []
 
 
-@pytest.mark.long
 def test_impacts_on_a_soft_wall_are_fitted():
     """With two of them missing; an impact is when the mass comes to the wall."""
     scene = jv.make_scene(1.5, 1.3, 0.05, 0.8, (jv.Wall(-0.7, stiffness=30.0, damping=0.3), jv.Wall(0.9, 0.7)))
@@ -124,7 +121,6 @@ def test_numbers_are_those_of_least_squares_of_simulated_times():
     assert found.covariance.values == pytest.approx(covariance, rel=1e-3)
 
 
-@pytest.mark.slow
 def test_errors_are_as_large_as_told():
     squares = []
     for seed in range(10):
@@ -163,7 +159,6 @@ def test_what_a_record_does_not_say_is_named():
     assert abs(found.values["damping"] - 0.05) < 4 * found.sigma["damping"]
 
 
-@pytest.mark.slow
 def test_a_phase_that_is_not_known_is_found():
     _times, _sides, _ = motion()
     data = noisy(3)
@@ -185,7 +180,6 @@ def test_a_number_goes_no_further_than_its_bound():
     assert found.values["damping"] == pytest.approx(alone.values["damping"], rel=1e-6)
 
 
-@pytest.mark.long
 def test_a_settled_record_holds_its_phases_alone():
     one = jv.make_scene(1.0, 1.2, 0.1, 0.8, (jv.Wall(-0.6, 0.8), jv.Wall(0.6, 0.8)))
     settled, _ = jv.strobe(one, jv.State(0.1, 1.0), periods=400)

@@ -27,7 +27,6 @@ def values(scene):
     return [branch.points(kind)[0].value for kind in ("SN", "SB")]
 
 
-@pytest.mark.slow
 def test_the_numbers_that_made_the_values_are_found_with_their_errors(scene, points, values):
     fit = jv.fit(scene, jv.PointRecord(points, values, 1e-4), FREE)
     assert fit.status == jv.FitStatus.OK and fit.dof == 0
@@ -39,7 +38,6 @@ def test_the_numbers_that_made_the_values_are_found_with_their_errors(scene, poi
     assert "damping" in fit.table() and "OK" in fit.table()
 
 
-@pytest.mark.slow
 def test_several_numbers_may_be_one(scene, points, values):
     pair = ("left.restitution", "right.restitution")
     fit = jv.fit(scene, jv.PointRecord(points, values, 1e-4), {"damping": 0.02, pair: 0.05}, {pair: (0.5, 0.9)})
@@ -48,7 +46,6 @@ def test_several_numbers_may_be_one(scene, points, values):
     assert [float(wall.restitution) for wall in fit.scene.walls.values()] == pytest.approx([0.74, 0.74], abs=1e-12)
 
 
-@pytest.mark.slow
 def test_more_values_than_numbers_and_a_combination_that_they_do_not_say(scene, points, values):
     for off in (0.05, 0.06, 0.07, 0.2, 1.0):
         one = jv.fit(scene, jv.PointRecord(points, [values[0], values[1] + off], 1e-3), {"damping": 0.02})

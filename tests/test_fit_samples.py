@@ -47,7 +47,6 @@ def free_numbers(names, begun):
     return FreeParameterSpec(names, np.full(len(names), 0.1), begun, -ends, ends, 0.0 * np.eye(len(names)))
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("velocities", [False, True])
 def test_derivatives_are_those_of_differences(velocities):
     """Of what shots leave open and of residuals, by every node and number, the phase too; a wall moves."""
@@ -86,7 +85,6 @@ def test_derivatives_are_those_of_differences(velocities):
         assert abs((ends[0].residuals - ends[1].residuals) / 2e-6 - by).max() < 1e-6 / SIGMA
 
 
-@pytest.mark.slow
 def test_numbers_are_those_of_another_minimiser():
     """Of a short record: scipy's, of the distance of samples of one motion, ends at the same numbers and errors."""
     data = noisy(12, 3)
@@ -119,7 +117,6 @@ def test_numbers_that_made_a_chaotic_record_are_found(often, periods, velocities
     assert 0.7 < found.chi2 / found.dof < 1.4
 
 
-@pytest.mark.slow
 def test_a_phase_that_is_not_known_is_found():
     data = noisy(16, 8)
     late = jv.SampleRecord(data.times - 1.1, data.x, SIGMA, phase=None)
@@ -130,7 +127,6 @@ def test_a_phase_that_is_not_known_is_found():
     assert abs(found.values["damping"] - 0.05) < 4 * found.sigma["damping"]
 
 
-@pytest.mark.slow
 def test_a_wall_that_was_not_struck_is_not_in_the_record():
     far = CHAOTIC.replace(**{"left.position": -5.0, "right.restitution": 0.5, "amplitude": 0.6})
     free = {"damping": 0.01, "left.position": 0.1, "right.restitution": 0.1}
@@ -143,7 +139,6 @@ def test_a_wall_that_was_not_struck_is_not_in_the_record():
     assert abs(away(found, far))[[0, 2]].max() < 4.0
 
 
-@pytest.mark.slow
 def test_a_section_that_has_settled_holds_one_point():
     one = jv.make_scene(1.0, 1.2, 0.1, 0.8, (jv.Wall(-0.6, 0.8), jv.Wall(0.6, 0.8)))
     settled, _ = jv.strobe(one, jv.State(0.1, 1.0), periods=400)
@@ -161,7 +156,6 @@ def test_a_section_that_has_settled_holds_one_point():
     assert abs(away(found, one)).max() < 4.0
 
 
-@pytest.mark.long
 def test_errors_that_are_larger_than_told_are_a_misfit():
     data = noisy(16, 10)
     found = jv.fit(begun(), jv.SampleRecord(data.times, data.x, 0.5 * SIGMA), FREE)
@@ -169,14 +163,12 @@ def test_errors_that_are_larger_than_told_are_a_misfit():
     assert abs(away(found)).max() < 8.0
 
 
-@pytest.mark.slow
 def test_a_record_of_another_scene_is_explained_by_none():
     found = jv.fit(CHAOTIC.replace(amplitude=2.0), noisy(16, 10), {"damping": 0.01})
     assert found.status == jv.FitStatus.NONE
     assert found.values == {"damping": 0.05}
 
 
-@pytest.mark.long
 def test_a_number_goes_no_further_than_its_bound():
     free = {"damping": 0.01, "right.position": 0.1}
     start = CHAOTIC.replace(**{"damping": 0.052, "right.position": 0.99})
@@ -185,7 +177,6 @@ def test_a_number_goes_no_further_than_its_bound():
     assert found.values["right.position"] == pytest.approx(0.9985, abs=1e-9)
 
 
-@pytest.mark.long
 def test_a_soft_wall_and_a_motion_that_comes_to_rest():
     walls = (jv.Wall(-0.7, stiffness=40.0, damping=0.3), jv.Wall(0.9, 0.6))
     soft = jv.make_scene(1.5, 1.1, 0.05, 0.8, walls)

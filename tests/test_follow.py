@@ -242,7 +242,6 @@ def _single(scene, spot):
     return along, z[None]
 
 
-@pytest.mark.slow
 def test_a_cascade_of_doublings(lopsided):
     values, labels = [], []
     (first,) = (one for one in lopsided if one.segments[-1].label == "P112")
@@ -269,7 +268,6 @@ SCENES = {
 }
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", SCENES)
 def test_special_points_of_other_scenes(name):
     walls, numbers, kinds = SCENES[name]

@@ -99,7 +99,6 @@ def _coefficients(function, order):
 MOVING = jv.Wall(-1.2, 0.5), jv.Wall(0.9, motion=jv.Motion(0.1, 0.4, 2))
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("tolerance", [1e-13, 1e-9, 1e-6])
 @pytest.mark.parametrize("walls", [(-1.0, 1.0), (None, 0.7), MOVING])
 def test_a_spring_as_a_force_of_ones_own_ends_as_the_spring(walls, tolerance):
@@ -145,7 +144,6 @@ def test_strobes_are_those_of_series_by_hand(force):
             assert abs(end.x[k] - x) < 1e-11 and abs(end.v[k] - v) < 1e-11
 
 
-@pytest.mark.slow
 def test_periods_of_a_pendulum_and_of_duffing_between_elastic_walls_are_elliptic_integrals():
     for name, start in (("pendulum", 2.9), ("pendulum", 0.4), ("duffing", 1.7)):
         force = jv.Force(name, {"damping": 0.0} | ({"cubic": 0.8} if name == "duffing" else {}), 1e-14)
@@ -176,7 +174,6 @@ def test_rest_and_release_and_chatter_are_those_of_the_spring():
     assert np.allclose(end.x, other.x, rtol=0, atol=1e-12) and np.allclose(end.v, other.v, rtol=0, atol=1e-12)
 
 
-@pytest.mark.slow
 def test_a_mass_at_rest_at_a_wall_at_0_stays():
     force = jv.Force("duffing", {"cubic": 0.5, "damping": 0.05})
     scene = jv.make_scene(0.0, OMEGA, restitution=R, walls=(0.0, None), force=force)
@@ -198,7 +195,6 @@ def test_shallow_impacts_are_seen(depth):
     assert hits.count.tolist() == [1, 0]
 
 
-@pytest.mark.long
 def test_a_motion_at_any_time_and_its_sections_are_those_of_the_spring():
     exact, found = linear(), linear_as_own()
     times = np.array([0.1, 0.9, 1.7, 2.3, 2.9, 4.4])
@@ -246,7 +242,6 @@ def test_derivatives_are_differences_of_series_by_hand(force):
             assert max(abs(a - b) for a, b in zip(found[:, k], true, strict=True)) < 1e-10 * abs(found).max()
 
 
-@pytest.mark.long
 def test_second_derivatives_of_a_spring_as_a_force_are_those_of_the_spring():
     def end(scene, name):
         def at(args):
@@ -259,7 +254,6 @@ def test_second_derivatives_of_a_spring_as_a_force_are_those_of_the_spring():
     assert np.allclose(found, exact, rtol=0, atol=1e-10 * abs(exact).max())
 
 
-@pytest.mark.long
 def test_the_monodromy_matrix_is_the_derivative():
     for force in ("duffing", "pendulum"):
         scene, state = own(force), jv.State(0.3, 0.4)
@@ -271,7 +265,6 @@ def test_the_monodromy_matrix_is_the_derivative():
 # ---- orbits and branches -----------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
 def test_the_branch_of_a_spring_as_a_force_is_that_of_the_spring():
     start, bounds = jv.State(0.9, -1.1), (0.0, 6.0)
     exact, found = (jv.follow(jv.find_orbit(s, start), "amplitude", bounds) for s in (linear(), linear_as_own()))
@@ -281,7 +274,6 @@ def test_the_branch_of_a_spring_as_a_force_is_that_of_the_spring():
     assert repr(found) == repr(exact)
 
 
-@pytest.mark.long
 def test_an_orbit_without_impacts_and_what_it_becomes_when_it_grazes():
     scene = own("duffing", amplitude=0.5)
     orbit = jv.find_orbit(scene, jv.State(0.0, 0.0))
@@ -303,14 +295,12 @@ def test_an_orbit_without_impacts_and_what_it_becomes_when_it_grazes():
         assert abs(end[0] - x) < 1e-12 and abs(end[1] - v) < 1e-12
 
 
-@pytest.mark.long
 def test_the_determinant_of_a_multiplier_pair_says_how_much_was_lost():
     orbit = jv.find_orbit(own("duffing"), jv.State(0.9, -1.1))
     lost = R ** (2 * orbit.impacts.count) * np.exp(-2 * DAMPING * 2 * np.pi / OMEGA)
     assert abs(np.prod(orbit.multipliers) - lost) < 1e-12
 
 
-@pytest.mark.long
 def test_slopes_of_special_points_by_a_forces_numbers_are_those_by_the_springs():
     points = []
     for scene in (linear(), linear_as_own()):
@@ -324,7 +314,6 @@ def test_slopes_of_special_points_by_a_forces_numbers_are_those_by_the_springs()
     assert abs(gradients[0].frequency - gradients[1].frequency) < 1e-10
 
 
-@pytest.mark.long
 def test_special_points_of_duffing_are_those_of_newtons_method_in_many_digits():
     branch = jv.follow(jv.find_orbit(own("duffing"), jv.State(0.9, -1.1)), "amplitude", (0.0, 6.0))
     points = [branch.points(kind)[0] for kind in ("SN", "SB", "GR")]
@@ -334,7 +323,6 @@ def test_special_points_of_duffing_are_those_of_newtons_method_in_many_digits():
             assert abs(solved(point)[1][2] - point.value) < 1e-11
 
 
-@pytest.mark.long
 def test_attractors_and_exponents_of_a_spring_as_a_force_are_those_of_the_spring():
     exact, found = (jv.find_attractors(s, 40) for s in (linear(amplitude=4.65), linear_as_own(amplitude=4.65)))
     assert [one.label for one in exact] == [one.label for one in found]
@@ -344,7 +332,6 @@ def test_attractors_and_exponents_of_a_spring_as_a_force_are_those_of_the_spring
     assert (abs(one - two) < 4 * errors + 1e-9).all() and np.isfinite(one).all()
 
 
-@pytest.mark.slow
 def test_a_force_that_feeds_the_motion_has_a_neimark_sacker_point():
     """Van der Pol's oscillator between two walls: its determinant passes 1 with complex multipliers."""
     force = jv.Force("van_der_pol", {"gain": 0.2})
@@ -526,7 +513,6 @@ def test_beside_a_force_there_is_no_damping():
         scene.replace(**{"force.dumping": 0.2})
 
 
-@pytest.mark.long
 def test_the_error_that_steps_leave_of_a_point_is_told_by_two_tolerances():
     orbit = jv.find_orbit(own("duffing", tolerance=1e-8), jv.State(0.9, -1.1))
     point = jv.follow(orbit, "amplitude", bounds=(0.0, 6.0)).points("SN")[0]

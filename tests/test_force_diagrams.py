@@ -65,7 +65,6 @@ SADDLES = {  # the scene, where its saddle is, the map by other means, two start
 }
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("name", SADDLES)
 def test_manifolds_under_a_force_are_led_into_themselves_by_another_flight(name):
     scene, place, later, _ = SADDLES[name]
@@ -83,7 +82,6 @@ def test_manifolds_under_a_force_are_led_into_themselves_by_another_flight(name)
         assert np.max(apart / (1.0 + stretch)) < 1e-9, (kind, np.sort(apart)[-8:])
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("name", SADDLES)
 def test_basins_under_a_force_meet_at_a_stable_manifold(name):
     scene, place, _, starts = SADDLES[name]
@@ -93,7 +91,6 @@ def test_basins_under_a_force_meet_at_a_stable_manifold(name):
     assert distance(data, bisected(scene, found, *starts)[None])[0] < 1e-8
 
 
-@pytest.mark.long
 def test_diagrams_under_a_force_have_what_other_flights_settle_on():
     scene = duffing()
     diagram = jv.explore(scene, "amplitude", (0.0, 6.0), max_period=2)
@@ -120,7 +117,6 @@ def test_diagrams_under_a_force_have_what_other_flights_settle_on():
     assert seen >= 10
 
 
-@pytest.mark.long
 def test_the_diagram_of_a_gear_pair_has_its_closed_forms_and_a_rest_beside_it():
     """Teeth that lie on each other stay so up to c0, beside the rattling that begins below it."""
     diagram = jv.explore(gears(), "amplitude", (0.02, 0.24), max_period=1)

@@ -67,7 +67,6 @@ def test_names_stay_on_the_branches_that_are_followed(found):
             assert abs(line - entry[f"state_{key}"].values).max() < 2e-3
 
 
-@pytest.mark.slow
 def test_shares_are_those_of_other_starts(found):
     scene = plain(amplitude=VALUES[1])
     known = jv.find_attractors(scene, 40, seed=5)
@@ -234,7 +233,6 @@ def test_a_picture_in_physical_units(found):
             plot.fractions(wrong)
 
 
-@pytest.mark.slow
 def test_the_least_shock_along_a_parameter():
     scene, values = jv.make_scene(4.65, 2.1, 0.05, 0.7, (jv.Wall(-1.0), jv.Wall(1.0))), [0.3, 4.65]
     found = jv.fractions(scene, "amplitude", values, 60, shocks=1 << 12)

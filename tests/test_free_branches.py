@@ -32,7 +32,6 @@ def matrix_of(force, point):
     return max(abs(end[0] - x), abs(end[1] - v)), mp.matrix(columns).T
 
 
-@pytest.mark.long
 def test_a_pendulum_tilts_and_doubles_its_period_where_digits_say_so():
     orbit = jv.find_orbit(pendulum(0.95), jv.State(0.1, 0.0))
     (tilt,) = jv.follow(orbit, "amplitude", (0.95, 1.02), direction="forward").points("SB")
@@ -55,7 +54,6 @@ def test_a_pendulum_tilts_and_doubles_its_period_where_digits_say_so():
             ask()
 
 
-@pytest.mark.long
 def test_duffings_resonance_folds_where_digits_say_so():
     """The hard spring without walls: driven at 1.6, between two folds two motions are stable."""
     force = jv.Force("duffing", {"cubic": 1.0, "damping": 0.05})

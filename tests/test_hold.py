@@ -21,7 +21,6 @@ def found_alone(held, places):
     return worst, apart
 
 
-@pytest.mark.long
 def test_a_peak_between_soft_walls_is_held():
     orbit = jv.find_orbit(jv.make_scene(2.0, 2.1, 0.05, 0.7, WALLS), jv.State(0.9, -1.1))
     bounds = {"amplitude": (0.2, 6.0), "frequency": (1.2, 4.0)}
@@ -33,7 +32,6 @@ def test_a_peak_between_soft_walls_is_held():
     assert max(found_alone(held, places)) < 1e-10
 
 
-@pytest.mark.slow
 def test_a_slowest_impact_is_held(tmp_path):
     orbit = jv.find_orbit(jv.make_scene(2.0, 2.1, 0.05, 0.7, (-1.0, 1.3)), jv.State(0.9, -1.1))
     bounds = {"amplitude": (0.5, 4.0), "right.position": (1.2, 1.5)}

@@ -29,7 +29,6 @@ def highest(amplitude, times, speeds):
     return best
 
 
-@pytest.mark.slow
 def test_no_solution_goes_through_the_wall(branch):
     (first, *_) = branch.points("GR")
     assert abs(first.value - 0.1) < 1e-12
@@ -42,7 +41,6 @@ def test_no_solution_goes_through_the_wall(branch):
     assert 10 < hits < len(branch)
 
 
-@pytest.mark.slow
 def test_where_it_grazes(branch):
     bounds = {"frequency": (0.5, 1.5), "amplitude": (0.01, 2.0)}
     found = jv.locus(branch.points("GR")[0], ("frequency", "amplitude"), bounds)

@@ -256,7 +256,6 @@ def told(scene, start):
     return branch.table(), special, np.array(numbers), str(locus)
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("walls", [(-1.0, 1.0), (-0.8, 1.1)])
 def test_both_ways_come_to_the_same_points_and_text(walls, monkeypatch):
     scene, start = jv.make_scene(2.0, 2.1, 0.05, 0.7, walls), jv.State(0.69, 1.8)

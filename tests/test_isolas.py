@@ -42,7 +42,6 @@ def test_what_cannot_be_asked_is_refused(diagram):
         jv.find_isolas(diagram.branches)
 
 
-@pytest.mark.slow
 def test_from_one_guess_to_both_orbits():
     """P201 at a frequency within the isola are two, of which a guess comes to one, and then to the other."""
     lanes, omega = 4, 2.39
@@ -62,7 +61,6 @@ def test_from_one_guess_to_both_orbits():
     assert max(np.sum(found.admissible, axis=0)) == 2
 
 
-@pytest.mark.slow
 def test_an_isola_is_found_and_closes(diagram):
     (isola,) = jv.find_isolas(diagram, max_period=2, max_impacts=1)
     assert isola.reason["last"].startswith("it closes") and {part.label for part in isola.segments} == {"P201"}

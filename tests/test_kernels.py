@@ -156,7 +156,6 @@ def test_derivatives_of_a_batch_of_scenes():
         np.testing.assert_allclose(slopes[k], jv.monodromy(scene, jv.State(*z)), rtol=1e-9, atol=1e-12)
 
 
-@pytest.mark.slow
 def test_many_harmonics_with_clearances():
     """Case A2: a fusion of 37 arrays of 64 lanes was split over threads within a kernel, which did not link."""
     count, rng = 100, np.random.default_rng(0)

@@ -44,7 +44,6 @@ def stays(change, periods=40):
     return apart < 0.05
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("direction", ["v", "xv"])
 def test_the_free_response_leaves_at_that_size_and_at_none_smaller_in_flights_by_numpy(direction):
     scene, attractors = known("uneven")
@@ -67,7 +66,6 @@ def well(t, x, v, p):
     return x - x**3 - 2.0 * p["damping"] * v
 
 
-@pytest.mark.long
 def test_out_of_a_well_the_least_shock_just_comes_to_the_separatrix_by_scipy():
     damping = 0.1
     scene = jv.make_scene(0.0, 1.0, restitution=0.7, walls=(-3.0, 3.0), force=jv.Force(well, {"damping": damping}))
@@ -118,7 +116,6 @@ def test_no_start_of_a_grid_nearer_than_it_is_in_another_basin(direction, phase)
             assert (label != -1).all()
 
 
-@pytest.mark.slow
 def test_the_least_of_several_phases_is_the_answer_and_each_is_told():
     scene, attractors = known("figure 5")
     counts = []
@@ -136,7 +133,6 @@ def test_the_least_of_several_phases_is_the_answer_and_each_is_told():
     assert len(lines) == 1 + len(phases) + 2 and f"{found.size:.7g}" in found.table()
 
 
-@pytest.mark.long
 def test_of_a_chaotic_attractor_all_of_its_sample_is_struck():
     scene = jv.make_scene(5.24, 2.1, 0.05, 0.7, (-1.0, 1.0))
     attractors = jv.find_attractors(scene, starts=100)
@@ -148,7 +144,6 @@ def test_of_a_chaotic_attractor_all_of_its_sample_is_struck():
     assert apart.min() < 1e-8
 
 
-@pytest.mark.slow
 def test_where_nothing_else_is_reached_the_size_is_infinite():
     scene, attractors = known("figure 5")
     found = jv.least_shock(scene, attractors, 0, reach=0.3, shocks=FEW)
@@ -158,7 +153,6 @@ def test_where_nothing_else_is_reached_the_size_is_infinite():
     assert alone.size == np.inf and alone.undecided > 0 and 0.6 < alone.least_undecided < 0.7
 
 
-@pytest.mark.long
 def test_single_precision_finds_it_as_well():
     scene, attractors = known("figure 5")
     double = jv.least_shock(scene, attractors, 0, shocks=FEW)
@@ -191,7 +185,6 @@ def test_what_cannot_be_is_refused(key, given):
     assert caught.value.key == key
 
 
-@pytest.mark.slow
 def test_a_phase_at_which_the_attractor_meets_a_wall_is_refused():
     scene, attractors = known("figure 5")
     phase = scene.frequency * attractors[0].orbit.impacts.time[0]

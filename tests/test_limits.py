@@ -121,7 +121,6 @@ def test_no_branch_point_is_looked_for_when_the_time_is_over(monkeypatch):
     assert "BP" not in asked and part.p["a"][-1] < 0.0 and "max_seconds reached" in part.reasons[1]
 
 
-@pytest.mark.slow
 def test_an_exploration_is_resumed_where_its_time_was_over(orbit, monkeypatch):
     read = iter(range(100_000))
     task = orbit.scene, "frequency", (2.5, 2.9), 1
@@ -168,7 +167,6 @@ def test_newton_far_from_its_guess_is_given_up():
         assert arclength.correct_step(function, arclength.solve_bordered, still, still.step, control, None)[0].converged
 
 
-@pytest.mark.slow
 def test_a_cascade_of_grazings_takes_few_steps(ball, monkeypatch):
     """A ball on a table has ten grazings towards its complete chatter: of each piece a few steps more are attempted
     than points are kept. SN and PD are closed forms (docs: G = pi (1 - R) / (1 + R); PD at G^2 + (2 (1 + R^2) / (1 +

@@ -75,7 +75,6 @@ def test_a_spectrum_stops_between_values(tmp_path, ticking):
     np.testing.assert_array_equal(again["exponent"].values, whole["exponent"].values)
 
 
-@pytest.mark.slow
 def test_fractions_stop_between_values(ticking, monkeypatch):
     monkeypatch.setattr(shares, "_compute_shock_size", lambda *given: 0.5)  # `least_shock` has its own test
     values = [4.6, 4.65, 4.7]
@@ -95,7 +94,6 @@ def test_fractions_stop_between_values(ticking, monkeypatch):
     assert np.isnan(part["least_shock"].values[1]).all()
 
 
-@pytest.mark.slow
 def test_the_least_shock_so_far_is_given(ticking):
     attractors = jv.find_attractors(scene(), starts=60)
     few = {"shocks": 64, "phase": [0.0, 1.0]}
@@ -174,7 +172,6 @@ def fold():
     return jv.follow(orbit, "amplitude", (0.0, 6.0)).points("SN")[0]
 
 
-@pytest.mark.slow
 def test_the_first_place_is_the_scene_itself(fold, ticking):
     ticking()
     part = jv.place(fold, None, fold.value + 0.1, {"damping": 0.05}, max_seconds=0.5)
@@ -185,7 +182,6 @@ def test_the_first_place_is_the_scene_itself(fold, ticking):
     )
 
 
-@pytest.mark.slow
 def test_loci_of_a_family_end_where_the_time_is_over(fold, ticking):
     task = fold, ("amplitude", "frequency"), {"amplitude": (0.0, 8.0), "frequency": (1.8, 2.4)}, "damping"
     is_refused(lambda **more: jv.family(*task, [0.05, 0.06], **more))
@@ -203,7 +199,6 @@ def test_loci_of_a_family_end_where_the_time_is_over(fold, ticking):
     assert part[1] is None or part[1].reasons == part[0].reasons
 
 
-@pytest.mark.slow
 def test_rays_boundaries_and_points_near_an_orbit_are_as_many_as_time_is_for(ticking):
     one_wall = jv.make_scene(1.5, 1.7, 0.12, 0.6, (None, 0.8))
     free, bounds = {"amplitude": 0.5, "frequency": 0.2}, {"amplitude": (0.9, 1.9), "frequency": (1.5, 1.9)}
@@ -227,7 +222,6 @@ def test_rays_boundaries_and_points_near_an_orbit_are_as_many_as_time_is_for(tic
     assert len(part.points + part.others) <= 1
 
 
-@pytest.mark.slow
 def test_windows_of_period_adding_are_as_many_as_time_is_for(ticking):
     orbit = jv.find_orbit(jv.make_scene(6.0, 2.1, 1.2, 0.7, (None, 1.0)), jv.State(0.0, 0.0))
     (grazing,) = jv.follow(orbit, "amplitude", (6.0, 6.2), stop="GR").points("GR")
@@ -239,7 +233,6 @@ def test_windows_of_period_adding_are_as_many_as_time_is_for(ticking):
     assert whole.stopped == "" and len(whole.windows) == 3 and part.windows[0].found == whole.windows[0].found
 
 
-@pytest.mark.slow
 def test_a_manifold_ends_where_its_time_is_over(ticking):
     found = jv.find_orbits(scene(), 1, 64)
     saddle = next(one for one in found if one.label == "P111" and one.multipliers[0].real > 1)

@@ -43,7 +43,6 @@ def test_gradients_between_still_walls(branch, kind, wall):
     assert len(errors) >= 4 and max(errors.values()) < 1e-12, errors
 
 
-@pytest.mark.long
 def test_gradients_between_unlike_walls_one_of_which_moves(uneven):
     point = uneven.points("PD")[0]
     errors = located_proof.gradient_errors(point)
@@ -51,7 +50,6 @@ def test_gradients_between_unlike_walls_one_of_which_moves(uneven):
     assert max(errors.values()) < 1e-12, errors
 
 
-@pytest.mark.slow
 def test_the_fold_in_closed_form(branch):
     """A(SN) of P111, its gradient and its Hessian by frequency and damping, against differences of the closed form."""
     value = jv.located(branch.points("SN")[0])
@@ -74,7 +72,6 @@ def test_the_fold_in_closed_form(branch):
     assert [found[0, 0], found[0, 1], found[1, 1]] == pytest.approx(bends, rel=1e-10)
 
 
-@pytest.mark.long
 def test_a_second_derivative_of_a_fold_of_many_impacts():
     """From six impacts on the sum of squares of the null vector was a product of matrices that did not compile."""
     scene = jv.make_scene(1.35349688252687, 0.5681284414825132, 0.2826473694985851, 0.49, (None, 0.7418688488025945))

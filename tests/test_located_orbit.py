@@ -29,7 +29,6 @@ def hitting(amplitude, damping):
     return max(found, key=lambda one: one.speed)
 
 
-@pytest.mark.slow
 def test_speeds_and_multipliers_are_those_of_the_closed_form(scene, orbit):
     speeds, multipliers = jv.located(orbit, "speeds"), jv.located(orbit, "multipliers")
     with workdps(40):
@@ -44,7 +43,6 @@ def test_speeds_and_multipliers_are_those_of_the_closed_form(scene, orbit):
     assert speeds.solve(moved).status == OK
 
 
-@pytest.mark.long
 def test_the_peak_of_a_motion_without_impacts(scene):
     free = jv.find_orbit(scene, jv.State(-0.585, 0.03))
     peak = jv.located(free, "peak")
@@ -61,7 +59,6 @@ def test_the_peak_of_a_motion_without_impacts(scene):
     assert np.array(jax.grad(mine, (0, 1))(*at)) == pytest.approx(slopes, rel=1e-9)
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(
     "wall, names",
     [
@@ -81,7 +78,6 @@ def test_a_peak_moves_as_that_of_orbits_found_again(wall, names):
         assert float(slope.parameter(name)) == pytest.approx((up - down) / (2.0 * step), abs=1e-7), name
 
 
-@pytest.mark.slow
 def test_lanes_under_jit_and_what_is_not_there(scene, orbit):
     speeds = jv.located(orbit, "speeds")
     amplitudes = jnp.array([0.6, 1.0, 2.0, 3.0])
@@ -93,7 +89,6 @@ def test_lanes_under_jit_and_what_is_not_there(scene, orbit):
     assert speeds.solve(none).status == NONE and np.isnan(speeds(none)).all()
 
 
-@pytest.mark.long
 def test_width_and_area_of_a_hysteresis(scene, orbit):
     branch = jv.follow(orbit, "amplitude", (0.0, 3.45))
     grazing = jv.located(branch.points("GR")[0], wall="right")

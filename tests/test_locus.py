@@ -171,7 +171,6 @@ def test_points_that_nothing_leaves_are_refused(loci):
         jv.switch(point, largest_step=0.0)
 
 
-@pytest.mark.long
 def test_a_locus_from_its_other_end_in_other_steps(loci):
     """From orbits where the first loci end, the special points there; their loci lead back along the same curves."""
     far = {name: loci[name].orbit(-1) for name in ("PD of P112", "SN of P112")}
@@ -189,7 +188,6 @@ def test_a_locus_from_its_other_end_in_other_steps(loci):
                 assert error(locus, place, 20, near=(first, int(np.argmin(gap)))) < 1e-11
 
 
-@pytest.mark.long
 def test_steps_and_order_do_not_matter(loci, points):
     for name in ("SB of P111", "GR of P112"):
         for names, steps in ((PAIR, (0.02, 0.02, 1e-9)), (PAIR[::-1], (0.5, 0.5)), (PAIR[::-1], (0.02, 0.3, 1e-13))):
@@ -202,7 +200,6 @@ def test_steps_and_order_do_not_matter(loci, points):
                 assert error(locus, place) < 1e-11
 
 
-@pytest.mark.slow
 def test_a_fold_or_a_doubling_comes_quadratically_to_a_grazing(lone):
     """Simpson and Ghosh: SN below the grazing, on the side where sin(2 pi n r / omega) < 0; PD on the other side."""
     for kind, frequency in (("SN", 1.7), ("PD", 2.3)):
@@ -225,7 +222,6 @@ def test_a_fold_or_a_doubling_comes_quadratically_to_a_grazing(lone):
         assert np.allclose(np.diff(logs, axis=0)[:, 1] / np.diff(logs, axis=0)[:, 0], 2.0, rtol=0, atol=0.01)
 
 
-@pytest.mark.slow
 def test_resonant_grazings_of_one_wall(lone):
     (point,) = lone[1.7].points("GR")
     bounds = {"amplitude": (0.0, 20.0), "frequency": (0.6, 3.2)}
@@ -270,7 +266,6 @@ DEGENERATE = {  # amplitude, and the other parameter
 }
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("kind, name", DEGENERATE)
 def test_where_doubling_and_breaking_change_their_side(slowly, kind, name):
     bounds = {"amplitude": (0.0, 20.0), "frequency": (0.5, 4.0), "damping": (0.0, 1.2)}
@@ -283,7 +278,6 @@ def test_where_doubling_and_breaking_change_their_side(slowly, kind, name):
         assert codim_error(end, "GR", locus.kind, kind == "DSB") < 1e-12
 
 
-@pytest.mark.long
 def test_cusps():
     scene = jv.make_scene(2.0, 1.2, 0.02, 0.9, (-1.5, 1.0))
     branch = jv.follow(jv.find_orbit(scene, jv.State(0.0, 0.0)), "amplitude", (0.0, 3.0))

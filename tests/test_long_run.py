@@ -50,7 +50,6 @@ def counted(monkeypatch):
     return counts
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("kind, patience", [*((kind, patience) for kind in SCENES for patience in (0, np.inf)), *MIXED])
 def test_lanes_that_lean_steps_give_up_go_as_the_strobe_says(kind, patience, counted, monkeypatch):
     """By both tiers, by the host, and by one after the other."""
@@ -71,7 +70,6 @@ def test_lanes_that_lean_steps_give_up_go_as_the_strobe_says(kind, patience, cou
         np.testing.assert_array_equal(one, other)
 
 
-@pytest.mark.long
 def test_lanes_of_a_batch_of_scenes(counted):
     rng = np.random.default_rng(5)
     scene = jv.make_scene(rng.uniform(1.0, 3.0, LANES), 2.6, 0.3, 0.33, (-1.75, 0.21))

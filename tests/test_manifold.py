@@ -57,7 +57,6 @@ def test_the_way_back_is_the_inverse(name, phase):
     assert (error <= 1e-12 * np.maximum(1.0, stretch * np.maximum(1.0, abs(start.v)))).all()
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["stable", "unstable"])
 def test_a_manifold_begins_along_the_eigenvector(kind):
     orbit, data = saddle(), curve(kind)
@@ -119,7 +118,6 @@ def test_what_is_on_a_manifold_stays_on_it(kind, label):
     stays(data, saddle(label=label).scene, points(data)[some], kind == "unstable")
 
 
-@pytest.mark.slow
 def test_basins_meet_at_a_stable_manifold():
     scene = jv.make_scene(**SCENE)
     attractors = jv.find_attractors(scene)

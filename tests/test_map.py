@@ -90,7 +90,6 @@ def scenes(seed):
         yield jv.make_scene(rng.uniform(1, 5), rng.uniform(1, 3), damping, 0.7, pair)
 
 
-@pytest.mark.long
 def test_cells_of_random_scenes_are_what_single_runs_find():
     seen = 0
     for scene in scenes(25):
@@ -100,7 +99,6 @@ def test_cells_of_random_scenes_are_what_single_runs_find():
     assert seen >= 8
 
 
-@pytest.mark.long
 def test_complete_chatter_has_its_label():
     scene = jv.make_scene(1.0, 0.2, 0.05, 0.6, (None, jv.Wall(0.2)))
     found = jv.map_parameters(scene, {"frequency": [0.2, 0.22]}, quantities=("label", "period"))
@@ -109,7 +107,6 @@ def test_complete_chatter_has_its_label():
     assert found["period"].values.tolist() == [1, 1]
 
 
-@pytest.mark.slow
 def test_any_cut_gives_the_same_bits():
     grid = {"frequency": np.linspace(1.6, 3.0, 7), "amplitude": np.linspace(4.0, 6.0, 5)}
     one = jv.map_parameters(figure_4(), grid, quantities=("exponent", "state"))
@@ -118,7 +115,6 @@ def test_any_cut_gives_the_same_bits():
         xr.testing.assert_identical(other, one)
 
 
-@pytest.mark.slow
 def test_a_carried_motion_is_the_sweeps():
     scene, values = figure_4().replace(frequency=2.8), np.linspace(3.0, 6.0, 13)
     grid = {"damping": [0.03, 0.05], "amplitude": values}
@@ -139,7 +135,6 @@ def test_a_carried_motion_is_the_sweeps():
     np.testing.assert_array_equal(first["label"].values[:, 0], found["label"].values[0])
 
 
-@pytest.mark.slow
 def test_random_starts_are_those_of_find_attractors():
     scene = figure_4()
     grid = {"amplitude": [4.65, 5.0]}
@@ -164,14 +159,12 @@ def test_random_starts_are_those_of_find_attractors():
         assert found["share"].values[k, len(known) :].tolist() == [0.0] * (8 - len(known))
 
 
-@pytest.mark.slow
 def test_chaotic_starts_on_one_set_are_one_attractor():
     found = jv.map_parameters(figure_4(), {"frequency": [1.6]}, 12, ("attractors",))
     assert int(found["attractors"][0]) == 1
     assert int(found["label"][0, 0]) == CHAOTIC and float(found["share"][0, 0]) == 1.0
 
 
-@pytest.mark.slow
 def test_a_store_is_gone_on_with(tmp_path):
     grid, seen = {"frequency": np.linspace(1.6, 3.0, 6)}, []
     whole = jv.map_parameters(figure_4(), grid, chunk=2)

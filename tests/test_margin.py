@@ -37,7 +37,6 @@ def least(value, start):
     return np.sqrt(found.fun), found.x
 
 
-@pytest.mark.slow
 def test_the_nearest_fold_is_that_of_the_closed_form(near):
     (point,) = (one for one in near.points if one.kind == "SN")
     distance, change = least(fold, np.array([4.0, 5.0]))
@@ -49,7 +48,6 @@ def test_the_nearest_fold_is_that_of_the_closed_form(near):
     )
 
 
-@pytest.mark.long
 def test_the_kinds_come_in_order_and_their_directions_are_units(near):
     assert [one.kind for one in near.points] == ["SB", "SN"] and near.distance == near.points[0].distance
     for one in near.points:
@@ -60,7 +58,6 @@ def test_the_kinds_come_in_order_and_their_directions_are_units(near):
     assert lines[0].split() == ["kind", "distance", *FREE, "status"] and lines[1].startswith("SB    9.1")
 
 
-@pytest.mark.slow
 def test_a_bound_holds_the_nearest_point(orbit):
     free = {"amplitude": 0.1, "frequency": 0.05}
     loose = jv.margin(orbit, free, kinds="SN").points[0]
@@ -70,7 +67,6 @@ def test_a_bound_holds_the_nearest_point(orbit):
     assert float(low.scene.amplitude) == pytest.approx(fold(2.2, GAMMA), abs=1e-12)
 
 
-@pytest.mark.long
 def test_a_motion_without_impacts_ends_where_it_touches_a_wall():
     scene = jv.make_scene(2.0, OMEGA, GAMMA, R, (-1.5, 1.0))
     orbit = jv.find_orbit(scene, jv.State(-0.58, 0.05))
@@ -84,7 +80,6 @@ def test_a_motion_without_impacts_ends_where_it_touches_a_wall():
     assert list(point.direction.values()) == pytest.approx(normal / np.linalg.norm(normal), abs=1e-12)
 
 
-@pytest.mark.long
 def test_a_period_doubling_that_ends_on_a_grazing_has_its_nearest_point_there():
     """P101 near the resonant grazing, where the free flow of a drive period leaves a speed no trace: sin = 0."""
     amplitude, frequency, place = 3.02, 1.93, 0.79
@@ -100,7 +95,6 @@ def test_a_period_doubling_that_ends_on_a_grazing_has_its_nearest_point_there():
     assert "ends there in an impact without speed" in near.table()
 
 
-@pytest.mark.long
 def test_an_end_of_a_boundary_keeps_to_the_bounds():
     """The same with the amplitude free: the end is a line, wall = c amplitude, and the bound cuts it off."""
     amplitude, frequency, place = 3.02, 1.93, 0.79
@@ -120,7 +114,6 @@ def test_an_end_of_a_boundary_keeps_to_the_bounds():
         assert point.at_bound == (("amplitude",) if bounds else ())
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(
     "amplitude, frequency, times",
     [
@@ -146,7 +139,6 @@ def fold_point(orbit):
     return jv.follow(orbit, "amplitude", (0.0, 3.0)).points("SN")[0]
 
 
-@pytest.mark.slow
 def test_a_fold_is_moved_by_the_least_change(fold_point):
     free = {"damping": 0.05, "frequency": 0.1}
     placed = jv.place(fold_point, "amplitude", 0.6, free)
@@ -161,7 +153,6 @@ def test_a_fold_is_moved_by_the_least_change(fold_point):
     assert abs(normal[0] * change[1] - normal[1] * change[0]) < 1e-8 * np.linalg.norm(normal)
 
 
-@pytest.mark.long
 def test_a_bound_takes_part_and_what_cannot_be_is_told(fold_point):
     free = {"damping": 0.05, "frequency": 0.1}
     placed = jv.place(fold_point, "amplitude", 0.6, free, {"damping": (0.0, 0.06)})

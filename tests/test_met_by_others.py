@@ -9,7 +9,6 @@ from reliability import met_by_others
 CASES = met_by_others.cases()
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
 def test_ours_is_right(case):
     told = case.ours()
@@ -21,7 +20,6 @@ def test_an_answer_is_judged_by_its_numbers_and_its_contacts():
     assert not met_by_others.Told("", "", 1e-5).right and not met_by_others.Told("", "", math.inf).right
 
 
-@pytest.mark.long
 def test_diffrax_as_it_is_locked():
     met = met_by_others.measure()
     right = {each.case.source: [] for each in met}

@@ -30,7 +30,6 @@ def test_it_is_the_derivative_of_the_strobe(scene):
     assert np.allclose(jv.monodromy(scene, state), np.array(slopes(state.x, state.v)), rtol=0, atol=1e-12)
 
 
-@pytest.mark.long
 def test_its_determinant_is_what_impacts_and_damping_leave(scene):
     rng = np.random.default_rng(2)
     many = scene.replace(amplitude=rng.uniform(0, 5, 50))

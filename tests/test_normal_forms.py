@@ -161,7 +161,6 @@ def moving():
     return jv.follow(jv.find_orbit(scene, jv.State(0.7, 1.8)), "frequency", (1.6, 3.2))
 
 
-@pytest.mark.slow
 def test_root_and_slope_by_certified_flights(moving):
     (point,) = moving.points("GR")
     form, places = point.normal_form, touched(point)
@@ -181,7 +180,6 @@ def test_the_consequence_of_a_grazing_is_that_of_the_stable_orbits(branch, lopsi
         assert replace(point, joins=joins).normal_form.consequence == told
 
 
-@pytest.mark.long
 def test_a_soft_wall():
     walls = [jv.Wall(side, stiffness=10.0, damping=0.1) for side in (-1.0, 1.0)]
     scene = jv.make_scene(0.3, 0.7, 0.05, 0.7, walls)
@@ -197,7 +195,6 @@ def test_a_soft_wall():
         assert form.rate == pytest.approx(slope, rel=1e-8)
 
 
-@pytest.mark.long
 def test_a_soft_wall_that_moves_and_pushes_at_once():
     """Where the motion without impacts touches it, as it would a rigid one: a period that begins there with a depth, by
     certified flights, brought back to its begin without the wall."""

@@ -49,7 +49,6 @@ def settled_period(name, value):
     return float(np.diff(last.t_events[0])[-1])
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
 @pytest.mark.parametrize("tolerance", [1e-7, 1e-9])
 def test_orbits_leave_a_hopf_point_whatever_the_integrators_tolerance(name, tolerance):

@@ -207,7 +207,6 @@ def test_what_is_no_orbit_says_why(scene):
         jv.find_orbit(scene.replace(amplitude=np.ones(3)), jv.State(0.0, 0.0))
 
 
-@pytest.mark.long
 def test_multipliers_of_random_scenes_in_high_precision():
     """Moving walls, R a wall, any damping; the references' orbit is polished in 640 bits."""
     rng, met = np.random.default_rng(11), 0
@@ -239,7 +238,6 @@ def _start(orbit):
     return orbit.state.x, orbit.state.v, orbit.state.phase
 
 
-@pytest.mark.long
 def test_orbits_of_two_periods_against_a_search_on_a_grid(scene):
     there = scene.replace(amplitude=5.6)
     found = [(orbit.periods, orbit.multipliers[0]) for orbit in jv.find_orbits(there, max_period=2)]

@@ -210,7 +210,6 @@ def test_the_closed_forms_motion_is_an_orbit_in_every_tongue(seed):
     assert side == -1 and time == pytest.approx(math.pi / w, rel=1e-9) and speed == pytest.approx(-start.v / bounce)
 
 
-@pytest.mark.slow
 def test_the_papers_method_comes_near_the_strobe():
     draw = np.random.default_rng(0)
     states = draw.uniform([-1.0, -3.0, 0.0], [1.0, 3.0, 6.0], (200, 3))
@@ -270,7 +269,6 @@ def test_bad_tables_are_one_clear_error(tables, key):
     assert error.value.key == key
 
 
-@pytest.mark.long
 def test_ranges_in_which_two_legs_differ():
     swept = jv.sweep(
         jv.make_scene(2.0, 2.1, 0.05, 0.7, (-1.0, 1.0)),
@@ -374,7 +372,6 @@ def test_an_unknown_figure_is_refused(tmp_path, capsys):
         jv.paper(["fig9"], tmp_path, workers=0)
 
 
-@pytest.mark.long
 def test_formulas_and_one_wall(tmp_path):
     done = jv.paper(["formulas", "walls"], tmp_path, workers=2)  # a process each
     found = {(one.figure, one.text): one for one in done.claims}

@@ -69,7 +69,6 @@ def toy(tmp_path):
     return run
 
 
-@pytest.mark.slow
 def test_the_next_process_does_not_trace(toy):
     first, second, without = toy(), toy(), toy(cached=False)
     assert (first[0], second[0], without[0]) == (1, 0, 1)
@@ -78,7 +77,6 @@ def test_the_next_process_does_not_trace(toy):
     assert module.stat().st_mode & 0o077 == 0 and module.parent.stat().st_mode & 0o077 == 0
 
 
-@pytest.mark.slow
 def test_another_source_is_traced_and_old_ones_go(toy):
     toy()
     for k in range(persistent_jit.MAX_GENERATIONS):
@@ -116,7 +114,6 @@ def cache(tmp_path):
     jax.config.update("jax_compilation_cache_dir", before)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("fails", [False, True])
 def test_numbers(cache, fails):
     """One strobe by its module, or without where the folder cannot be made, to the same numbers."""

@@ -34,14 +34,12 @@ def crossing():
     return bisect(phase, 0.9, 1.3, xtol=1e-8)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("off", [-1e-3, -1e-6, -3e-8, 3e-8, 1e-6, 1e-3])
 def test_an_impact_near_phase_0(crossing, off):
     found = jv.find_attractors(one_wall(crossing + off), starts=4, settle=100)
     assert agree(found) == 1 and found[0].label == "P101"
 
 
-@pytest.mark.long
 def test_long_orbits_in_random_scenes():
     seen, rng = [], np.random.default_rng(8)
     for _ in range(6):

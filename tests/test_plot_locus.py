@@ -164,7 +164,6 @@ def test_regions_are_told_apart_without_colour():
     assert all(patch.get_zorder() < 2 for patch in patches)
 
 
-@pytest.mark.slow
 def test_loci_of_a_scene_are_drawn(tmp_path):
     scene = jv.make_scene(2.0, 2.1, 0.05, 0.7, (-1.0, 1.0))
     branch = jv.follow(jv.find_orbit(scene, jv.State(0.9, -1.1)), "amplitude", (0.0, 3.6))

@@ -81,7 +81,6 @@ def test_a_picture_in_physical_units(kind):
         np.testing.assert_allclose(found, size * np.asarray(limits), rtol=1e-9)
 
 
-@pytest.mark.slow
 def test_marks_in_a_diagram_in_physical_units():
     found = jv.find_attractors(SCENE, starts=20)
     ax = Figure().subplots()

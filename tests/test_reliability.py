@@ -74,7 +74,6 @@ def test_contacts_and_misses_are_what_ball_arithmetic_says(name):
                 assert room > 0 and room >= -part.measure[lane] * (1 - 1e-9)
 
 
-@pytest.mark.slow
 def test_ours_decides_every_case_in_small():
     for case in (
         cases.CASES[0],
@@ -105,7 +104,6 @@ def test_what_is_missed_invented_or_elsewhere_is_counted():
     assert counts.per_million(Count(4, 1, 1, 0)).startswith("**500,000**")
 
 
-@pytest.mark.slow
 def test_counts_by_speed_are_those_of_the_case(monkeypatch):
     case, rival = run.CASES["starts into a wall"], methods.RIVALS[-1]
     monkeypatch.setattr(methods, "RIVALS", (rival,))
@@ -138,7 +136,6 @@ def test_the_others_are_right_where_nothing_is_hard(name):
     assert np.median(abs(met.time[good] - easy.time[:40][good])) < 1e-6
 
 
-@pytest.mark.slow
 def test_periods_in_80_bit_floats_and_by_others_against_ball_arithmetic():
     rng, n = np.random.default_rng(1), 12
     given = periods.Scenes(
@@ -197,7 +194,6 @@ def test_the_true_derivative_next_to_a_grazing_is_that_of_differences_in_80_bit_
     )
 
 
-@pytest.mark.slow
 def test_a_map_judges_what_is_not_chaotic_and_finds_ours_right(monkeypatch):
     monkeypatch.setattr(
         failure_maps,

@@ -104,7 +104,6 @@ def test_growth_between_rests_under_a_force_of_ones_own_is_that_of_the_spring(nu
     assert abs(found.growth_rate - exact.growth_rate) < 1e-6
 
 
-@pytest.mark.long
 def test_no_count_of_hops_is_in_a_label():
     """Whatever R is, and so however many hops are flown until they are sure to end."""
     for side in (-1, 1):
@@ -116,7 +115,6 @@ def test_no_count_of_hops_is_in_a_label():
             assert one.rests and one.orbit.rests and one.mirror_of is None
 
 
-@pytest.mark.slow
 def test_on_both_walls_and_on_one_that_takes_all_speed():
     both = jv.find_attractors(jv.make_scene(2.0, 0.2, 0.1, 0.4, (-1.0, 1.0)), starts=4)
     assert [(one.label, one.rests, one.share) for one in both] == [("P1-inf-inf", True, 1.0)]

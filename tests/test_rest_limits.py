@@ -20,7 +20,6 @@ def resting_orbit():
     return set_up_equations(scene, "amplitude", orbit_point_of(orbit, 1.5))
 
 
-@pytest.mark.slow
 def test_a_measure_of_a_rest_is_looked_for_by_what_it_depends_on(resting_orbit, monkeypatch):
     """A measure of a row depends on a few unknowns: its derivative by these is that by all, and each evaluation flies a
     whole chatter."""
@@ -41,7 +40,6 @@ def test_a_measure_of_a_rest_is_looked_for_by_what_it_depends_on(resting_orbit, 
     assert len(count) <= 11 < 2 * len(z)
 
 
-@pytest.mark.slow
 def test_the_search_beyond_a_rest_is_given_up_when_the_time_is_over(resting_orbit, monkeypatch):
     """Neither looks for another orbit then: that would fly for dozens of periods."""
     along, z = resting_orbit

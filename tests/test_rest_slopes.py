@@ -82,7 +82,6 @@ def test_two_rests_of_a_period():
             assert np.allclose([times[k], speeds[k]], true[:, columns], rtol=1e-10, atol=1e-14)
 
 
-@pytest.mark.long
 def test_two_periods_with_rests_are_two_strobes():
     first, (end, impacts) = sloped(BOTH)
     after = BOTH._replace(x=float(end.x), v=float(end.v))
@@ -113,7 +112,6 @@ def test_the_reference_by_half_a_step_and_by_the_wall(monkeypatch):
     assert np.allclose(by["right.motion.amplitude"], [np.cos(1.3), -0.5 * np.sin(1.3)], rtol=0, atol=1e-15)
 
 
-@pytest.mark.long
 def test_a_rest_forgets_a_derivative_that_was_not_known():
     # hops of one period, more than there are slots for, end in the next
     scene = jv.make_scene(0.8, 1.0, 0.1, 0.98, (None, -1.0))
@@ -132,7 +130,6 @@ def test_a_rest_forgets_a_derivative_that_was_not_known():
     assert held == 2 and np.array_equal(both, np.zeros((1, 2, 2)))
 
 
-@pytest.mark.slow
 def test_samples_after_a_release_forget_as_many_impacts():
     _, (_, impacts) = strobed(MANY, jnp.array([MANY.x, 3.0, 1.0]))
     late = np.array([np.mean(impacts.time[34:36]), (np.arccos(1.0 / 3.0) - MANY.phase) / 0.5 - 0.1, 4.0 * np.pi])
@@ -148,7 +145,6 @@ def test_samples_after_a_release_forget_as_many_impacts():
     assert np.allclose(found[:, 2], free(MANY), rtol=1e-11, atol=0)
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("structure", [(None, 1), (0, 0)])
 def test_random_scenes_against_differences_at_many_digits(structure):
     members, _ = rest_slopes_proof.cases(np.random.default_rng(5), structure, 20)

@@ -26,7 +26,6 @@ def from_rest():
     return followed(1.5, (1.35, 1.6))
 
 
-@pytest.mark.long
 def test_a_branch_goes_on_where_a_chatter_just_does_not_complete(from_rest):
     (point,) = from_rest.points("CH")
     assert point.label == "P1-0-inf"
@@ -40,7 +39,6 @@ def test_a_branch_goes_on_where_a_chatter_just_does_not_complete(from_rest):
     assert [one.label for one in point.meets] == [labels[-2]]
 
 
-@pytest.mark.long
 def test_it_comes_to_the_same_point_from_the_other_side(from_rest):
     back = followed(1.37, (1.35, 1.6))
     assert back.segments[-1].label == "P1-0-inf"
@@ -48,7 +46,6 @@ def test_it_comes_to_the_same_point_from_the_other_side(from_rest):
     assert back.reasons == from_rest.reasons
 
 
-@pytest.mark.slow
 def test_grazings_come_nearer_to_it_as_the_scaling_says(from_rest):
     (point,) = from_rest.points("CH")
     left = point.value - np.sort([one.value for one in from_rest.points("GR")])
@@ -60,7 +57,6 @@ def test_grazings_come_nearer_to_it_as_the_scaling_says(from_rest):
     assert abs(limit[-1] - MU) < abs(ratios[-1] - MU)
 
 
-@pytest.mark.slow
 def test_its_orbits_are_those_of_the_motion(from_rest, tmp_path):
     from_rest.save(tmp_path / "branch.nc")
     loaded = jv.load_branch(tmp_path / "branch.nc")
@@ -82,7 +78,6 @@ def letting_go():
     return followed(1.5, (-1.4, -0.9), "drive.0.amplitude", **numbers)
 
 
-@pytest.mark.long
 def test_a_wall_that_lets_go_within_a_rest_is_a_point_of_its_own(letting_go):
     (point,), branch = letting_go.points("RL"), letting_go
     assert point.value == pytest.approx(-1.2, abs=1e-10)
@@ -92,7 +87,6 @@ def test_a_wall_that_lets_go_within_a_rest_is_a_point_of_its_own(letting_go):
     assert branch.values[[0, -1]] == pytest.approx([-1.4, -0.9])
 
 
-@pytest.mark.long
 def test_grazings_of_orbits_that_rest_are_followed_in_two_parameters():
     grazing = followed(1.02, (1.0, 1.02), walls=(-0.2, 0.5)).points("GR")[0]
     assert float(jv.sensitivity(grazing, "damping")[0]) == pytest.approx(-1.00346396, abs=1e-7)  # by differences
@@ -105,7 +99,6 @@ def test_grazings_of_orbits_that_rest_are_followed_in_two_parameters():
     assert min(abs(one.value - amplitude) for one in there.points("GR")) < 1e-10
 
 
-@pytest.mark.long
 def test_a_complete_chatter_is_followed_in_two_parameters(from_rest):
     (point,) = from_rest.points("CH")
     found = jv.locus(point, ("amplitude", "restitution"), {"amplitude": (0.5, 2.0), "restitution": (0.05, 0.95)})
@@ -119,7 +112,6 @@ def test_a_complete_chatter_is_followed_in_two_parameters(from_rest):
         assert spot.value == pytest.approx(just, abs=1e-12)
 
 
-@pytest.mark.long
 def test_a_release_within_a_rest_is_followed_in_two_parameters(letting_go):
     (point,) = letting_go.points("RL")
     names = "drive.0.amplitude", "right.position"
@@ -129,7 +121,6 @@ def test_a_release_within_a_rest_is_followed_in_two_parameters(letting_go):
     assert found.values @ [-1.0, 1.0] == pytest.approx(np.full(len(found), 1.5), abs=1e-9)
 
 
-@pytest.mark.long
 def test_where_a_grazing_meets_a_complete_chatter_its_locus_ends():
     grazing = followed(0.6, (0.5, 0.7), walls=(-0.2, 0.5)).points("GR")[-1]
     names = "amplitude", "left.position"
@@ -169,7 +160,6 @@ def degenerate(wall, frequency, damping, start):
     return found[2:]
 
 
-@pytest.mark.long
 def test_a_locus_of_grazings_ends_where_the_touch_has_no_acceleration():
     amplitude, second = degenerate(0.5, 0.4, 0.03, (3.0, 12.7, 1.36, 0.0))
     drive = (jv.Motion(second - 0.02, harmonic=2, phase=0.5 * np.pi),)
@@ -184,7 +174,6 @@ def test_a_locus_of_grazings_ends_where_the_touch_has_no_acceleration():
     assert point.residual < 1e-12
 
 
-@pytest.mark.long
 def test_explore_finds_what_rests():
     scene = jv.make_scene(1.5, **ONE_WALL)
     diagram = jv.explore(scene, "amplitude", (1.3, 1.6), max_period=2)
@@ -196,7 +185,6 @@ def test_explore_finds_what_rests():
 PLASTIC = {"frequency": 0.451214832, "damping": 0.160099801, "restitution": 0.0, "walls": (None, 0.709703876)}
 
 
-@pytest.mark.long
 def test_a_branch_with_r_0_goes_on_where_the_press_begins_at_an_impact(tmp_path):
     """Between two RL the mass is drawn off its wall once more before it rests: whichever orbit one starts from."""
     branches = [followed(amplitude, (1.22, 3.0), **PLASTIC) for amplitude in (2.5, 2.0989, 1.95, 1.23)]
@@ -218,7 +206,6 @@ def test_a_branch_with_r_0_goes_on_where_the_press_begins_at_an_impact(tmp_path)
         assert max(abs(end.x - orbit.state.x), abs(end.v - orbit.state.v)) < 1e-13
 
 
-@pytest.mark.long
 def test_a_branch_with_r_0_goes_on_where_a_rest_comes_to_no_length():
     """From orbits that rest to such that do not, and back: the impact is at the release there."""
     walls = (-0.554009691, jv.Wall(1.230039735, motion=jv.Motion(0.215097563, 1.033105633)))

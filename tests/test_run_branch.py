@@ -349,7 +349,6 @@ def test_a_loop_that_goes_through_its_mirror_images_is_walked_once(monkeypatch):
     assert found == (main, loop, other)
 
 
-@pytest.mark.slow
 def test_symmetric_orbits_that_cross_a_loop_of_asymmetric_ones_are_followed(tmp_path):
     """The loop, P101 and P111 and their mirror images, goes through an SB, where the symmetric P111 crosses it."""
     file = tmp_path / "loop.toml"

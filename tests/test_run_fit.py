@@ -27,7 +27,6 @@ def done(tmp_path_factory):
     return jv.run(SCENES / "fit.toml", out), out
 
 
-@pytest.mark.slow
 def test_the_numbers_that_made_the_record_are_told(done):
     ran, out = done
     told = ran.summary["fit"]
@@ -93,7 +92,6 @@ def test_residuals_are_drawn_at_their_impacts():
         jv.plot.fit(record, record)
 
 
-@pytest.mark.long
 def test_samples_are_fitted_told_and_drawn(tmp_path):
     """Of x(t) at an unknown phase: the numbers and the phase that made the file, and its residuals in order."""
     ran = jv.run(SCENES / "fit_samples.toml", tmp_path)

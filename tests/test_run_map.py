@@ -29,7 +29,6 @@ def done(folder):
     return jv.run(folder / "map.toml", folder / "out")
 
 
-@pytest.mark.slow
 def test_what_is_written(folder, done):
     assert sorted(one.name for one in (folder / "out").iterdir()) == ["map.map.png", "map.txt", "map.zarr"]
     assert set(done.summary["files"]) == {"table", "map", "store"}
@@ -46,7 +45,6 @@ def test_what_is_written(folder, done):
     np.testing.assert_array_equal(direct["label"], found["label"])
 
 
-@pytest.mark.slow
 def test_a_run_that_was_killed_goes_on(folder, done):
     with pytest.raises(FileExistsError, match=r"map\.map\.png already exists|map\.txt already exists"):
         jv.run(folder / "map.toml", folder / "out")
@@ -111,7 +109,6 @@ def test_engines_that_cannot_be(folder, tmp_path, capsys):
     assert main([*asked, "--engine", "slurm"]) == 2
 
 
-@pytest.mark.long
 def test_other_kinds_of_maps(folder, tmp_path):
     changes = ['map.along="amplitude"', 'map.quantities=["label", "loads"]', "map.count=[5, 2]"]
     table = jv.run(folder / "map.toml", tmp_path, changes).table

@@ -16,7 +16,6 @@ def done(tmp_path_factory):
     return jv.run(SCENE, out), out
 
 
-@pytest.mark.slow
 def test_what_is_told_is_what_margin_finds(done):
     ran, out = done
     orbit = jv.find_orbit(jv.load_scene(SCENE), jv.State(0.9, -1.1))

@@ -15,20 +15,17 @@ def scene():
     return jv.make_scene(2.0, 2.1, 0.05, 0.7, (-1.2, 1.0))
 
 
-@pytest.mark.slow
 def test_states_and_slopes_are_those_of_exact_motions():
     state, forward, reverse = state_errors(6, kinds=[(1, 2)]).T
     assert state.max() < 1e-2
     assert max(forward.max(), reverse.max()) < 1e-12
 
 
-@pytest.mark.long
 def test_soft_walls_against_exact_motions():
     errors, _ = soft_errors(2, seed=3)
     assert errors.max() < 1
 
 
-@pytest.mark.long
 def test_whole_periods_are_strobes_whatever_times_lie_between(scene):
     x = np.linspace(-1.1, 0.9, 5)[:, None]
     start, period = jv.State(x, np.linspace(-2, 2, 4), 0.4), 2 * np.pi / 2.1
@@ -43,7 +40,6 @@ def test_whole_periods_are_strobes_whatever_times_lie_between(scene):
     assert np.allclose(state.phase, 0.4 + 2.1 * times, rtol=1e-15)
 
 
-@pytest.mark.long
 def test_a_long_way_in_one_stretch_is_as_many_strobes(scene):
     # damped much, so that an attractor is reached: 40 periods have far more impacts than one of 32
     far = scene.replace(damping=0.3, amplitude=4.0)
@@ -57,7 +53,6 @@ def test_a_long_way_in_one_stretch_is_as_many_strobes(scene):
     assert np.isclose(slope, (apart[0] - apart[1]) / 2e-6, rtol=1e-6)
 
 
-@pytest.mark.slow
 def test_at_an_impact_it_is_the_state_after_it_and_its_one_sided_slope(scene):
     start = jv.State(1.0, 0.8)  # on the right wall and into it
     _, impacts = jv.strobe(scene, start)
@@ -76,7 +71,6 @@ def test_at_an_impact_it_is_the_state_after_it_and_its_one_sided_slope(scene):
     assert np.allclose(slopes(2.0, times), slopes(2.0, times + 1e-9), rtol=1e-7, atol=1e-7)
 
 
-@pytest.mark.slow
 def test_the_gradient_of_a_loss_at_the_time_of_an_impact_is_one_sided():
     # no force: x = 2 t up to the wall at 10 at t = 5, then x = 20 - 2 t
     force = jv.Force("polynomial", {"damping": 0.0})
@@ -108,7 +102,6 @@ def _soft(numbers, force):
     return jv.make_scene(numbers[0], numbers[1], None if force else 0.0, walls=(wall, None), force=force)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("force", [None, jv.Force("duffing", {"cubic": 0.0, "damping": 0.0})])
 def test_at_the_ends_of_a_contact_phase_slopes_are_those_of_the_state_returned(force):
     """The damping jumps at the wall, and so do the slopes; the contact says on which side a state is."""
@@ -145,7 +138,6 @@ def test_at_the_ends_of_a_contact_phase_slopes_are_those_of_the_state_returned(f
             assert np.allclose(last, later, rtol=0, atol=1e-13)
 
 
-@pytest.mark.long
 def test_a_mass_at_rest_goes_with_its_wall_at_any_time():
     # the spring presses it on the left wall, where it sticks at once: x = x_b, v = v_b from then on
     times = jnp.array([1.0, 2.0, 50.0])
@@ -164,7 +156,6 @@ def test_a_mass_at_rest_goes_with_its_wall_at_any_time():
         assert np.allclose(each, true, rtol=0, atol=1e-13)
 
 
-@pytest.mark.long
 def test_second_derivatives(scene):
     def x(z):
         return jv.sample(scene.replace(amplitude=z[0]), jv.State(0.9, z[1]), jnp.stack([z[2], 2.0 + z[2]]))[0].x
@@ -176,7 +167,6 @@ def test_second_derivatives(scene):
     assert np.allclose(second, np.stack(apart, -1), rtol=1e-7, atol=1e-7)
 
 
-@pytest.mark.long
 def test_a_vmap_changes_nothing(scene):
     def total(v, times):
         return jnp.sum(jv.sample(scene, jv.State(0.5, v), times)[0].x)
@@ -196,7 +186,6 @@ def test_no_times_and_no_walls():
     assert state.x[0] == 0.3 and abs(state.x[1] - forced.real) < 1e-8
 
 
-@pytest.mark.slow
 def test_statuses(scene):
     times = jnp.array([[0.5, 1.0], [1.0, 0.5], [-1.0, 2.0], [0.5, np.nan], [0.0, 1e8]])
     state, status = jax.jit(lambda times: jv.sample(scene, jv.State(0.3, 1.0), times))(times)

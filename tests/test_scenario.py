@@ -185,7 +185,6 @@ def test_an_orbit_with_impacts():
     assert told.wall == "left" and told.orbits[1].label == "P212" and told.follows is FOLLOWS.JUMP
 
 
-@pytest.mark.slow
 def test_an_orbit_with_impacts_at_a_wall_that_moves():
     """M in 40 digits, along another parameter."""
     walls = jv.Wall(-0.8, 0.5), jv.Wall(0.9, 0.8, motion=jv.Motion(0.1, 0.4))
@@ -202,7 +201,6 @@ def swing(t, x, v, p):
     return -jnp.sin(x) - 2.0 * p["damping"] * v
 
 
-@pytest.mark.long
 def test_period_adding_under_a_force_of_ones_own():
     force = jv.Force(swing, {"damping": 1.3})
     point = first_grazing(jv.make_scene(1.0, 2.1, restitution=R, walls=(None, 1.0), force=force))
@@ -229,7 +227,6 @@ def test_powers_of_soft_walls():
     assert np.isnan(contact_effect_exponent(law(lambda d, r, p: p["k"] * np.exp(-1 / d), k=5.0)))
 
 
-@pytest.mark.long
 def test_multipliers_bend_like_a_root_at_a_soft_wall():
     """The map's correction goes as depth^1.5, so its derivative as depth^0.5."""
     scene = jv.make_scene(0.1, 0.7, 0.05, 0.7, (None, jv.Wall(1.0, stiffness=10.0, damping=0.1)))

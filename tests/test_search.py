@@ -25,7 +25,6 @@ def one_wall():
     return jv.make_scene(1.5, 1.7, 0.12, 0.6, (None, 0.8))
 
 
-@pytest.mark.slow
 def test_a_boundary_that_is_known_is_met(one_wall):
     bounds = {"amplitude": (0.9, 1.9), "frequency": (1.5, 1.9)}
     found = jv.search(one_wall, "GR", FREE, bounds, starts=60, max_period=1)
@@ -44,14 +43,12 @@ def test_a_boundary_that_is_known_is_met(one_wall):
     assert float(value(one_wall)) == pytest.approx(grazing(one_wall), abs=1e-12)
 
 
-@pytest.mark.slow
 def test_what_finds_nothing_says_how_far_it_looked(one_wall):
     near = {"amplitude": (1.49, 1.51), "frequency": (1.69, 1.71)}
     found = jv.search(one_wall, ["PD", "SB"], FREE, near, starts=8, max_period=1)
     assert found.points == () and found.table().startswith("nothing found\n8 random scenes, ")
 
 
-@pytest.mark.slow
 def test_aims_are_differences_of_orbits_found_again():
     scene = jv.make_scene(2.3, 2.15, 0.07, 0.75, (-1.1, jv.Wall(0.9, 0.6)))
     orbit, names, step = jv.find_orbit(scene, jv.State(0.8, -1.2)), ("amplitude", "right.position"), 1e-5

@@ -13,7 +13,6 @@ def scene():
     return jv.make_scene(4.65, 2.1, 0.05, 0.7, (-1.0, 1.0))
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("side", ["left", "right"])
 def test_an_orbit_comes_back_and_its_multipliers_are_those_of_the_map(scene, side):
     orbit = jv.find_orbit(scene, jv.State(0.9, -1.1))
@@ -33,7 +32,6 @@ def test_an_orbit_comes_back_and_its_multipliers_are_those_of_the_map(scene, sid
     assert np.allclose(found, orbit.multipliers, rtol=0, atol=1e-12)
 
 
-@pytest.mark.slow
 def test_no_return_is_told(scene):
     done = jv.return_map(scene.replace(amplitude=0.0), "left", np.array([0.0, 1.0]), 0.2)
     assert not np.any(done.found) and np.all(np.isnan(done.time))

@@ -30,7 +30,6 @@ def points():
     return {kind: point_of(begun(kind), kind) for kind in ("PD", "SB")}
 
 
-@pytest.mark.slow
 def test_slopes_are_differences_of_points_found_again(points):
     point, step = points["PD"], 1e-5
     table = jv.sensitivity(point)
@@ -47,14 +46,12 @@ def test_slopes_are_differences_of_points_found_again(points):
         assert slope == pytest.approx((ends[0] - ends[1]) / (2.0 * step), rel=1e-6), name
 
 
-@pytest.mark.long
 def test_slopes_are_the_gradient_of_the_located_point(points):
     by = jax.grad(jv.located(points["PD"]))(points["PD"].scene)
     table = jv.sensitivity(points["PD"], ["damping", "frequency"])
     assert np.allclose(table, [by.damping, by.frequency], rtol=1e-11, atol=0)
 
 
-@pytest.mark.slow
 def test_several_that_are_one_keep_an_sb(points):
     assert jv.sensitivity(points["SB"])["number"].values.tolist() == ["frequency", "damping", "restitution"]
     both = jv.sensitivity(points["SB"], [("left.restitution", "right.restitution"), "damping"])

@@ -13,7 +13,6 @@ def scene():
     return jv.make_scene(2.0, 2.1, 0.05, 0.7, (-1.2, wall))
 
 
-@pytest.mark.slow
 def test_trajectory_ends_where_the_strobe_does(scene):
     path = jv.simulate(scene, jv.State(0.5, -1.1, 0.4), periods=3, samples=50)
     end, impacts = jv.strobe(scene, jv.State(0.5, -1.1, 0.4), periods=3, slots=32)

@@ -31,14 +31,12 @@ def test_forward_and_reverse_agree_with_the_product(scene):
     assert np.allclose(jax.jacrev(end_of(scene))(z), product, rtol=0, atol=1e-13)
 
 
-@pytest.mark.long
 def test_a_caller_s_vmap_and_jit_change_nothing(scene):
     z = jnp.array([[0.9, -1.1], [0.1, 2.0], [-0.5, 0.3]])
     slopes = jax.jit(jax.vmap(jax.jacrev(end_of(scene))))(z)
     assert np.allclose(slopes, [jax.jacfwd(end_of(scene))(each) for each in z], rtol=0, atol=1e-12)
 
 
-@pytest.mark.slow
 def test_a_batch_given_as_arrays_sums_over_a_shared_number(scene):
     x, v = jnp.array([0.9, 0.1, -0.5]), jnp.array([-1.1, 2.0, 0.3])
 
@@ -48,7 +46,6 @@ def test_a_batch_given_as_arrays_sums_over_a_shared_number(scene):
     assert np.isclose(jax.grad(total)(2.0), difference(total, 2.0), rtol=1e-7)
 
 
-@pytest.mark.long
 def test_second_and_third_derivatives(scene):
     z, along = jnp.array([0.9, -1.1]), jnp.array([0.6, 0.8])
     second = jax.hessian(end_of(scene))(z)
@@ -72,7 +69,6 @@ def test_times_and_speeds_of_impacts_have_derivatives(scene):
             assert np.allclose(slope, by_difference, rtol=0, atol=1e-8)
 
 
-@pytest.mark.slow
 def test_a_mass_at_rest_goes_with_its_wall():
     # the spring presses it on the left wall, where it sticks at once: at the period's end x = x_b(T), v = v_b(T)
     def end(position, swing, phase):
@@ -101,7 +97,6 @@ def test_a_release_goes_with_the_drive():
     assert np.allclose(jax.jacfwd(released)(3.0), jax.jacfwd(flown)(3.0), rtol=0, atol=1e-12)
 
 
-@pytest.mark.long
 def test_a_release_forgets_the_start_and_keeps_the_scene():
     # sticks on a wall, is released, hits and is released again within a period: the last release counts
     scene = jv.make_scene(3.0, 2.0, 0.1, 0.0, (None, 1.0))
@@ -122,7 +117,6 @@ def test_a_release_forgets_the_start_and_keeps_the_scene():
     assert np.allclose(curves, difference(slope, at[0], 1e-5), rtol=1e-6, atol=1e-7)
 
 
-@pytest.mark.long
 def test_no_end_no_derivative_and_a_status(scene):
     def ends(x):
         end, impacts = jv.strobe(scene, jv.State(x, -1.1), slots=32)
@@ -155,7 +149,6 @@ def test_the_contact_is_a_constant(scene):
     assert jax.grad(jax.grad(end))(-1.0) == 0
 
 
-@pytest.mark.long
 def test_random_scenes_against_ball_arithmetic():
     for (_, what), errors in first_errors(60, kinds={(1, 2)}).items():
         assert np.all(errors < (1e-11 if what == "impacts" else 1e-12))

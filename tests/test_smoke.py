@@ -15,7 +15,6 @@ def test_every_verification_script_has_a_small_case():
     assert {path.stem for path in Path(__file__).parent.glob("*_proof.py")} == {f"{name}_proof" for name in NAMES}
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES[smoke.part() :: smoke.PARTS])
 def test_a_small_case_of_a_verification_script_runs(name, tmp_path):
     arguments = smoke.SCRIPTS[name]

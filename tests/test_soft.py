@@ -39,7 +39,6 @@ def compared(count, kinds=None):
     return [row for group in members for row in soft_proof.strobe_rows(group)]
 
 
-@pytest.mark.long
 def test_strobes_against_ball_arithmetic():
     rows = compared(150, {STANDING, MIXED})
     assert len(rows) >= 20 and sum(row.count for row in rows) >= 30
@@ -47,14 +46,12 @@ def test_strobes_against_ball_arithmetic():
     assert max(row.state for row in rows) < 0.01 and max(row.sharp for row in rows) < 0.2
 
 
-@pytest.mark.long
 def test_strobes_of_other_kinds_against_ball_arithmetic():
     rows = compared(150, set(OTHERS))
     assert all(row.right for row in rows)
     assert max(row.state for row in rows) < 0.01 and max(row.sharp for row in rows) < 0.2
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("kind", [STANDING, MIXED], ids=["standing", "mixed"])
 def test_slopes_against_ball_arithmetic(kind):
     (members,), _ = soft_proof.groups(120, kinds={kind})
@@ -63,7 +60,6 @@ def test_slopes_against_ball_arithmetic(kind):
         assert errors.max() < 1e-11 and np.median(errors[:, 0]) < 1e-15
 
 
-@pytest.mark.slow
 def test_a_short_stay_has_its_own_digits():
     scene = jv.make_scene(0.0, 0.05, 0.0, 0.7, (None, jv.Wall(0.0, stiffness=1e10 - 1.0, damping=0.0)))
     none, one = jnp.zeros(1), jnp.ones(1)
@@ -79,7 +75,6 @@ def test_a_short_stay_has_its_own_digits():
     assert float(jax.jit(contact_duration_of)(*given)[0]) == pytest.approx(np.pi / 1e5, rel=1e-15, abs=0.0)
 
 
-@pytest.mark.long
 def test_two_periods_are_one_after_the_other():
     scene, start = soft(1e4, 5.0, amplitude=3.0), jv.State(np.linspace(-1.02, 1.02, 32), 0.5)
     once, first = jv.strobe(scene, start, slots=32)
@@ -90,7 +85,6 @@ def test_two_periods_are_one_after_the_other():
         assert abs(one - other).max() < 1e-9
 
 
-@pytest.mark.long
 def test_single_precision():
     walls = (jv.Wall(-1.0, stiffness=1e4, damping=5.0, motion=jv.Motion(0.1)), jv.Wall(1.0, stiffness=50.0))
     start = jv.State(np.linspace(-0.8, 0.9, 5), 0.3)
@@ -104,7 +98,6 @@ def test_single_precision():
     assert matrix.dtype == jnp.float32 and abs(matrix - product).max() < 1e-3 * abs(product).max()
 
 
-@pytest.mark.slow
 def test_a_start_within_a_wall_needs_no_contact():
     scene = soft(50.0, 0.3)
     beyond = jv.strobe(scene, jv.State(1.1, 0.4))
@@ -133,7 +126,6 @@ def test_a_pressed_mass_stays_within_a_very_stiff_wall():
     assert abs((float(end.x) - 1.0) * (1.0 + 1e10) - 2.0) < 1e-2
 
 
-@pytest.mark.slow
 def test_periods_within_a_wall_are_all_flown():
     """A long step may end where a period does: the next is flown all the same."""
     stiffness, damping, amplitude, frequency = 1e6, 0.1, 0.3, 1.3
@@ -148,7 +140,6 @@ def test_periods_within_a_wall_are_all_flown():
     assert not impacts.status and abs((end.x + 1.0) - y) < 1e-15 and end.contact == Contact.WITHIN
 
 
-@pytest.mark.long
 def test_multipliers_of_orbits_are_those_of_the_product_and_of_autodiff(resonance):
     orbit, _ = resonance
     product = np.asarray(jv.monodromy(orbit.scene, orbit.state))
@@ -160,7 +151,6 @@ def test_multipliers_of_orbits_are_those_of_the_product_and_of_autodiff(resonanc
         assert min(abs(roots - one).min() for one in orbit.multipliers) < 1e-11
 
 
-@pytest.mark.long
 def test_a_branch_goes_through_the_grazings_of_soft_walls(resonance):
     _, branch = resonance
     meets = np.sqrt(np.roots([1.0, 4 * 0.05**2 - 2.0, 1.0 - 0.3**2]))  # A = sqrt(D), (8)
@@ -173,7 +163,6 @@ def test_a_branch_goes_through_the_grazings_of_soft_walls(resonance):
         assert abs(np.prod(point.multipliers).real - np.exp(-2 * 0.05 * 2 * np.pi / point.value)) < 1e-9
 
 
-@pytest.mark.long
 def test_a_period_doubling_just_before_a_grazing_is_found_and_no_fold_is_made_up():
     scene = soft(50.0, 1.0, amplitude=0.5, frequency=0.8511)
     orbit = jv.find_orbit(scene, jv.strobe(scene, jv.State(0.5, 0.3), periods=2000)[0])
@@ -185,7 +174,6 @@ def test_a_period_doubling_just_before_a_grazing_is_found_and_no_fold_is_made_up
     assert min(abs(point.multipliers + 1.0)) < 1e-7 and point.spot.speeds.min() < 2e-3
 
 
-@pytest.mark.long
 def test_a_touch_after_a_long_stay_is_where_the_branch_goes_on():
     # each stay takes a sixth of the period: a touch is counted from the end of the stay before it
     wall = jv.Wall(0.0144, stiffness=7.0, damping=0.05, motion=jv.Motion(0.2, 4.65))
@@ -200,7 +188,6 @@ def test_a_touch_after_a_long_stay_is_where_the_branch_goes_on():
         assert abs(end.x - orbit.state.x) < 1e-10 and impacts.count == orbit.impacts.count
 
 
-@pytest.mark.long
 def test_branches_from_either_side_of_a_grazing_are_one(resonance):
     _, branch = resonance
     scene = soft(frequency=0.7)
@@ -220,7 +207,6 @@ def test_where_a_contact_loses_its_speed_is_known():
     assert soft_wall_grazing.has_passed_zero_speed(along, zs).tolist() == [False, False, True, False]
 
 
-@pytest.mark.long
 def test_folds_and_doublings_close_to_a_grazing_are_told_from_it():
     walls = (jv.Wall(-1.2, stiffness=20.0, damping=0.3), jv.Wall(0.8, stiffness=50.0, damping=0.2))
     scene = jv.make_scene(amplitude=0.4, frequency=1.8, damping=0.1, restitution=0.7, walls=walls)
@@ -238,7 +224,6 @@ def test_folds_and_doublings_close_to_a_grazing_are_told_from_it():
         assert min(abs(roots - (1.0 if point.kind == "SN" else -1.0))) < 1e-6
 
 
-@pytest.mark.long
 def test_multipliers_change_like_the_root_of_the_distance_to_a_grazing(resonance):
     _, branch = resonance
     (point,) = [one for one in branch.points("GR") if one.value < 1.0]

@@ -32,7 +32,6 @@ def leaving(speed, dissipation):
     return -brentq(lambda w: integral(w) - integral(speed), -speed, -1e-9 * speed, xtol=1e-16, rtol=1e-15)
 
 
-@pytest.mark.slow
 def test_one_contact_without_other_forces():
     """Hertz: nothing is lost, the contact takes 2 depth / speed sqrt(pi) gamma(7/5) / gamma(9/10), depth = (5 speed^2 /
     (4 stiffness))^(2/5), and is deepest after half of that. Hunt and Crossley: what is lost."""
@@ -82,7 +81,6 @@ def as_spring(count, moving, seed=0):
     return exact, found, jv.State(rng.uniform(left, right), rng.normal(size=count), rng.uniform(0, 6, count))
 
 
-@pytest.mark.long
 def test_a_spring_as_a_force_between_soft_walls():
     exact, found, state = as_spring(120, False)
     (end, hits), (other, others) = (told(scene, state, slots=32) for scene in (exact, found))
@@ -125,7 +123,6 @@ def differences(scene, step=2e-4):
     return np.stack(columns, -1)
 
 
-@pytest.mark.long
 def test_derivatives_of_laws():
     scene = mixed()
     expected = differences(scene)
@@ -143,7 +140,6 @@ def test_derivatives_of_laws():
     assert (abs(matrix - found[:, :, :2]).max(axis=(1, 2)) / size).max() < 1e-11
 
 
-@pytest.mark.long
 def test_orbits_of_a_spring_between_soft_walls():
     walls = [(None, jv.Wall(1.0, stiffness=10.0, damping=damping)) for damping in (0.15, 0.1)]
     exact = jv.make_scene(1.5, 1.3, 0.05, 0.7, walls[0])
@@ -155,7 +151,6 @@ def test_orbits_of_a_spring_between_soft_walls():
     assert abs(orbit.multipliers - other.multipliers).max() < 1e-11
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("law", ["hertz", "hunt_crossley"])
 def test_laws_against_series_by_hand(law):
     ((seen, wrong, worst),) = soft_force_proof.compared(law, 25, (1e-12,), 30)

@@ -51,7 +51,6 @@ def apart(curves):
     return abs(first.values - second.values).max(), abs(np.subtract(*points)).max()
 
 
-@pytest.mark.slow
 def test_the_entry_itself_is_within_the_wall():
     """There the root of the depth has no slope in time."""
     speed = 0.7
@@ -71,7 +70,6 @@ def test_the_entry_itself_is_within_the_wall():
     assert value == pytest.approx([0.0, speed], abs=1e-15) and slope == pytest.approx([speed, pull], abs=1e-12)
 
 
-@pytest.mark.long
 def test_gradients_of_orbits_that_are_solved_for():
     """Backward: the loops of a stay go forward alone."""
     found = []
@@ -88,7 +86,6 @@ def test_gradients_of_orbits_that_are_solved_for():
     assert abs(found[0]).max() > 1.0 and abs(np.subtract(*found)).max() < 1e-12
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(
     "numbers, walls, count",
     [
@@ -109,7 +106,6 @@ def test_orbits_from_many_starts(numbers, walls, count):
     assert seen >= count - 1 and len(found) >= count - 1
 
 
-@pytest.mark.long
 def test_folds_and_grazings_their_loci_and_gradients():
     pairs = one()
     branches = [jv.follow(jv.find_orbit(scene, jv.State(0.0, 0.0)), "frequency", (0.8, 4.0)) for scene in pairs]
@@ -136,7 +132,6 @@ def test_folds_and_grazings_their_loci_and_gradients():
         assert apart(both)[1] < 1e-11
 
 
-@pytest.mark.long
 def test_symmetry_breaking_and_period_doubling():
     scenes = pair((2.0, 2.1), 0.05, (-1.0, 100.0, 0.5), (1.0, 100.0, 0.5))
     whole = [jv.follow(jv.find_orbit(scene, jv.State(0.9, -1.1)), "amplitude", (1.0, 9.0)) for scene in scenes]
@@ -153,7 +148,6 @@ def test_symmetry_breaking_and_period_doubling():
         assert steps < 1e-9 and ends < 1e-11
 
 
-@pytest.mark.long
 def test_second_derivatives_of_a_flight():
     found = []
     for scene in pair((2.0, 2.1), 0.05, (-1.0, 100.0, 0.5), (1.0, 100.0, 0.5)):
@@ -167,7 +161,6 @@ def test_second_derivatives_of_a_flight():
     assert abs(found[0]).max() > 0.5 and abs(np.subtract(*found)).max() < 1e-12
 
 
-@pytest.mark.long
 def test_a_fold_between_hertz_walls_in_many_digits():
     """Its orbit, frequency, multipliers and gradient."""
     law = jv.Push("hertz", {"stiffness": 40.0})

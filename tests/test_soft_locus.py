@@ -48,7 +48,6 @@ def by_branch(locus, place, aside, width=0.05):
     return min(abs(one.value - value) for one in found)
 
 
-@pytest.mark.slow
 def test_the_grazing_is_that_of_the_linear_response(branch):
     for graze in branch.points("GR"):
         locus = jv.locus(graze, PAIR, BOUNDS)
@@ -60,7 +59,6 @@ def test_the_grazing_is_that_of_the_linear_response(branch):
         assert np.allclose(square.values[:, 0], np.exp(-4.0 * np.pi * GAMMA / w), rtol=0, atol=1e-12)
 
 
-@pytest.mark.long
 def test_the_fold_is_the_reference_round_its_cusp(branch):
     first, second = (jv.locus(one, PAIR, BOUNDS) for one in branch.points("SN"))
     assert is_sound(first) and kinds(first) == kinds(second) == "EP CP EP"
@@ -108,7 +106,6 @@ def test_one_wall_rigid_and_one_soft(kind, names, high, aside):
         assert by_branch(locus, place, aside) < 1e-10
 
 
-@pytest.mark.long
 def test_one_soft_wall_from_stiffness_44_to_ten_thousand():
     scene = jv.make_scene(1.0, 2.0, GAMMA, 0.7, (None, soft(0.5, 50.0, 0.5)))
     fold = special(scene, "SN", "frequency", (0.8, 4.0), (0.0, 0.0))
@@ -121,7 +118,6 @@ def test_one_soft_wall_from_stiffness_44_to_ten_thousand():
     assert by_branch(locus, place, -0.01) < 1e-10
 
 
-@pytest.mark.long
 def test_symmetry_breaking_while_both_walls_get_harder():
     scene = jv.make_scene(2.0, 2.1, GAMMA, 0.7, (soft(-1.0, 100.0, 0.5), soft(1.0, 100.0, 0.5)))
     breaking = special(scene, "SB", "amplitude", (0.0, 6.0), (0.9, -1.1))
@@ -131,7 +127,6 @@ def test_symmetry_breaking_while_both_walls_get_harder():
         assert by_branch(locus, place, -0.02) < 1e-10
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("damping", [None, 0.3])  # smooth there; with a root
 def test_the_grazing_of_a_wall_that_moves(damping):
     wall = soft(1.0, 30.0, damping, motion=jv.Motion(0.1))

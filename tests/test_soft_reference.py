@@ -48,7 +48,6 @@ def test_contact_against_a_matrix_exponential(damping, side):
             assert abs(got[k] - expected[k, 0]) < 1e-60
 
 
-@pytest.mark.slow
 def test_strobe_against_plain_taylor_steps():
     seen = 0
     for seed, drawn, record in fair(range(150)):
@@ -59,7 +58,6 @@ def test_strobe_against_plain_taylor_steps():
     assert seen > 8
 
 
-@pytest.mark.slow
 def test_stiff_strobe_against_scipy():
     """Piece by piece between the reference's events: each piece keeps to its side and ends on the wall."""
     seen = 0
@@ -171,7 +169,6 @@ def test_energy_stays(stiffness):
             assert record.count > 3 and abs(energy(record.x, record.v) - energy(arb(x), arb(0.7))) < 1e-30
 
 
-@pytest.mark.slow
 def test_jacobian_against_differences():
     held, stiff = set(), 0
     for seed, (scene, x, v, phase), record in fair(range(900, 960)):

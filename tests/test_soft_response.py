@@ -45,14 +45,12 @@ def exact_fold(k2, amplitude, gamma, gamma2, near=None):
         return float(compliant.fold((amplitude, gamma, gamma2, k2), *map(mp.mpf, near or NEAR[k2])))
 
 
-@pytest.mark.slow
 def test_the_largest_x_without_impacts_is_the_closed_form(free):
     w = free.values
     assert jv.peaks(free) == pytest.approx(A / np.hypot(1 - w**2, 2 * GAMMA * w), rel=1e-13)
     assert jv.peak(free.orbit(3)) == pytest.approx(jv.peaks(free)[3], rel=1e-14)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("k2", NEAR)
 def test_the_largest_x_within_a_wall_is_the_reference(branches, k2):
     branch = branches[k2]
@@ -68,7 +66,6 @@ def test_the_largest_x_within_a_wall_is_the_reference(branches, k2):
         assert jv.peak(branch.orbit(place)) == pytest.approx(found[place], rel=1e-12)
 
 
-@pytest.mark.slow
 def test_the_largest_x_between_rigid_walls_is_theirs():
     walls = jv.make_scene(2.0, 2.1, 0.05, 0.7, (-1.5, 1.0))
     orbit = jv.find_orbit(walls, jv.State(0.9, -1.1))
@@ -76,7 +73,6 @@ def test_the_largest_x_between_rigid_walls_is_theirs():
     assert jv.peak(orbit) == pytest.approx(1.5, abs=1e-12) and seen <= 1.5
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("k2", NEAR)
 def test_folds_move_as_differences_of_the_reference_say(branches, k2):
     numbers, step = (A, GAMMA, GAMMA2), 1e-5
@@ -92,7 +88,6 @@ def by_hardness(decades):
     return exact_fold(k2, A, GAMMA, gamma2, NEAR[10])
 
 
-@pytest.mark.slow
 def test_a_fold_moves_with_the_hardness_as_differences_of_the_reference_say(branches):
     point, step = fold(branches[10]), 1e-5
     slope, by_amplitude = jv.sensitivity(point, ("hardness", "amplitude")).values
@@ -104,7 +99,6 @@ def test_a_fold_moves_with_the_hardness_as_differences_of_the_reference_say(bran
         jv.sensitivity(point, ("hardness", "left.stiffness"))
 
 
-@pytest.mark.slow
 def test_a_fold_along_the_hardness_moves_with_the_frequency(branches):
     near = branches[10].orbit(fold(branches[10]).place - 2)
     (point,) = jv.follow(near, "hardness", (0.8, 1.2), "backward", stop="SN").points("SN")
@@ -114,7 +108,6 @@ def test_a_fold_along_the_hardness_moves_with_the_frequency(branches):
     assert float(jv.sensitivity(point, ("frequency",))[0]) == pytest.approx(1.0 / slope, rel=1e-7)
 
 
-@pytest.mark.slow
 def test_a_grazing_moves_as_the_closed_form(free):
     (graze,) = free.points("GR")
     step = 1e-6
@@ -126,7 +119,6 @@ def test_a_grazing_moves_as_the_closed_form(free):
     assert share == 1.0 and point.value == pytest.approx(float(compliant.grazing(0.4, 0.05)), abs=1e-13)
 
 
-@pytest.mark.slow
 def test_figure_10_fitted_is_the_reference_to_ten_digits(branches, free):
     folds, (graze,) = [fold(one) for one in branches.values()], free.points("GR")
     both = special_point_fitting.fit_parameters(

@@ -198,7 +198,6 @@ def distances(orbit, other):
     return [abs(a - b).max() for a, b in zip(*pairs, strict=True)]
 
 
-@pytest.mark.slow
 def test_everything_tends_to_the_rigid_like_one_over_the_root_of_the_stiffness():
     """Issue table: slope of log distance to the rigid SN, k2 1e5 to 1e8, R held: -0.50 +- 0.01."""
     hard = jv.find_orbit(rigid(), START)
@@ -214,7 +213,6 @@ def test_everything_tends_to_the_rigid_like_one_over_the_root_of_the_stiffness()
     assert abs(slopes + 0.5).max() < 0.01 and abs(whole + 0.5).max() < 0.002
 
 
-@pytest.mark.slow
 def test_a_saddle_node_against_60_digits():
     soft = jv.find_orbit(jv.soften(rigid(), 1e6), START)
     with mp.workdps(60):
@@ -222,7 +220,6 @@ def test_a_saddle_node_against_60_digits():
     assert abs(edge(soft).value - true) < 1e-11
 
 
-@pytest.mark.slow
 def test_at_a_fixed_damping_the_limit_bounces_without_loss():
     orbits = []
     for value in HARDNESSES:
@@ -236,7 +233,6 @@ def test_at_a_fixed_damping_the_limit_bounces_without_loss():
     assert distances(soft, jv.find_orbit(rigid(), START))[2] > 0.3  # not that of R = 0.7
 
 
-@pytest.mark.slow
 def test_a_branch_along_the_hardness():
     soft = jv.find_orbit(jv.soften(rigid(), 1e6), START)
     branch = jv.follow(soft, "hardness", (3.0, 8.0))
@@ -250,7 +246,6 @@ def test_a_branch_along_the_hardness():
         jv.locus(edge(soft), ("hardness", "left.stiffness"), {"hardness": (5, 7), "left.stiffness": (1e5, 1e7)})
 
 
-@pytest.mark.long
 def test_a_strobe_has_derivatives_by_the_hardness():
     scene = jv.soften(rigid(), 1e3)
 

@@ -26,7 +26,6 @@ def pull(t, x, v, p):
     return -x - 0.1 * v
 
 
-@pytest.mark.long
 def test_the_reference_agrees_with_the_strobe():
     scene = jv.make_scene(2.0, 1.7, 0.1, 0.7, MIXED)
     walls = [Wall(-1, -0.9, None, 10.0, 0.2, 0.1, 2, 0.4), Wall(1, 1.0, 0.6)]
@@ -40,7 +39,6 @@ def test_the_reference_agrees_with_the_strobe():
     assert np.abs(true - np.asarray(jv.monodromy(scene, jv.State(x, v)))).max() < 1e-9
 
 
-@pytest.mark.long
 def test_exponents_of_chaos_against_another_method_and_their_sum():
     wall, other = CHAOTIC
     scene = jv.make_scene(1.0, 2.285, GAMMA, 0.7, (None, wall))
@@ -56,7 +54,6 @@ def test_exponents_of_chaos_against_another_method_and_their_sum():
     assert abs(found.exponent[0].sum() - total) < 1e-12
 
 
-@pytest.mark.long
 def test_exponents_of_an_orbit_between_a_soft_wall_and_a_rigid_one():
     scene = jv.make_scene(2.0, 2.1, 0.05, 0.7, MIXED)
     found = jv.spectrum(scene, "amplitude", [2.0], jv.State(0.5, -1.1))
@@ -68,7 +65,6 @@ def test_exponents_of_an_orbit_between_a_soft_wall_and_a_rigid_one():
     assert abs(found.exponent[0].sum() - total) < 1e-12
 
 
-@pytest.mark.long
 def test_sections_of_soft_walls_and_the_maps_between_their_points():
     """At a soft wall a point is an entry: the map leads from each to the next, through the stay."""
     scene = jv.make_scene(2.0, 2.1, 0.05, 0.7, MIXED)
@@ -109,7 +105,6 @@ def test_the_way_back_is_the_inverse(name):
     assert (error <= 1e-13 * np.maximum(1.0, stretch * np.maximum(1.0, abs(start.v)))).all()
 
 
-@pytest.mark.long
 def test_the_way_back_through_laws_of_contact():
     laws = jv.Push("hunt_crossley", {"stiffness": 30.0, "dissipation": 0.1}), jv.Push("hertz", {"stiffness": 20.0})
     walls = tuple(jv.Wall(place, law=law) for place, law in zip((-1.0, 1.0), laws, strict=True))
@@ -127,7 +122,6 @@ def test_a_soft_wall_that_takes_all_speed_has_no_way_back():
         require_reversible(scene)
 
 
-@pytest.mark.long
 def test_basins_and_their_boundary():
     """Labels against the reference, starts within walls among them; the boundary by bisection lies on the manifold."""
     scene = jv.make_scene(1.0, 1.6, 0.05, 0.7, TWO)
@@ -150,7 +144,6 @@ def test_basins_and_their_boundary():
     assert distance(curve, place[None])[0] < 1e-6
 
 
-@pytest.mark.long
 def test_manifolds_of_stiff_walls_are_those_of_rigid_ones():
     rigid = jv.make_scene(4.65, 2.1, 0.05, 0.7, (-1.0, 1.0))
     curves = []
@@ -163,7 +156,6 @@ def test_manifolds_of_stiff_walls_are_those_of_rigid_ones():
     assert distance(hard, z[free][::40]).max() < 5e-3
 
 
-@pytest.mark.long
 def test_a_branch_goes_on_where_contacts_split_and_join():
     scene, other = drawn(3)
     branch = branch_of(scene)

@@ -18,7 +18,6 @@ def orbit():
     return jv.find_orbit(scene, jv.State(0.3, -1.1, 0.7))
 
 
-@pytest.mark.long
 def test_they_are_the_orbits_that_are_found_alone(orbit):
     amplitudes = np.linspace(3.2, 3.52, 5)
     scenes = orbit.scene.replace(amplitude=amplitudes)
@@ -33,7 +32,6 @@ def test_they_are_the_orbits_that_are_found_alone(orbit):
     assert np.asarray(found.multipliers).prod(-1).real == pytest.approx(np.linalg.det(matrix), abs=1e-13)
 
 
-@pytest.mark.slow
 def test_derivatives_are_those_of_the_root(orbit):
     def size(scene):
         found = jv.solve_orbits(scene, orbit.state, orbit.itinerary)
@@ -47,7 +45,6 @@ def test_derivatives_are_those_of_the_root(orbit):
         assert float(gradient.parameter(name)) == pytest.approx(float(slope), abs=3e-10), name
 
 
-@pytest.mark.slow
 def test_without_impacts_it_is_the_linear_response():
     scene = jv.make_scene(np.linspace(1.0, 5.0, 9), 2.1, 0.05, 0.7, (-1.0, 1.0))
     found = jv.solve_orbits(scene, jv.State(0.0, 0.0), ("",))
@@ -58,7 +55,6 @@ def test_without_impacts_it_is_the_linear_response():
     assert np.asarray(slope(scene.amplitude)) == pytest.approx(np.full(9, response.real[0]))
 
 
-@pytest.mark.slow
 def test_statuses(orbit):
     scene, times, speeds = orbit.scene, orbit.impacts.time, orbit.impacts.speed
     behind = jv.solve_orbits(scene.replace(**{"right.position": np.array([0.8, 3.0])}), orbit.state, orbit.itinerary)
@@ -71,7 +67,6 @@ def test_statuses(orbit):
     assert jv.solve_orbits(scene, (times + orbit.state.phase / 1.9, speeds), orbit.itinerary).status == OK
 
 
-@pytest.mark.long
 def test_impacts_may_be_counted_from_any_of_them():
     scene, start = jv.make_scene(2.0, 2.1, 0.05, 0.7, (-1.0, 1.0)), jv.State(0.9, -1.1)
     state = jv.find_orbit(scene, start).state

@@ -54,7 +54,6 @@ def norm(scene):
     return np.linalg.norm(np.asarray(jv.monodromy(scene, STARTS)).reshape(COUNT, -1), axis=1)
 
 
-@pytest.mark.long
 def test_a_loop_is_flown_by_dopri8_as_the_exact_flow_of_its_spring_has_it():
     end, impacts = jv.strobe(scene(looped), STARTS)
     true, told = jv.strobe(linear(), STARTS)
@@ -161,7 +160,6 @@ def test_errors_of_a_motion_much_smaller_than_its_scene_are_relative_to_the_moti
 # ---- slow: every solver compiles for some seconds ----------------------------------------------------------------
 
 
-@pytest.mark.long
 def test_a_kink_is_flown_by_dopri8_as_the_exact_flow_of_a_soft_wall_has_it():
     force = scene(bilinear, {"damping": DAMPING, "stiffness": 3.0}, walls=(-1.0, None))
     soft = jv.Wall(0.4, stiffness=3.0, damping=DAMPING)
@@ -191,7 +189,6 @@ def test_each_solver_comes_to_where_taylor_steps_come(solver, tolerance):
     assert apart(given, taylor) < 20 * tolerance * 4.0
 
 
-@pytest.mark.long
 def test_derivatives_through_a_solver_are_those_of_taylor_steps():
     numbers = {"cubic": 0.5, "damping": DAMPING}
 
@@ -204,7 +201,6 @@ def test_derivatives_through_a_solver_are_those_of_taylor_steps():
     np.testing.assert_allclose(forward, found, rtol=0, atol=1e-12)
 
 
-@pytest.mark.long
 def test_kvaerno5_rests_and_flies_in_thick_oil_as_the_exact_flow_does():
     """Damping 500: boundary layers of 1e-3, and long stays on the walls, which take no more steps than the press."""
     thick = scene("duffing", {"cubic": 0.0, "damping": 500.0}, 1e-9, "Kvaerno5", amplitude=2000.0)
@@ -216,7 +212,6 @@ def test_kvaerno5_rests_and_flies_in_thick_oil_as_the_exact_flow_does():
     np.testing.assert_allclose(end.x, true.x, rtol=0, atol=20 * 1e-9 * 2000.0)
 
 
-@pytest.mark.long
 def test_a_table_of_a_line_is_the_spring_and_one_of_a_curve_what_scipy_makes_of_it():
     places = np.linspace(-1.5, 1.5, 7)
     line = {f"{letter}{k}": x for k, x in enumerate(places) for letter in "xf"} | {"damping": DAMPING}
@@ -255,7 +250,6 @@ def _by_scipy(pull, x, v):
         state, count = [state[0], -R * state[1]], count + 1
 
 
-@pytest.mark.long
 def test_a_force_that_is_lost_on_the_way_is_capped_and_ends():
     def hole(t, x, v, p):
         return jnp.where(x > 0.9999, jnp.nan, -x)

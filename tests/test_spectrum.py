@@ -44,7 +44,6 @@ def test_orbits_have_the_logarithms_of_their_multipliers():
     assert found.error.max() < 1e-12 and (found.status == 0).all()
 
 
-@pytest.mark.long
 def test_longer_orbits():
     """P112 and what it has become after doubling, against the product of the strobe's derivatives."""
     values = [4.8, 5.2]
@@ -58,7 +57,6 @@ def test_longer_orbits():
         assert abs(rates[0] - np.log(abs(pair)).max() / n) < 1e-6
 
 
-@pytest.mark.slow
 def test_the_sum_is_what_impacts_and_damping_leave():
     walls = (jv.Wall(-1.0, restitution=0.7), jv.Wall(1.0, restitution=0.72))
     found = jv.spectrum(scene(walls=walls), "amplitude", [2.0, 8.0, 10.0], START, error=0.02, most=1)
@@ -77,7 +75,6 @@ def test_a_wall_that_takes_all_speed():
     assert (found.status == 0).all() and (found.impacts == 2).all() and found.error.max() < 1e-12
 
 
-@pytest.mark.slow
 def test_without_losses_the_exponents_are_opposite():
     """At these amplitudes there is no chaos from this start: a shear alone, which the error allows for."""
     lossless = scene(1.0, damping=0.0)
@@ -86,7 +83,6 @@ def test_without_losses_the_exponents_are_opposite():
     assert (abs(found.exponent[:2, 0]) < 3 * found.error[:2, 0]).all() and found.exponent[2, 0] > 0.3
 
 
-@pytest.mark.slow
 def test_a_mass_that_rests_forgets_all():
     chatter = jv.make_scene(0.3, 0.5, 0.1, 0.6, (None, -1.0))
     found = jv.spectrum(chatter, "amplitude", [0.3, 0.2], jv.State(-1.2, 0.3))
@@ -94,7 +90,6 @@ def test_a_mass_that_rests_forgets_all():
     assert (found.rests == 0).all() and np.isnan(found.between).all()  # pressed on all the time
 
 
-@pytest.mark.slow
 def test_the_rests_of_a_period_and_the_growth_between_them_are_told():
     """Against the moment of rest by brute force (test_rest)."""
     hopping = jv.make_scene(1.5, 0.5, 0.1, 0.6, (None, -1.0))
@@ -114,7 +109,6 @@ def test_no_wall_any_damping():
     assert abs(found.exponent - true)[1:].max() < 1e-10 and (found.impacts == 0).all()
 
 
-@pytest.mark.long
 def test_walls_shaken_together_are_another_drive():
     """z = x - x_b feels A - B (1 - omega^2 + 2 i gamma omega) in place of A."""
     swing = 0.2
@@ -135,7 +129,6 @@ def many():
     return jv.spectrum(scene(), "amplitude", np.full(24, 10.0), starts, error=1.0, most=30_000)
 
 
-@pytest.mark.slow
 def test_error_bars_are_honest(many):
     for k in range(2):
         rates, errors = many.exponent[:, k].values, many.error[:, k].values
@@ -144,7 +137,6 @@ def test_error_bars_are_honest(many):
         assert errors.max() < 2 * errors.min()
 
 
-@pytest.mark.slow
 def test_it_stops_by_its_errors_or_by_most(many):
     coarse = jv.spectrum(scene(), "amplitude", [10.0], START, error=8e-3)
     fine = jv.spectrum(scene(), "amplitude", [10.0], START, error=4e-3, most=2**20)
@@ -157,7 +149,6 @@ def test_it_stops_by_its_errors_or_by_most(many):
     assert many.periods.max() == 0
 
 
-@pytest.mark.slow
 def test_values_do_not_see_each_other():
     done = []
     both = jv.spectrum(scene(), "amplitude", [10.0, 2.0], START, error=0.05, most=1, progress=done.append)
@@ -180,7 +171,6 @@ def test_what_settles_while_it_is_averaged_is_an_orbit(monkeypatch):
     assert (found.periods == 1).all() and abs(found.exponent - patient.exponent).max() < 1e-9
 
 
-@pytest.mark.slow
 def test_a_motion_without_end_has_no_exponents():
     narrow = scene(amplitude=0.0, damping=0.0, walls=(-0.01, 0.01))
     found = jv.spectrum(narrow, "restitution", [1.0], jv.State(0.0, 10.0), settle=1)
@@ -268,7 +258,6 @@ def test_a_picture_of_both_exponents():
     assert not doubtful.patches
 
 
-@pytest.mark.long
 def test_against_another_method():
     values = np.array([5.0, 5.95, 8.0, 9.5])
     found = jv.spectrum(scene(), "amplitude", values, START, error=3e-3)

@@ -45,7 +45,6 @@ def test_a_lane_that_is_given_up_has_no_state(kind, periods):
     assert (status < Status.CAP).sum() > 200
 
 
-@pytest.mark.long
 def test_what_runs_lanes_on_keeps_the_status_of_those_that_are_given_up():
     scene, start, status = capped((FIXED, MOVING), 256, 1)
     free = jv.State(start.x, start.v, start.phase, np.zeros(256))
@@ -87,7 +86,6 @@ def test_a_slow_start_on_a_wall_goes_as_one_without_speed(kind):
     assert far[status < Status.CAP].max() < 1e-6
 
 
-@pytest.mark.slow
 def test_a_start_that_is_tiny_beside_the_scene_ends_with_a_state():
     # one wall at 0 and no drive: what is left of the motion falls below all that can be squared
     scene = jv.make_scene(0.0, 1.0, 0.1, 0.5, (0.0, 1.0))

@@ -51,7 +51,6 @@ def same(one, other):
     return all(np.array_equal(np.asarray(a), np.asarray(b), equal_nan=True) for a, b in pairs)
 
 
-@pytest.mark.long
 def test_random_scenes_against_ball_arithmetic():
     rows, _ = strobe_errors(600, seed=50_000)
     error, right, times, speeds, clearance, count = rows.T
@@ -134,14 +133,12 @@ def test_one_impact_orbits_come_back():
     assert abs(end.v - float(v)) < 1e-13
 
 
-@pytest.mark.slow
 def test_a_batch_of_one_is_its_lane_bit_for_bit(lanes):
     scene, start, end, impacts, run = lanes
     for k in (0, 63, 64, 129):
         assert same(run(at(scene, k), at(start, k)), at((end, impacts), k))
 
 
-@pytest.mark.slow
 def test_chunks_are_the_whole_and_a_bad_lane_harms_no_other(lanes):
     scene, start, end, impacts, run = lanes
     part = jax.tree.map(lambda leaf: leaf[:70] if jnp.ndim(leaf) else leaf, (scene, start, end, impacts))
@@ -157,7 +154,6 @@ def test_chunks_are_the_whole_and_a_bad_lane_harms_no_other(lanes):
     )
 
 
-@pytest.mark.long
 def test_scalar_and_vmapped_calls_agree_with_the_batch(lanes):
     scene, start, end, impacts, run = lanes
     mapped = jax.jit(jax.vmap(lambda a, s: run(scene.replace(amplitude=a), s)))
@@ -170,7 +166,6 @@ def test_scalar_and_vmapped_calls_agree_with_the_batch(lanes):
     assert abs(one.v - end.v[5]) < 1e-11
 
 
-@pytest.mark.long
 def test_scaling_by_a_power_of_two_changes_no_digit(lanes):
     scene, start, end, impacts, run = lanes
     for power in (-30, 7):
@@ -180,7 +175,6 @@ def test_scaling_by_a_power_of_two_changes_no_digit(lanes):
         assert same((grown.x / k, grown.v / k, told.time, told.side), (end.x, end.v, impacts.time, impacts.side))
 
 
-@pytest.mark.slow
 def test_mirror_image_with_half_a_period(lanes):
     scene, start, end, impacts, run = lanes
     image, told = run(scene, jv.State(-start.x, -start.v, jnp.pi))
@@ -237,7 +231,6 @@ def test_sticks_through_the_end_of_a_period():
     assert again.contact == 2
 
 
-@pytest.mark.long
 def test_two_periods_are_one_after_the_other(lanes):
     scene, start, end, impacts, run = lanes
     twice, told = run(scene, start, periods=2)
@@ -275,7 +268,6 @@ def test_complete_chatter_ends_at_rest():
     assert (more.status, more.count) == (1, impacts.count)
 
 
-@pytest.mark.slow
 def test_in_a_narrow_gap_a_mass_is_thrown_from_wall_to_wall_and_comes_to_rest_where_it_is_pressed():
     """What the force does to a flight across the gap is at most its work, 7 times the gap."""
     rng = np.random.default_rng(5)
@@ -347,7 +339,6 @@ def test_a_clearance_is_asked_for_by_true_or_false(scene):
         jv.strobe(scene, jv.State(0.0, 0.0), clearance=1)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("slots", [0, 4])
 def test_what_is_not_recorded_changes_nothing_else(lanes, slots):
     many, start, end, impacts, _ = lanes
@@ -361,7 +352,6 @@ def test_what_is_not_recorded_changes_nothing_else(lanes, slots):
     np.testing.assert_array_equal(told.status, impacts.count > slots)  # FULL is 1
 
 
-@pytest.mark.long
 def test_clearances_of_a_users_own_vmap_and_beside_derivatives(lanes):
     many, start, *_ = lanes
     base, expected = many.replace(amplitude=1.0), measured(many, start)[1].least_clearance

@@ -13,7 +13,6 @@ def scene():
     return jv.make_scene(4.65, 2.1, 0.05, 0.7, (jv.Wall(-1.0), jv.Wall(1.0)))
 
 
-@pytest.mark.long
 def test_basins(tmp_path, monkeypatch):
     monkeypatch.setattr("jaxvibro.attractors.basins.STARTS_PER_CHUNK", 200)
     here = scene().replace(amplitude=5.0)  # chaos, whose sample is kept too
@@ -33,7 +32,6 @@ def test_basins(tmp_path, monkeypatch):
         jv.basins(here, *axes, 0.4, known[:1], store=jv.Store(tmp_path / "basins"))
 
 
-@pytest.mark.slow
 def test_spectrum(tmp_path):
     values, asked = np.linspace(4.0, 5.0, 5), {"error": 0.05, "most": 2**12}
     plain = jv.spectrum(scene(), "amplitude", values, REST, **asked)
@@ -47,7 +45,6 @@ def test_spectrum(tmp_path):
         jv.spectrum(scene(), "amplitude", values, jv.State(0.1, 0.0), **asked, store=jv.Store(tmp_path / "spectrum"))
 
 
-@pytest.mark.long
 def test_sweep(tmp_path):
     values, state = np.linspace(2.0, 4.0, 5), jv.State(np.linspace(-0.5, 0.5, 66).reshape(2, 33), 0.0)
     seen = []

@@ -45,7 +45,6 @@ def test_hysteresis_of_two_legs(legs):
     assert abs(legs.x[:, 0].values - forced(LEGS[:, 0], 2.1, 0.05)[0][:, None]).min() > 0.1
 
 
-@pytest.mark.slow
 def test_chunks_equal_the_whole(legs):
     done = []
     parts = jv.sweep(scene(), "amplitude", LEGS, STARTS, settle=300, keep=8, chunk=5, progress=done.append)

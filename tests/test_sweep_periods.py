@@ -3,7 +3,6 @@
 from types import SimpleNamespace
 
 import numpy as np
-import pytest
 
 import jaxvibro as jv
 from jaxvibro.studies import sweep_report
@@ -29,7 +28,6 @@ def growth(scene, state, periods=300, apart=1e-8):
     return np.mean(rates)
 
 
-@pytest.mark.slow
 def test_chaos_and_transients_are_told_apart():
     """Between walls at 1 chaos at 6; a linear response that decays like exp(-.015 t) has not settled after 100 periods,
     and has after 400."""

@@ -26,7 +26,6 @@ def test_random_scenes_end_as_by_full_steps(kind, make, most):
     assert found.given_up < most * MOST  # so that there is something to compare
 
 
-@pytest.mark.long
 def test_what_turns_back_near_a_wall_is_given_up():
     scene, start = grazing(np.random.default_rng(6), MOST)
     found = compared(scene, start)
@@ -46,14 +45,12 @@ def test_masses_that_hop_and_rest_end_as_by_full_steps():
     assert after[~given_up & (impacts.count > 0)].min() > 2e-3  # a slower impact is not theirs to decide
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("kind", (RIGID[1], RIGID[4]))
 def test_no_bit_depends_on_the_batch(kind):
     wrong, given_up = bits(np.random.default_rng(8), 400, kind)
     assert wrong == [] and given_up > 0
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(
     "count",
     [two_tier_strobe.BLOCKS_PER_STRIP * BLOCK_WIDTH + 1, 2 * two_tier_strobe.BLOCKS_PER_STRIP * BLOCK_WIDTH - 30],
@@ -66,7 +63,6 @@ def test_lanes_in_strips_are_those_in_blocks(count):
         assert same(lean(*at((scene, start), lanes)), at(whole, lanes))
 
 
-@pytest.mark.long
 def test_turning_points_are_those_of_a_motion_sampled_densely():
     """Of walls that move, and of one that does beside one that stands still; full steps lose some of these."""
     for kind in ((False, 2), (False, 3)), ((False, 0), (False, 1)):
@@ -120,7 +116,6 @@ def test_a_few_lanes_strobed_from_the_host_are_those_of_the_compiled_run(scene, 
     assert (found[0].status == (1 if scene.left is not None and scene.frequency < 1 else 0)).all()
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("place", ["anywhere", "middle"])
 def test_a_start_without_speed_goes_as_its_mirror_image(place):
     """Full steps aim at one of two walls: of the mirror image at the other one."""

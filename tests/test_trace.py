@@ -127,7 +127,6 @@ def test_a_step_that_turns_too_far_is_refused():
     assert len(found.u) > 10 and abs(np.diff(angle)).max() < arclength.MAX_ANGLE
 
 
-@pytest.mark.slow
 def test_every_fold_of_many_is_seen_once_and_monitors_and_stops():
     found = co.trace(
         WAVE, [0.0], {"p": 0.0}, "p", (-3.0, 3.0), monitors={"far": lambda u, p, args: u[0] - 10.0}, stop=["far"]
@@ -318,7 +317,6 @@ def test_hopf_points_and_their_curve():
     assert close(curve.p["b"], 1 + curve.p["a"] ** 2, 1e-11)
 
 
-@pytest.mark.slow
 def test_bogdanov_takens_and_double_hopf_points_of_lorenz_84():
     found = co.trace(co.equilibria(lorenz84), [1.0, 0.0, 0.0, 0.0], {"F": 1.0, "T": 0.04}, "F", (0.5, 4.0))
     curve = co.curve(found.points("HB")[0], ("F", "T"), {"F": (0.0, 4.0), "T": (-0.5, 0.5)}, largest_step=0.05)
@@ -340,7 +338,6 @@ def test_henon_to_period_sixteen():
         (found,) = co.switch(doubling, stop=["PD"])
 
 
-@pytest.mark.long
 def test_bratu():
     found = co.trace(co.equilibria(bratu), np.zeros(99), {"p": 0.0}, "p", (-0.1, 4.0), stop=["SN"], largest_step=2.0)
     assert close(found.points("SN")[0].p["p"], 3.51364790397, 1e-10)
@@ -392,7 +389,6 @@ def test_nothing_is_followed_within_jit():
         jax.jit(lambda at: co.trace(PARABOLA, [1.0], {"p": at}, "p", (-5.0, 3.0)).u)(1.0)
 
 
-@pytest.mark.slow
 def test_a_table_has_a_norm_and_no_more_than_some_numbers():
     def many(u, p, args):
         return jnp.concatenate([p["p"] - u[:1] ** 2, u[1:] - 2.0])

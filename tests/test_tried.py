@@ -88,7 +88,6 @@ def test_stable_p100_is_listed_whatever_the_starts_say():
     assert abs(end.x - one.state.x) < 1e-14
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("amplitude", [4.65, 5.0, 5.6])
 def test_mirror_images_are_there_from_one_start(amplitude):
     scene = jv.make_scene(amplitude, 2.1, 0.05, 0.7, (-1.0, 1.0))

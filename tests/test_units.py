@@ -167,7 +167,6 @@ def test_why_a_branch_ends_is_told_in_another_unit():
         assert ("6" in rescale_reason_text(reason, 3.0)) == ("2" in reason)
 
 
-@pytest.mark.slow
 def test_the_work_rate_is_what_drive_and_damper_leave(followed):
     """Over a period the drive's work is what the damper and the impacts take."""
     branch, frame = followed[1], followed[1].to_frame()
@@ -295,7 +294,6 @@ def test_datasets_and_pictures_in_physical_units(followed):
     assert swept["frequency"].attrs["units"] == "Hz" and swept["x"].attrs["units"] == "mm"
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(5))
 def test_a_rig_in_si_is_as_scipy_has_it(seed):
     """M X'' + C X' + K X = F cos(Omega T) between walls, in SI throughout, by events that end each flight."""
@@ -336,7 +334,6 @@ def test_a_rig_in_si_is_as_scipy_has_it(seed):
     assert float(trace["time"][-1]) == pytest.approx(end, rel=1e-14)
 
 
-@pytest.mark.slow
 def test_a_run_writes_tables_for_spreadsheets(tmp_path):
     jv.save_scene(rig(frequency_hz=81.88), tmp_path / "rig.toml")
     asked = """

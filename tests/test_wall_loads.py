@@ -107,7 +107,6 @@ def linear(depth, rate, p):
     return p["k"] * depth + 2.0 * p["c"] * rate
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["one", "soft and rigid", "two, one at 0 and moving", "law"])
 def test_beside_a_force_they_are_those_of_the_spring_that_it_equals(kind):
     """Those of the spring are SciPy's. Beside a force a wall adds 2 gamma2 x', beside the spring 2 (gamma2 - gamma) x':
@@ -133,7 +132,6 @@ def test_beside_a_force_they_are_those_of_the_spring_that_it_equals(kind):
         np.testing.assert_allclose(found[name], true[name], rtol=1e-9, atol=1e-12)
 
 
-@pytest.mark.slow
 def test_a_ball_on_a_soft_ground_beside_a_force_in_closed_form():
     """No drive: it falls from 0 with -3 under x'' = -x onto a wall at -2, k 100 and gamma2 2.5."""
     wall = jv.Wall(-2.0, stiffness=100.0, damping=2.5)
@@ -175,7 +173,6 @@ def test_lanes_are_single_runs_and_units_are_told():
     np.testing.assert_allclose(physical["work_rate"], watts * own["work_rate"], rtol=1e-14)
 
 
-@pytest.mark.slow
 def test_a_branch_s_work_rate_is_the_same_by_its_data():
     orbit = jv.find_orbit(jv.make_scene(4.65, 2.1, 0.05, 0.7, (-1.0, 1.0)), jv.State(0.9, -1.1))
     branch = jv.follow(orbit, "amplitude", (4.0, 5.0))
@@ -187,7 +184,6 @@ def test_a_branch_s_work_rate_is_the_same_by_its_data():
     np.testing.assert_allclose(found["largest_speed"].max("wall")[sure], told["largest_speed"][sure], rtol=1e-8)
 
 
-@pytest.mark.slow
 def test_a_mass_that_comes_to_rest_leaves_all_its_energy():
     """Without a drive between still walls: what is lost is the energy at the start, less that of the pressed spring."""
     scene = jv.make_scene(0.0, 1.0, 0.0, 0.4, (0.5, None))
@@ -202,7 +198,6 @@ def test_what_cannot_be_is_refused():
     assert jv.wall_loads(jv.make_scene(1.0, 1.0, 0.1, 0.5, (None, None)), START)["status"] == 0
 
 
-@pytest.mark.slow
 def test_of_a_sweep_they_keep_its_dimensions():
     scene = jv.make_scene(2.0, 2.1, 0.05, 0.7, (-1.0, 1.0))
     swept = jv.sweep(scene, "amplitude", [1.5, 2.5, 3.5], jv.State(0.9, -1.1), settle=20, keep=2)

@@ -92,7 +92,6 @@ def fresh(*words, **environment):
     return done.stdout
 
 
-@pytest.mark.long
 def test_a_later_process_traces_nothing(tmp_path):
     told = fresh("-m", "jaxvibro", "warm", XDG_CACHE_HOME=str(tmp_path)).splitlines()
     assert [line.split()[0] for line in told[:4]] == ["strobe", "find_orbit", "follow", "switch"]

@@ -1,7 +1,6 @@
 """Chaos that a short look leaves undecided: weighed by the spectrum's estimator, and told from what is regular."""
 
 import numpy as np
-import pytest
 
 import jaxvibro as jv
 from jaxvibro.attractors import classify_attractors
@@ -26,7 +25,6 @@ def test_weak_chaos_is_an_attractor():
     assert abs(weak.exponent - 0.0633) < 0.01 and weak.share > 0.3
 
 
-@pytest.mark.slow
 def test_where_the_first_look_decides_nothing_the_estimator_does(monkeypatch):
     """Two chaotic attractors, mirror images, and two orbits: the same starts on each as with the first look."""
     given = scene(5.0, left=-1.0)
@@ -55,28 +53,24 @@ def test_what_is_regular_is_not_taken_for_chaos():
     assert rate == -np.inf and "not positive beyond doubt" in why
 
 
-@pytest.mark.long
 def test_a_mass_that_rests_is_not_chaotic():
     """It comes back exactly after 89 periods; trajectories beside it rest at other times, and so part."""
     found = jv.find_attractors(drawn("two", 129), starts=24, seed=129)
     assert [one.kind for one in found] == ["unresolved"] and "sticks to a wall" in found[0].note
 
 
-@pytest.mark.long
 def test_an_orbit_that_stretches_rounding_is_one():
     """Each start comes back to within 2e-9 after 21 periods, not nearer."""
     (one,) = jv.find_attractors(drawn("two", 152), starts=24, seed=152)
     assert (one.label, one.rests, one.share) == ("P21-21-inf", True, 1.0)
 
 
-@pytest.mark.slow
 def test_chaos_that_ends_is_not_chaotic():
     """Half of what is not on P100 by 300 periods comes to it in each 2,000 that follow."""
     (one,) = jv.find_attractors(drawn("one", 35), starts=64, seed=35)
     assert (one.label, one.share) == ("P100", 1.0)
 
 
-@pytest.mark.long
 def test_the_exponent_is_that_of_another_method():
     """At amplitudes where chaos is weak, from starts near the attractor's state."""
     seen = 0

@@ -1,7 +1,7 @@
 """Which tests run when, and of how many draws: the table `tests/tiers.toml`, and decorators of properties.
 
-A property is a test that holds for random scenes of each kind (`tests/kinds.py`). Draws are reproducible. A failing draw
-is written to `tests/examples.json`; commit it with the correction, and it is tried first from then on.
+A property is a test that holds for random scenes of each kind (`tests/kinds.py`). Draws are reproducible. A failing
+draw is written to `tests/examples.json`; commit it with the correction, and it is tried first from then on.
 """
 
 import json
@@ -30,9 +30,13 @@ class Draws:
     kind: str
     numbers: tuple[int, int, int]
 
-    def number(self, tier):
-        """Return the number of draws in a tier."""
-        return self.numbers[TIERS.index(tier)]
+    def in_tier(self, tier):
+        """Return the number of draws in a tier, 0 if it adds none to the tier before; None: the first that draws."""
+        if tier is None:
+            return next(number for number in self.numbers if number)
+        place = TIERS.index(tier)
+        before = self.numbers[place - 1] if place else 0
+        return self.numbers[place] if self.numbers[place] > before else 0
 
 
 @cache
@@ -42,24 +46,28 @@ def table():
 
 
 @cache
-def draws_of(folder, name):
-    """Return the Draws of a property, one for each of its kinds."""
+def draws_of(folder, name, names=tuple(KINDS)):
+    """Return the Draws of a property, one for each of its kinds; names: of all kinds there are."""
     try:
         row = table()[folder][name]
     except KeyError:
         raise KeyError(f"tests/tiers.toml must have a row [{folder}.{name}]") from None
-    rows = {kind: row["draws"] for kind in row.get("kinds", KINDS)} | row.get("of", {})
-    if unknown := rows.keys() - KINDS:
+    rows = dict.fromkeys(row.get("kinds", names), row["draws"]) | row.get("of", {})
+    if unknown := rows.keys() - set(names):
         raise KeyError(f"tests/tiers.toml: [{folder}.{name}] names unknown kinds {sorted(unknown)}")
     return [Draws(folder, name, kind, tuple(numbers)) for kind, numbers in rows.items()]
 
 
-def tier_of(nodeid):
-    """Return the tier of a test that is no property: the first in which it runs."""
-    for tier in ("release", "ci"):
-        if any(nodeid.startswith(prefix) for prefix in table()["tests"][tier]):
-            return tier
-    return "push"
+def tier_of(module, name):
+    """Return the first tier in which a test that is no property runs; name: with its parameters in brackets."""
+    row = table()["tests"].get(module, {})
+    listed = [tier for tier in ("ci", "release") if {name, name.partition("[")[0]} & set(row.get(tier, ()))]
+    return listed[0] if listed else "push"
+
+
+def kinds_of(check):
+    """Return the kinds of a property: those of its module if it defines some of its own, else those of scenes."""
+    return check.__globals__.get("OWN_KINDS", KINDS)
 
 
 def examples_of(name, kind):
@@ -81,6 +89,8 @@ def keep_example(name, kind, draw):
 def of_batches(check):
     """Make a property of check(kind, scene, state): hypothesis draws batches, and shrinks one that fails."""
 
+    kinds = kinds_of(check)
+
     @wraps(check)
     def test(kind, draws):
         name, last = check.__name__, []
@@ -89,7 +99,7 @@ def of_batches(check):
         @given(rows=ROWS)
         def holds(rows):
             last[:] = [rows]
-            check(KINDS[kind], *KINDS[kind].batch(rows))
+            check(kinds[kind], *kinds[kind].batch(rows))
 
         for rows in examples_of(name, kind):
             holds = example(rows=[tuple(row) for row in rows])(holds)
@@ -99,24 +109,26 @@ def of_batches(check):
             keep_example(name, kind, [list(row) for row in last[0]])
             raise
 
-    return _as_property(test)
+    return _as_property(test, kinds)
 
 
 def of_numbers(check):
     """Make a property of check(kind, number): the draws are numbered from 0, which suits expensive ones."""
+
+    kinds = kinds_of(check)
 
     @wraps(check)
     def test(kind, draws):
         name = check.__name__
         for number in sorted({*examples_of(name, kind), *range(first_draw(), first_draw() + draws)}):
             try:
-                check(KINDS[kind], number)
+                check(kinds[kind], number)
             except Exception as error:
                 keep_example(name, kind, number)
                 error.add_note(f"draw {number} of {name}[{kind}]")
                 raise
 
-    return _as_property(test)
+    return _as_property(test, kinds)
 
 
 def first_draw():
@@ -124,13 +136,13 @@ def first_draw():
     return int(os.environ.get("FIRST_DRAW", "0"))
 
 
-def _as_property(test):
+def _as_property(test, kinds):
     """Give a property the arguments that pytest fills in."""
     del test.__wrapped__
-    test.is_property = True
+    test.is_property, test.kinds = True, kinds
     return test
 
 
-def seed_of(kind, number):
+def generator(kind, number):
     """Return a random generator of a draw."""
-    return np.random.default_rng([20, sorted(KINDS).index(kind.name), number])
+    return np.random.default_rng([20, *kind.name.encode(), number])

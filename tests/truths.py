@@ -45,7 +45,9 @@ def plain(scene):
     def wall(given):
         if given is None:
             return None
-        motion = given.motion and Motion(float(given.motion.amplitude), float(given.motion.phase), given.motion.harmonic)
+        motion = given.motion and Motion(
+            float(given.motion.amplitude), float(given.motion.phase), given.motion.harmonic
+        )
         if given.soft:
             return Soft(float(given.position), float(given.stiffness), float(given.damping), motion)
         bounce = scene.restitution if given.restitution is None else given.restitution
@@ -99,7 +101,9 @@ def series(scene, x, v, phase, periods=1):
         walls.append(wall and (wall.position if wall.motion is None else (wall.position, *wall.motion)))
         bounces.append(wall.restitution if wall else 0.0)
     numbers = {name: float(value) for name, value in scene.force.numbers.items()}
-    fly = partial(own_force.flown, FORCES[scene.force.function.__name__], numbers, given.amplitude, given.omega, tuple(walls))
+    fly = partial(
+        own_force.flown, FORCES[scene.force.function.__name__], numbers, given.amplitude, given.omega, tuple(walls)
+    )
     fly = partial(fly, tuple(bounces), phase=phase, periods=periods, most=60)
     with mpmath.workdps(DIGITS):
         try:

@@ -48,15 +48,17 @@ def test_reference(kind, number):
             continue
         assert impacts.count[lane] == len(truth.sides)
         assert [side for side in impacts.side[lane] if side] == list(truth.sides[:SLOTS])
-        for time, speed, true_time, true_speed in zip(impacts.time[lane], impacts.speed[lane], truth.times, truth.speeds, strict=False):
+        for time, speed, true_time, true_speed in zip(
+            impacts.time[lane], impacts.speed[lane], truth.times, truth.speeds, strict=False
+        ):
             assert abs(float(true_speed - float(speed))) < bound
             assert abs(float(true_time - float(time))) * float(true_speed) < 10.0 * bound
         if truth.least_clearance is not None:
             expected = truth.least_clearance
             assert impacts.least_clearance[lane] == expected or abs(impacts.least_clearance[lane] - expected) < bound
-        assert abs(matrices[lane] - truth.matrix).max() < max(bound, 1e-8 * bound / kind.tolerance * (not kind.exact)) * (
-            1.0 + abs(truth.matrix).max()
-        )
+        assert abs(matrices[lane] - truth.matrix).max() < max(
+            bound, 1e-8 * bound / kind.tolerance * (not kind.exact)
+        ) * (1.0 + abs(truth.matrix).max())
     assert compared >= 1
 
 
@@ -86,7 +88,9 @@ def test_splitting(kind, scene, state):
 @of_batches
 def test_scaling(kind, scene, state):
     """Lengths times a power of two give the same bits times it, and the same times and codes."""
-    grown = rebuild(scene, lambda wall: move(wall, FACTORS * wall.position, lambda b, *rest: (FACTORS * b, *rest)), sign=FACTORS)
+    grown = rebuild(
+        scene, lambda wall: move(wall, FACTORS * wall.position, lambda b, *rest: (FACTORS * b, *rest)), sign=FACTORS
+    )
     end, impacts = strobe(scene, state)
     large, others = strobe(grown, replace(state, x=FACTORS * state.x, v=FACTORS * state.v))
     assert_same((large.x, FACTORS * end.x), (large.v, FACTORS * end.v), (large.contact, end.contact))

@@ -1,7 +1,7 @@
 """Soft walls with laws of their own beside forces that are no spring: series by hand, in digits as many as one likes.
 
-x'' = f(t, x, v) + A cos(omega t + phase) between two walls that stand still, less the push of a wall beyond it. Within a wall
-the series are in s, depth = e^2 and dt = 2 e ds, in which k depth^1.5 is k e^3.
+x'' = f(t, x, v) + A cos(omega t + phase) between two walls that stand still, less the push of a wall beyond it. Within
+a wall the series are in s, depth = e^2 and dt = 2 e ds, in which k depth^1.5 is k e^3.
 """
 
 from mpmath import mp, mpf

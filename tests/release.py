@@ -1,0 +1,106 @@
+"""What a release adds to CI: `python -m tests.release FOLDER [WORDS ...]` runs it and writes a table.
+
+Each property of each kind, and the release tests of each file, run in a process of their own with the draws of
+`tests/tiers.toml`. Results are kept in FOLDER by commit, one line each: a later call goes on with what is missing or
+has failed. WORDS select the jobs whose names contain one of them.
+"""
+
+import json
+import os
+import re
+import subprocess
+import sys
+import time
+from collections import defaultdict
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+from . import tiers
+
+ROOT = Path(__file__).parents[1]
+WORKERS = 2
+COLLECTED = re.compile(r"^(tests/[\w/]+\.py)::(\w+)(\[.*\])?$", re.MULTILINE)
+
+
+def commit():
+    """Return the commit of the sources, marked if they have changed since."""
+
+    def git(*arguments):
+        return subprocess.run(["git", *arguments], cwd=ROOT, capture_output=True, text=True, check=True).stdout.strip()
+
+    return git("rev-parse", "--short=12", "HEAD") + ("-changed" if git("status", "--porcelain") else "")
+
+
+def jobs():
+    """Return {name: (arguments of pytest, draws)} of what the release adds."""
+    command = [sys.executable, "-m", "pytest", "-q", "--collect-only", "--tier", "release", "tests"]
+    listed = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False).stdout
+    found, others = {}, defaultdict(list)
+    for file, name, case in COLLECTED.findall(listed):
+        node = f"{file}::{name}{case}"
+        if "/properties/" in file and name.removeprefix("test_") in tiers.table().get(Path(file).stem[5:], {}):
+            folder, kind = Path(file).stem.removeprefix("test_"), case.strip("[]")
+            numbers = tiers.table()[folder][name.removeprefix("test_")]
+            draws = numbers.get("of", {}).get(kind, numbers["draws"])[-1]
+            found[f"{folder}.{name.removeprefix('test_')}[{kind}]"] = [node], draws
+        else:
+            others[Path(file).stem.removeprefix("test_")].append(node)
+    return found | {name: (nodes, len(nodes)) for name, nodes in others.items()}
+
+
+def run(nodes):
+    """Return (whether the tests pass, seconds, the end of what they printed)."""
+    begun = time.monotonic()
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "--tier", "release", *nodes]
+    done = subprocess.run(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=False)
+    return done.returncode == 0, time.monotonic() - begun, "" if done.returncode == 0 else done.stdout[-3000:]
+
+
+def known(path):
+    """Return {name: result} of the jobs that have passed."""
+    lines = path.read_text("utf-8").splitlines() if path.exists() else []
+    return {row["name"]: row for row in map(json.loads, lines) if row["passed"]}
+
+
+def table(results):
+    """Return the results as a table in Markdown, and the sums."""
+    rows = ["| job | draws or tests | seconds | result |", "|---|---|---|---|"]
+    for row in sorted(results.values(), key=lambda row: row["name"]):
+        outcome = "passed" if row["passed"] else "FAILED"
+        rows.append(f"| {row['name']} | {row['draws']:,} | {row['seconds']:.0f} | {outcome} |")
+    seconds, failed = (
+        sum(row["seconds"] for row in results.values()),
+        sum(not row["passed"] for row in results.values()),
+    )
+    return "\n".join([*rows, "", f"{len(results)} jobs, {failed} failed, {seconds / 3600.0:.2f} hours of processes"])
+
+
+def main(folder, *words):
+    """Run what is missing; return whether all has passed."""
+    folder = Path(folder) / commit()
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / "results.jsonl"
+    chosen = {name: job for name, job in jobs().items() if not words or any(word in name for word in words)}
+    results = {name: row for name, row in known(path).items() if name in chosen}
+    missing = [name for name in chosen if name not in results]
+    print(f"{len(chosen)} jobs, {len(missing)} of them to run", flush=True)
+
+    def work(name):
+        nodes, draws = chosen[name]
+        passed, seconds, output = run(nodes)
+        return {"name": name, "draws": draws, "seconds": seconds, "passed": passed, "output": output}
+
+    with ThreadPoolExecutor(int(os.environ.get("WORKERS", WORKERS))) as pool, path.open("a", encoding="utf-8") as file:
+        for row in pool.map(work, missing):
+            file.write(json.dumps(row) + "\n")
+            file.flush()
+            results[row["name"]] = row
+            print(f"{row['name']}: {'passed' if row['passed'] else 'FAILED'} in {row['seconds']:.0f} s", flush=True)
+            print(row["output"], end="", flush=True)
+    (folder / "table.md").write_text(table(results) + "\n", "utf-8")
+    print(table(results).rpartition("\n")[2], f"table: {folder / 'table.md'}", sep="; ")
+    return all(row["passed"] for row in results.values())
+
+
+if __name__ == "__main__":
+    sys.exit(not main(*sys.argv[1:]))
