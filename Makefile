@@ -26,12 +26,13 @@ endif
 INSTALL := $(UV) pip install --quiet --python $(BIN)/python
 LOCKED := --require-hashes --no-build
 # Two workers: most of the time of a test is compilation, which uses one core.
-PYTEST := $(BIN)/python -m pytest -n 2 --dist worksteal
+# COVERAGE=1 counts the lines that run, in all that runs since `make uncovered` or `make clean`.
+PYTEST := $(BIN)/python -m pytest -n 2 --dist worksteal $(if $(COVERAGE),--cov --cov-append --cov-report=)
 THIS := $(INSTALL) --no-deps --no-build-isolation --editable .
 COMPILE := $(UV) pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-annotate \
 	--no-emit-index-url --no-emit-find-links --custom-compile-command "make lock"
 
-.PHONY: help run paper test test-ci release-tests test-browser mutate bench reliability notebooks docs format lock clean
+.PHONY: help run paper test test-ci uncovered release-tests test-browser mutate bench reliability notebooks docs format lock clean
 .DELETE_ON_ERROR:
 
 help: ## list the targets
@@ -43,14 +44,21 @@ run: $(VENV)/.run ## compute figure 4 and its attractors into out/
 paper: $(VENV)/.run ## recompute the paper's figures and check its claims, into out/paper/
 	$(BIN)/jaxvibro paper --out out/paper
 
-test: $(VENV)/.dev ## run the linter, the type checker and the tests that take seconds
+test: $(VENV)/.dev ## run the linter, the type checker and the tests that take seconds; DRAWS=1000 PROPERTIES=maps: draws
+ifdef DRAWS
+	$(PYTEST) tests/properties/$(if $(PROPERTIES),test_$(PROPERTIES).py) --draws $(DRAWS)
+else
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(PYTEST) --tier push
+endif
 
 test-ci: $(VENV)/.dev ## run what CI adds: tests that take minutes in all, and more draws of the properties
 	$(PYTEST) --tier ci
+
+uncovered: $(VENV)/.dev ## print the lines that no test has run, after `make test test-ci COVERAGE=1`
+	$(BIN)/python -m coverage report --show-missing --fail-under=95
 
 release-tests: $(VENV)/.dev ## run what a release adds, into out/release/; goes on where it was stopped
 	$(BIN)/python -m tests.release out/release
