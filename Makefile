@@ -1,6 +1,6 @@
 # Builds everything from Python 3.11 or newer with pip, make and git. `make` lists the targets.
 # PYTHON=python3.12 selects another interpreter. LIMIT=../shared/limit adds the yardstick in that folder to `make bench`.
-# PART="own force" measures only that part of the page.
+# PART="own force" measures only that part of the page. SHARD=1/3 runs the tests of the first third of the test files.
 
 PYTHON ?= python3
 UV := .tools/bin/uv
@@ -27,6 +27,7 @@ INSTALL := $(UV) pip install --quiet --python $(BIN)/python
 LOCKED := --require-hashes --no-build
 # Two workers: most of the time of a test is compilation, which uses one core.
 PYTEST := $(BIN)/python -m pytest -n 2 --dist worksteal
+SHARDED = $(if $(SHARD),$$($(BIN)/python -m tests.shard $(SHARD)))
 THIS := $(INSTALL) --no-deps --no-build-isolation --editable .
 COMPILE := $(UV) pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-annotate \
 	--no-emit-index-url --no-emit-find-links --custom-compile-command "make lock"
@@ -47,10 +48,10 @@ test: $(VENV)/.dev ## run the linter, the type checker and the tests that take s
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
-	$(PYTEST) --tier push
+	$(PYTEST) --tier push $(SHARDED)
 
 test-ci: $(VENV)/.dev ## run what CI adds: tests that take minutes in all, and more draws of the properties
-	$(PYTEST) --tier ci
+	$(PYTEST) --tier ci $(SHARDED)
 
 release-tests: $(VENV)/.dev ## run what a release adds, into out/release/; goes on where it was stopped
 	$(BIN)/python -m tests.release out/release
