@@ -17,6 +17,7 @@ from jaxvibro.branches.branch import KIND_NAMES
 from jaxvibro.scene.codes import Contact, Status
 from jaxvibro.studies.command import _make_parser
 
+from . import tiers
 from .sources import PAGES, ROOT, page_blocks, table_rows
 
 CODE = [name for name in PAGES if any(language == "python" for language, _, _ in page_blocks(name))]
@@ -67,6 +68,13 @@ def test_the_first_lines_of_the_readme_run():
     assert names["impacts"].status == 0 and names["orbit"].label == "P111"
     with pytest.raises(AssertionError, match="2"):
         run_blocks([("python", "print(1 + 1)", ""), ("text", "3", "prints\n")], "a page")
+
+
+def test_each_page_with_code_and_each_notebook_has_a_tier():
+    """None of them may run on each push."""
+    rows = tiers.table()["tests"]["test_pages"]
+    listed = re.findall(r"\[(.+?)\]", " ".join(rows["ci"] + rows["release"]))
+    assert sorted(listed) == sorted([*CODE, *NOTEBOOKS]) and NOTEBOOKS
 
 
 @pytest.mark.parametrize("name", NOTEBOOKS)
