@@ -161,9 +161,9 @@ def test_our_maps_are_those_of_the_reference():
 
 
 def test_all_methods_map_duffings_oscillator_as_the_reference_does():
-    states = draw(8)  # a multiple of heyoka's lanes
+    states = draw(16)  # a multiple of heyoka's lanes
     true = truth.duffing(states)
-    assert true.judged.sum() > 3
+    assert true.judged.sum() > 8
     answers = [ours.read(ours.prepare_duffing(states, 1e-13)())]
     for strobe in (heyoka_batch.strobe, heyoka_scalar.strobe, scipy_ivp.strobe):
         answer = strobe(states, 1e-12, cubic=CUBIC)
