@@ -55,9 +55,9 @@ def test_every_kind_of_expression_is_mutated():
     mutants = drawn_mutants.mutants_of(source)
     lines = {kind: {becomes.strip() for _, _, becomes in rows} for kind, rows in mutants.items()}
     assert lines == {
-        "comparison": {"if (x <= 2): return not x", "if (x >= 2): return not x"},
-        "constant": {"def f(x: int | None = 2):", "if x < 3: return not x", "return x + -y * 4.0"},
-        "negation": {"if x < 2: return x"},
+        "comparison": {"if (x <= 2):", "if (x >= 2):"},
+        "constant": {"def f(x: int | None = 2):", "if x < 3:", "return x + -y * 4.0"},
+        "negation": {"return x"},
         "operator": {"return (x - -y * 2.0)", "return x + (-y / 2.0)", "return x + y * 2.0"},
         "dropped term": {"return x", "return (-y * 2.0)", "return x + (-y)", "return x + 2.0"},
     }
