@@ -1,6 +1,6 @@
 # Builds everything from Python 3.11 or newer with pip, make and git. `make` lists the targets.
 # PYTHON=python3.12 selects another interpreter. LIMIT=../shared/limit adds the yardstick in that folder to `make bench`.
-# PART="own force" measures only that part of the page.
+# PART="own force" measures only that part of the page. SHARD=1/3 runs the tests of the first third of the test files.
 
 PYTHON ?= python3
 UV := .tools/bin/uv
@@ -26,8 +26,9 @@ endif
 INSTALL := $(UV) pip install --quiet --python $(BIN)/python
 LOCKED := --require-hashes --no-build
 # Two workers: most of the time of a test is compilation, which uses one core.
-# COVERAGE=1 counts the lines that run, in all that runs since `make uncovered` or `make clean`.
+# COVERAGE=1 counts the lines that run, in all that runs since `make clean`; SHARD=1/3 runs a third of the tests.
 PYTEST := $(BIN)/python -m pytest -n 2 --dist worksteal $(if $(COVERAGE),--cov --cov-append --cov-report=)
+SHARDED = $(if $(SHARD),$$($(BIN)/python -m tests.shard $(SHARD)))
 THIS := $(INSTALL) --no-deps --no-build-isolation --editable .
 COMPILE := $(UV) pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-annotate \
 	--no-emit-index-url --no-emit-find-links --custom-compile-command "make lock"
@@ -51,11 +52,11 @@ else
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
-	$(PYTEST) --tier push
+	$(PYTEST) --tier push $(SHARDED)
 endif
 
 test-ci: $(VENV)/.dev ## run what CI adds: tests that take minutes in all, and more draws of the properties
-	$(PYTEST) --tier ci
+	$(PYTEST) --tier ci $(SHARDED)
 
 uncovered: $(VENV)/.dev ## print the lines that no test has run, after `make test test-ci COVERAGE=1`
 	$(BIN)/python -m coverage report --show-missing --fail-under=95

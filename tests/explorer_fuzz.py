@@ -124,7 +124,7 @@ def sent(desk, text):
     except ArgumentError:
         assert isinstance(messages.decode_message_number(text), int)
         return None
-    told = desk.say(read)
+    told = desk.receive(read)
     while not desk.turns.empty():
         desk.turns.get()()
     return read, told
@@ -157,14 +157,12 @@ def draw(desk, count, seed, kinds, slow=10.0):
 if __name__ == "__main__":
     import jax
 
-    from .explorer_pages import SIZES, Desk
+    from .explorer_pages import Desk
 
     jax.config.update("jax_enable_x64", True)
     one = Desk()
-    for panel, (width, height) in SIZES.items():
-        one.say(messages.ResizePanel(panel=panel, width=width, height=height))
-    one.say(messages.Hello())
-    one.rest()
+    one.resize()
+    one.run("hello")
     how_many = int((sys.argv[1:] or ["300"])[0])
     print(draw(one, how_many, 58, CHEAP), "messages answered, of", how_many, flush=True)
     print(draw(one, how_many // 5, 59, CHEAP + DEAR), "messages answered, of", how_many // 5, flush=True)

@@ -21,43 +21,59 @@ def two_walls():
 
 
 class Desk:
-    """A session whose thread is the test's own."""
+    """A session whose thread is that of the test."""
 
-    def __init__(self, scene=None, file=None):
+    def __init__(self, scene=None):
         scene = two_walls() if scene is None else scene
-        file = SceneFile(scene=make_scene_table(scene)) if file is None else file
         self.told, self.turns = [], queue.Queue()
-        self.session = Session(file, scene, self.told.append, self.turns.put)
+        self.session = Session(SceneFile(scene=make_scene_table(scene)), scene, self.told.append, self.turns.put)
         self.session.connected = True
 
-    def say(self, message):
-        """Sends a message: what the page is told because of it."""
+    def receive(self, message):
+        """Pass a message to the session, and return the records that it sends because of it."""
         before = len(self.told)
         self.session.receive_message(message)
         return self.told[before:]
 
+    def say(self, do, **fields):
+        """Send a message as the page does, and return the records that the session sends because of it."""
+        return self.receive(messages.decode_message(json.dumps({"do": do, **fields})))
+
     def rest(self):
-        """Waits until no work is under way: what the page is told meanwhile."""
+        """Wait until no task runs, and return the records that are sent meanwhile."""
         before = len(self.told)
         while self.session.tasks.labels:
             self.turns.get(timeout=PATIENCE)()
         return self.told[before:]
 
-    def ask(self, call, **more):
-        """Asks for work and waits for its end: what the page is told of it."""
-        return self.say(messages.RunAction(call=call, **more)) + self.rest()
+    def run(self, do, **fields):
+        """Send a message, wait until no task runs, and return the records that are sent."""
+        return self.say(do, **fields) + self.rest()
+
+    def resize(self):
+        """Give the panels their sizes, after which they are drawn."""
+        for panel, (width, height) in SIZES.items():
+            self.say("size", panel=panel, width=width, height=height)
 
     @property
     def current(self):
+        """Orbit or motion in the portrait."""
         return self.session.results[self.session.page.current]
 
     @property
     def lines(self):
+        """Names of the results on the page."""
         return [line.name for line in self.session.page.lines]
 
+    @property
+    def sent(self):
+        """Fields that the page has."""
+        return self.session.sent_fields
 
-def complaints(told):
-    return [record["text"] for record in told if record["kind"] == "told" and record["bad"]]
+
+def complaints(records):
+    """Return the error messages among records."""
+    return [record["text"] for record in records if record["kind"] == "told" and record["bad"]]
 
 
 class Page:

@@ -1,14 +1,17 @@
-"""`make mutate`: guards of the package broken one by one, each in a copy and against a fast test that ought to notice.
+"""Break the packages at one place at a time, in a copy, and check that a test fails.
 
-The list is data, a file of tables for each room in `tests/mutants`. A table's name says which guard it is; it has
-
-- file, text, becomes: where it stands, how it reads there, once, and what it is made to read;
-- tests: node ids of the tests that are run, a few seconds each; guard: what it is for;
-- survives: why no test can notice, where that is so; endless: true where a loop then has no end, so that a run that is
-  stopped has been noticed.
+- `python -m tests.mutate` (`make mutate`) runs the listed mutants of `tests/mutants`, each against a fast test. A table
+  is named after the guard that it removes. Fields: file, text, becomes: the code and its replacement; tests: node ids
+  of tests of a few seconds; guard: its purpose; survives: the reason why no test can notice it; endless: true if a
+  loop then does not end, so that a stopped run counts as a killed mutant.
+- `python -m tests.mutate draw COUNT SEED` draws mutants and writes them to `tests/mutants/drawn.toml`.
+- `python -m tests.mutate drawn` runs these: each against the properties of its folder, one that survives against the
+  test files of its folder (`tests/mutants/folders.toml`), then against the tests of each push. Results are kept in
+  `out/mutants/drawn.jsonl`; a later call continues with the missing ones.
 """
 
 import argparse
+import json
 import os
 import shutil
 import signal
@@ -18,53 +21,76 @@ import time
 import tomllib
 from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from . import drawn_mutants
+
 ROOT = Path(__file__).parents[1]
-FOLDERS = ("jaxvibro", "continuation", "tests", "scenes")  # of a copy, beside pyproject.toml
-LIMIT = 60.0  # seconds of a run
-ENOUGH = 0.95  # of the mutants are to be killed
+MUTANTS = ROOT / "tests" / "mutants"
+DRAWN, FOLDERS = drawn_mutants.DRAWN, MUTANTS / "folders.toml"
+RESULTS = ROOT / "out" / "mutants" / "drawn.jsonl"
+NOT_COPIED = shutil.ignore_patterns(".git", ".venv", ".tools", ".hypothesis", "out", "__pycache__", ".*_cache")
+LISTED_LIMIT, DRAWN_LIMIT = 60.0, 3600.0  # seconds of a run
+ENOUGH = 0.95  # share of the listed mutants that must be killed
 KILLED, SURVIVED, TOO_LONG, NOT_RUN = "killed", "survived", "too long", "not run"
 RUN = ("-m", "pytest", "-q", "-x", "--no-header", "-p", "no:cacheprovider")
 
 
 @dataclass(frozen=True)
 class Mutant:
-    """A table of the list. room: its file's name; name: its own."""
+    """A table of a list. folder: of the packages; line: where the text begins, 0 if it occurs only once."""
 
-    room: str
+    folder: str
     name: str
     file: str
     text: str
     becomes: str
-    tests: list[str]
-    guard: str
+    tests: list[str] = field(default_factory=list)
+    guard: str = ""
     survives: str = ""
     endless: bool = False
+    line: int = 0
+    kind: str = ""
 
 
-def mutants():
-    """All that are listed, in order."""
-    files = sorted((ROOT / "tests" / "mutants").glob("*.toml"))
-    return [
-        Mutant(path.stem, name, **table)
-        for path in files
-        for name, table in tomllib.loads(path.read_text("utf-8")).items()
-    ]
+def read_table(path):
+    """Return the tables of a file."""
+    return tomllib.loads(path.read_text("utf-8"))
 
 
-def broken(one, source):
-    """The text of a file with the guard broken. Raises ValueError unless it reads so in one place."""
-    count = source.count(one.text)
-    if count != 1 or one.text == one.becomes:
-        raise ValueError(f"{one.room}: {one.name}: {one.file} has its text {count} times: {one.text}")
-    return source.replace(one.text, one.becomes)
+def listed_mutants():
+    """Return the listed mutants in order."""
+    files = sorted(path for path in MUTANTS.glob("*.toml") if path not in (DRAWN, FOLDERS))
+    return [Mutant(path.stem, name, **table) for path in files for name, table in read_table(path).items()]
+
+
+def drawn_list():
+    """Return the drawn mutants in order."""
+    return [Mutant(name.split()[0], name, **table) for name, table in read_table(DRAWN).items()]
+
+
+def mutated(mutant, source):
+    """Return the source of a file with a mutant. Raises ValueError if its text does not occur there exactly once."""
+    start = sum(map(len, source.splitlines(keepends=True)[: max(mutant.line - 1, 0)]))
+    head, tail = source[:start], source[start:]
+    count = int(tail.startswith(mutant.text)) if mutant.line else source.count(mutant.text)
+    if count != 1 or mutant.text == mutant.becomes:
+        raise ValueError(f"{mutant.folder}: {mutant.name}: {mutant.file} has its text {count} times: {mutant.text}")
+    return head + tail.replace(mutant.text, mutant.becomes, 1)
+
+
+def stages(mutant):
+    """Return the arguments of pytest of the runs against which a drawn mutant is tried, one after another."""
+    files = [f"tests/{name}.py" for name in read_table(FOLDERS)[mutant.folder]]
+    properties = f"tests/properties/test_{mutant.folder}.py"
+    rows = [[properties] if (ROOT / properties).exists() else [], files, ["tests"]]
+    return [["--tier", "push", *row] for row in rows if row]
 
 
 def environment(folder, cache):
-    """Of a run in a folder: its own sources, and what is compiled kept for all."""
+    """Return the environment of a run in a folder: its own sources, and a cache of compiled programs for all."""
     own = {name: value for name, value in os.environ.items() if not name.startswith("JAX_")}
     return own | {
         "PYTHONPATH": str(folder),
@@ -74,98 +100,125 @@ def environment(folder, cache):
     }
 
 
-def copied(folder):
-    """The sources in a folder of their own."""
-    folder.mkdir()
-    for name in FOLDERS:
-        shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
-    shutil.copy2(ROOT / "pyproject.toml", folder)
-    return folder
+def check_unmutated(copy, cache, arguments, jobs):
+    """Run tests without a mutant, which also fills the cache. Raises SystemExit if one fails."""
+    given = {"cwd": copy, "env": environment(copy, cache)}
+    code = "import continuation, jaxvibro; print(continuation.__file__, jaxvibro.__file__)"
+    done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True, **given)
+    if done.stdout.count(str(copy)) != 2:
+        raise SystemExit(f"the copy is not what is imported: {done.stdout}")
+    if subprocess.run([sys.executable, *RUN, "-n", str(jobs), "--dist", "worksteal", *arguments], **given).returncode:
+        raise SystemExit("a test fails without a mutant")
 
 
-def unbroken(whole, cache, tests, jobs):
-    """Run all tests as they should pass, which compiles what is kept. Raises SystemExit where one does not."""
-    given = {"cwd": whole, "env": environment(whole, cache)}
-    where = "import continuation, jaxvibro; print(continuation.__file__, jaxvibro.__file__)"
-    told = subprocess.run([sys.executable, "-c", where], check=True, capture_output=True, text=True, **given)
-    if told.stdout.count(str(whole)) != 2:
-        raise SystemExit(f"the copy is not what is imported: {told.stdout}")
-    if subprocess.run([sys.executable, *RUN, "-n", str(jobs), "--dist", "worksteal", *tests], **given).returncode:
-        raise SystemExit("a test fails though nothing is broken")
-
-
-def attempt(one, whole, cache):
-    """(what became of a mutant, seconds, the end of what was printed)."""
-    with TemporaryDirectory(dir=whole.parent) as folder:
-        place = Path(folder) / "broken"
-        shutil.copytree(whole, place)
-        path = place / one.file
+def attempt(mutant, copy, cache, runs, limit):
+    """Return (result, seconds, end of the output) of a mutant: the first run that does not pass decides."""
+    begun, output = time.monotonic(), ""
+    with TemporaryDirectory(dir=copy.parent) as folder:
+        place = Path(folder) / "mutated"
+        shutil.copytree(copy, place)
+        path = place / mutant.file
         for stale in (path.parent / "__pycache__").glob(f"{path.stem}.*.pyc"):
-            stale.unlink()  # it is told by the file's size and second alone
-        path.write_text(broken(one, path.read_text("utf-8")), "utf-8")
-        begun = time.monotonic()
-        run = subprocess.Popen(
-            [sys.executable, *RUN, *one.tests],
-            cwd=place,
-            env=environment(place, cache),
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-            start_new_session=True,
-        )
-        try:
-            told, _ = run.communicate(timeout=LIMIT)
-        except subprocess.TimeoutExpired:
-            os.killpg(run.pid, signal.SIGKILL)
-            run.communicate()
-            return TOO_LONG, LIMIT, ""
-        result = {0: SURVIVED, 1: KILLED}.get(run.returncode, NOT_RUN)  # 1: a test fails; else it crashed
-        return result, time.monotonic() - begun, told[-2000:]
+            stale.unlink()  # Python recognises a stale file by size and second only
+        path.write_text(mutated(mutant, path.read_text("utf-8")), "utf-8")
+        for arguments in runs:
+            run = subprocess.Popen(
+                [sys.executable, *RUN, *arguments],
+                cwd=place,
+                env=environment(place, cache),
+                stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
+                text=True,
+                start_new_session=True,
+            )
+            try:
+                output, _ = run.communicate(timeout=limit)
+            except subprocess.TimeoutExpired:
+                os.killpg(run.pid, signal.SIGKILL)
+                run.communicate()
+                return TOO_LONG, time.monotonic() - begun, ""
+            # 1: a test fails, 2: a module cannot be imported, 5: nothing was collected; else it crashed.
+            result = {0: SURVIVED, 1: KILLED, 2: KILLED, 5: SURVIVED}.get(run.returncode, NOT_RUN)
+            if result != SURVIVED:
+                break
+    return result, time.monotonic() - begun, output[-2000:]
 
 
-def judged(found):
-    """Print the summary of (mutant, result) pairs; whether they are enough."""
-    rooms, dead = Counter(one.room for one, _ in found), Counter()
-    for one, result in found:
-        dead[one.room] += result == KILLED or (result == TOO_LONG and one.endless)
-    print("\n" + ", ".join(f"{room} {dead[room]} of {count}" for room, count in rooms.items()))
-    ended = sum(one.endless and result == TOO_LONG for one, result in found)
-    print(f"killed {sum(dead.values())} of {len(found)}, {ended} of them as a loop had no end")
-    good = sum(dead.values()) >= ENOUGH * len(found)
-    for one, result in found:
-        if result == KILLED and one.survives:
-            print(f"{one.room}: {one.name}: is noticed, though the list says: {one.survives}")
-        if result == KILLED or (result == TOO_LONG and one.endless):
-            continue
-        explained = result == SURVIVED and one.survives
-        print(f"{one.room}: {one.name}: {result}: {one.survives or 'unexplained'}")
-        good &= bool(explained)
+def is_killed(mutant, result):
+    """Return whether a result means that a test noticed the mutant."""
+    return result == KILLED or (result == TOO_LONG and mutant.endless)
+
+
+def summarise(results):
+    """Print a summary of (mutant, result) pairs; return whether they suffice."""
+    folders = Counter(mutant.folder for mutant, _ in results)
+    killed = Counter(mutant.folder for mutant, result in results if is_killed(mutant, result))
+    print("\n" + ", ".join(f"{folder} {killed[folder]} of {count}" for folder, count in folders.items()))
+    print(f"killed {killed.total()} of {len(results)}")
+    good = killed.total() >= ENOUGH * len(results)
+    for mutant, result in results:
+        if result == KILLED and mutant.survives:
+            print(f"{mutant.folder}: {mutant.name}: is noticed, though the list says: {mutant.survives}")
+        if not is_killed(mutant, result):
+            print(f"{mutant.folder}: {mutant.name}: {result}: {mutant.survives or 'unexplained'}")
+            good &= bool(result == SURVIVED and mutant.survives)
     return good
 
 
-def main():
-    parser = argparse.ArgumentParser(prog="python -m tests.mutate", description=__doc__.split("\n")[0])
-    parser.add_argument("--jobs", type=int, default=2, help="runs at a time")
-    parser.add_argument("--only", default="", help="mutants whose 'room: name' has this in it")
-    parser.add_argument("--show", action="store_true", help="the end of what each run printed")
-    given = parser.parse_args()
-    some = [one for one in mutants() if given.only in f"{one.room}: {one.name}"]
-    for one in some:
-        broken(one, (ROOT / one.file).read_text("utf-8"))
-    begun = time.monotonic()
+def run_all(mutants, runs_of, first, limit, given, results=None):
+    """Run mutants, and return (mutant, result) pairs.
+
+    runs_of: from a mutant to the arguments of its runs; first: of the run without a mutant; results: a file of rows,
+    whose mutants are not run again.
+    """
+    known = {}
+    if results and results.exists():
+        known = {json.dumps(row["mutant"]): row["result"] for row in map(json.loads, results.open(encoding="utf-8"))}
+    pairs = [(mutant, known.get(json.dumps(asdict(mutant)))) for mutant in mutants]
+    missing = [mutant for mutant, result in pairs if result is None]
+    pairs = [pair for pair in pairs if pair[1] is not None]
+    if not missing:
+        return pairs
     with TemporaryDirectory() as folder:
-        whole, cache = copied(Path(folder) / "whole"), Path(folder) / "cache"
-        unbroken(whole, cache, sorted({test for one in some for test in one.tests}), given.jobs)
-        print(f"all pass unbroken, {time.monotonic() - begun:.0f} s", flush=True)
-        found = []
+        copy, cache = shutil.copytree(ROOT, Path(folder) / "copy", ignore=NOT_COPIED), Path(folder) / "cache"
+        check_unmutated(copy, cache, first, given.jobs)
         with ThreadPoolExecutor(given.jobs) as pool:
-            runs = pool.map(lambda one: attempt(one, whole, cache), some)
-            for one, (result, seconds, told) in zip(some, runs, strict=True):
-                print(f"{result:9s}{seconds:6.1f} s  {one.room}: {one.name}", flush=True)
+            attempts = pool.map(lambda mutant: attempt(mutant, copy, cache, runs_of(mutant), limit), missing)
+            for mutant, (result, seconds, output) in zip(missing, attempts, strict=True):
+                print(f"{result:9s}{seconds:6.1f} s  {mutant.folder}: {mutant.name}", flush=True)
                 if given.show or result == NOT_RUN:
-                    print(told)
-                found.append((one, result))
-    good = judged(found)
+                    print(output)
+                pairs.append((mutant, result))
+                if results:
+                    results.parent.mkdir(parents=True, exist_ok=True)
+                    with results.open("a", encoding="utf-8") as file:
+                        file.write(json.dumps({"mutant": asdict(mutant), "result": result, "output": output}) + "\n")
+    return pairs
+
+
+def main():
+    """Run the action of the command line."""
+    parser = argparse.ArgumentParser(prog="python -m tests.mutate", description=__doc__.split("\n")[0])
+    parser.add_argument("action", nargs="?", choices=("listed", "draw", "drawn"), default="listed")
+    parser.add_argument("numbers", nargs="*", type=int, help="of draw: count and seed")
+    parser.add_argument("--jobs", type=int, default=2, help="runs at a time")
+    parser.add_argument("--only", default="", help="mutants whose 'folder: name' contains this text")
+    parser.add_argument("--show", action="store_true", help="print the end of the output of each run")
+    given = parser.parse_args()
+    if given.action == "draw":
+        print(f"{drawn_mutants.write(*given.numbers)} mutants in {DRAWN.relative_to(ROOT)}")
+        return
+    begun, listed = time.monotonic(), given.action == "listed"
+    mutants = listed_mutants() if listed else drawn_list()
+    mutants = [mutant for mutant in mutants if given.only in f"{mutant.folder}: {mutant.name}"]
+    for mutant in mutants:
+        mutated(mutant, (ROOT / mutant.file).read_text("utf-8"))
+    if listed:
+        tests = sorted({test for mutant in mutants for test in mutant.tests})
+        results = run_all(mutants, lambda mutant: [mutant.tests], tests, LISTED_LIMIT, given)
+    else:
+        results = run_all(mutants, stages, ["--tier", "push", "tests"], DRAWN_LIMIT, given, RESULTS)
+    good = summarise(results)
     print(f"{time.monotonic() - begun:.0f} s")
     raise SystemExit(0 if good else 1)
 

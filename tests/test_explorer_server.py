@@ -1,4 +1,4 @@
-"""The explorer's server over its own protocol: who is let in, what survives, what ends with a page."""
+"""The explorer's server over its own protocol: access, errors that it survives, and the end of a page and its tasks."""
 
 import asyncio
 import io
@@ -15,7 +15,6 @@ from tornado.websocket import WebSocketClosedError, websocket_connect
 
 import jaxvibro as jv
 from jaxvibro.explorer import precomputation, server
-from jaxvibro.explorer.server import is_loopback
 
 from .explorer_pages import PATIENCE, Page, two_walls
 
@@ -29,196 +28,155 @@ def served():
         shown.stop()
 
 
-def test_what_was_evaluated_is_compiled_while_nobody_waits(monkeypatch):
-    done, quiet = queue.Queue(), threading.Event()
-    monkeypatch.setattr(precomputation, "compile_numpy_functions", lambda: iter([done.put(1)]))
-    monkeypatch.setattr(precomputation, "DRAWING_TIME", 0.0)
-    one = precomputation.PrecomputationThread(two_walls(), quiet.is_set)
-    assert one.ready.wait(PATIENCE)
-    with pytest.raises(queue.Empty):
-        done.get(timeout=1.0)
-    quiet.set()
-    done.get(timeout=PATIENCE)
-    one.stop()
-    assert not one.is_alive()
+def port_of(shown):
+    """Return the port of a server."""
+    return int(shown.url.split(":")[2].split("/")[0])
 
 
 def run(coroutine):
+    """Run a coroutine with a time limit."""
     return asyncio.run(asyncio.wait_for(coroutine, PATIENCE))
 
 
-async def fetched(url, host=None):
+async def fetch(url, host=None):
+    """Return the answer to a request, also if it is an error."""
     headers = {} if host is None else {"Host": host}
     return await AsyncHTTPClient(force_instance=True).fetch(HTTPRequest(url, headers=headers), raise_error=False)
 
 
-@pytest.mark.parametrize("name", ["", "page.js", "page.css"])
-def test_the_page_is_given_to_whoever_has_the_token(served, name):
-    plain, token = served.url.split("?token=")
-    answer = run(fetched(f"{plain}{name}?token={token}"))
-    assert answer.code == 200 and "default-src 'self'" in answer.headers["Content-Security-Policy"]
-    assert run(fetched(f"{plain}{name}")).code == 403
-    assert run(fetched(f"{plain}{name}?token={token[:-1]}x")).code == 403
-    assert run(fetched(f"{plain}{name}?token={token}", "evil.example")).code == 403
-    assert run(fetched(f"{plain}../server.py?token={token}")).code == 404
-
-
-HOSTS = [
-    *(
-        "[::1",
-        "[",
-        "]",
-        "[]",
-        "[::1]:x",
-        "[::1]]",
-        "[[::1]]",
-        "[v1.x]",
-        "[fe80::1%25x]",
-        "127.0.0.1:",
-        "127.0.0.1:99999",
-    ),
-    *("", " ", "localhost@evil.example", "evil.example#localhost", "127.0.0.1/../", "\\evil", "0x7f.1"),
-    *(
-        "2130706433",
-        "\u2100".encode().decode("latin1"),
-        "a" * 5000,
-        "localhost, evil.example",
-        "\x7f",
-        "%5b::1",
-        "[127.0.0.1]",
-    ),
-]
-PATHS = [
-    "/",
-    "/page.js",
-    "/socket",
-    "/take/x/lines.py",
-    "/missing",
-    "/%",
-    "//",
-    "/?",
-    "/../",
-    "*",
-    "http://[::1/",
-    "/\xff",
-]
-
-
-def raw(served, content):
-    """The status of the answer to the bytes of a request, 0 where the server closed without one."""
-    port = int(served.url.split(":")[2].split("/")[0])
-    with socket.create_connection(("127.0.0.1", port), timeout=PATIENCE) as line:
-        line.sendall(content)
+def status(served, path, host, more=""):
+    """Return the status of the answer to a request, 0 if the server closes the connection without one."""
+    request = f"GET {path} HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\n{more}\r\n".encode("latin1")
+    with socket.create_connection(("127.0.0.1", port_of(served)), timeout=PATIENCE) as connection:
+        connection.sendall(request)
         answer = b""
-        while b"\r\n" not in answer and (part := line.recv(1 << 16)):
+        while b"\r\n" not in answer and (part := connection.recv(1 << 16)):
             answer += part
     return int(answer.split()[1]) if answer else 0
 
 
-def request(path, host, more=""):
-    return f"GET {path} HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\n{more}\r\n".encode("latin1")
+def test_evaluated_functions_are_compiled_while_nobody_waits(monkeypatch):
+    done, quiet = queue.Queue(), threading.Event()
+    monkeypatch.setattr(precomputation, "compile_numpy_functions", lambda: iter([done.put(1)]))
+    monkeypatch.setattr(precomputation, "DRAWING_TIME", 0.0)
+    thread = precomputation.PrecomputationThread(two_walls(), quiet.is_set)
+    assert thread.ready.wait(PATIENCE)
+    with pytest.raises(queue.Empty):
+        done.get(timeout=1.0)
+    quiet.set()
+    done.get(timeout=PATIENCE)
+    thread.stop()
+    assert not thread.is_alive()
+
+
+@pytest.mark.parametrize("name", ["", "page.js", "page.css"])
+def test_the_page_is_given_only_with_the_token(served, name):
+    plain, token = served.url.split("?token=")
+    answer = run(fetch(f"{plain}{name}?token={token}"))
+    assert answer.code == 200 and "default-src 'self'" in answer.headers["Content-Security-Policy"]
+    assert run(fetch(f"{plain}{name}")).code == 403
+    assert run(fetch(f"{plain}{name}?token={token[:-1]}x")).code == 403
+    assert run(fetch(f"{plain}{name}?token={token}", "evil.example")).code == 403
+    assert run(fetch(f"{plain}../server.py?token={token}")).code == 404
+
+
+HOSTS = "[::1 [ ] [] [::1]:x [::1]] [[::1]] [v1.x] [fe80::1%25x] 127.0.0.1: 127.0.0.1:99999 localhost@evil.example"
+HOSTS += " evil.example#localhost 127.0.0.1/../ \\evil 0x7f.1 2130706433 %5b::1 [127.0.0.1]"
+HOSTS = [*HOSTS.split(), "", " ", "\u2100".encode().decode("latin1"), "a" * 5000, "localhost, evil.example", "\x7f"]
+PATHS = ["/", "/page.js", "/socket", "/take/x/lines.py", "/missing", "/%", "//", "/?", "/../", "*", "http://[::1/"]
+PATHS += ["/\xff"]
 
 
 @pytest.mark.parametrize("origin", ["http://[::1", "[", "http://]", "\x7f", "a" * 5000])
 def test_requests_with_any_header_are_refused_without_an_error(served, origin):
-    """No request without the token learns more than that it is needed, whatever its Host is; none raises."""
+    """A request without the token is told only that a token is required, whatever its Host is; none raises."""
     token, upgrade = served.url.split("?")[1], f"Upgrade: websocket\r\nConnection: Upgrade\r\nOrigin: {origin}\r\n"
     upgrade += "Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n"
     for path in PATHS:
         for host in ("127.0.0.1", "[::1", "evil.example"):
-            assert raw(served, request(path, host, upgrade)) in (0, 400, 403)
+            assert status(served, path, host, upgrade) in (0, 400, 403)
     for host in HOSTS:
-        assert raw(served, request("/", host)) in (0, 400, 403)
-        assert raw(served, request(f"/?{token}", host)) in (0, 200, 400, 403)
+        assert status(served, "/", host) in (0, 400, 403)
+        assert status(served, f"/?{token}", host) in (0, 200, 400, 403)
     for path in PATHS[:4]:
-        found = raw(served, request(f"{path}?{token}", "127.0.0.1", upgrade))
-        known = {"/": 200, "/page.js": 200, "/socket": 403}.get(path, 404)
-        assert found == (400 if origin == "\x7f" else known)  # no header may have such a letter
+        expected = {"/": 200, "/page.js": 200, "/socket": 403}.get(path, 404)
+        # No header may contain the letter \x7f.
+        assert status(served, f"{path}?{token}", "127.0.0.1", upgrade) == (400 if origin == "\x7f" else expected)
 
 
-def test_the_token_is_looked_at_first(served, monkeypatch):
+def test_the_token_is_checked_first(served, monkeypatch):
     hosts = []
     monkeypatch.setattr(server, "is_loopback", lambda host: hosts.append(host))
     for host in ("127.0.0.1", "[::1", "evil.example"):
-        assert raw(served, request("/", host)) == 403
-        assert raw(served, request("/socket?token=x", host)) == 403
+        assert status(served, "/", host) == status(served, "/socket?token=x", host) == 403
     assert hosts == []
-    assert raw(served, request(f"/?{served.url.split('?')[1]}", "[::1")) == 403
-    assert hosts == [""]
+    assert status(served, f"/?{served.url.split('?')[1]}", "[::1") == 403 and hosts == [""]
 
 
 def test_a_file_that_cannot_be_made_is_answered(served, monkeypatch, capsys):
-    def fails(name, session):
+    def fail(name, session):
         raise RuntimeError("no such file")
 
     async def talk():
         page = await Page.open(served.url, size=False)
         base, token = served.url.split("?")
         address = f"{base}take/{page.name}/lines.py?{token}"
-        monkeypatch.setattr(server, "download_content", fails)
-        first = await fetched(address)
-        monkeypatch.setattr(server.PageThread, "add", lambda line, does, replaces=None: False)  # no room, or at its end
-        second = await fetched(address)
+        monkeypatch.setattr(server, "download_content", fail)
+        first = await fetch(address)
+        monkeypatch.setattr(server.PageThread, "add", lambda thread, task, replaces=None: False)  # full, or ended
+        second = await fetch(address)
         monkeypatch.undo()
         page.socket.close()
         return first, second
 
     first, second = run(talk())
-    assert (first.code, first.body) == (400, b"no such file\n") and second.code == 503
+    assert (first.code, first.body, second.code) == (400, b"no such file\n", 503)
     assert "RuntimeError: no such file" in capsys.readouterr().err
 
 
-def test_a_line_that_has_ended_takes_nothing():
-    line, done = server.PageThread(True), queue.Queue()
-    assert line.add(lambda: done.put(1)) and line.add(None)
-    assert not line.add(lambda: done.put(2))
+def test_a_thread_that_has_ended_takes_no_task():
+    thread, done = server.PageThread(True), queue.Queue()
+    assert thread.add(lambda: done.put(1)) and thread.add(None)
+    assert not thread.add(lambda: done.put(2))
     assert done.get(timeout=PATIENCE) == 1 and done.empty()
 
 
-@pytest.mark.parametrize("origin", ["http://evil.example", "http://127.0.0.1:1", "null"])
-def test_another_origin_has_no_socket(served, origin):
-    with pytest.raises(HTTPClientError, match="403"):
-        run(Page.open(served.url, origin))
-
-
-def test_a_socket_needs_the_token(served):
+def test_a_socket_needs_the_token_and_the_same_origin(served):
     url = served.url.replace("http:", "ws:").split("?")[0] + "socket"
 
-    async def connect(to):
-        await websocket_connect(to)
+    async def connect(address):
+        await websocket_connect(address)
 
-    for each in (url, f"{url}?token=", f"{url}?token=%C3%A4"):
+    attempts = [connect(address) for address in (url, f"{url}?token=", f"{url}?token=%C3%A4")]
+    attempts += [Page.open(served.url, origin) for origin in ("http://evil.example", "http://127.0.0.1:1", "null")]
+    for attempt in attempts:
         with pytest.raises(HTTPClientError, match="403"):
-            run(connect(each))
+            run(attempt)
 
 
 @pytest.mark.parametrize("address", ["0.0.0.0", "192.168.1.7", "example.org", "::", ""])
 def test_an_address_that_is_not_loopback_is_refused(address):
-    assert not is_loopback(address)
     with pytest.raises(jv.ArgumentError, match="address: must be a loopback address"):
         jv.view(two_walls(), 0, address)
 
 
-@pytest.mark.parametrize("port", [-1, 65536, 1.5])
-def test_a_port_that_cannot_be_is_refused(port):
-    with pytest.raises(jv.ArgumentError, match="port: must be"):
-        jv.view(two_walls(), port)
-
-
-def test_a_port_that_is_taken(served):
+def test_a_port_that_cannot_be_used_is_refused(served):
+    for port in (-1, 65536, 1.5):
+        with pytest.raises(jv.ArgumentError, match="port: must be"):
+            jv.view(two_walls(), port)
     with pytest.raises(OSError, match="no port is free"):
-        jv.view(two_walls(), int(served.url.split(":")[2].split("/")[0]))
+        jv.view(two_walls(), port_of(served))
 
 
 @pytest.mark.parametrize(
     "text", ["", "{", "[]", '{"do": "dance"}', '{"do": "pick", "panel": "door", "x": 1, "y": 2}', "\0"]
 )
-def test_a_message_that_is_none_is_one_line(served, text):
+def test_an_unknown_message_is_answered_with_one_line(served, text):
     async def talk():
         page = await Page.open(served.url, size=False)
         await page.socket.write_message(text)
-        (told,) = await page.until(lambda record: record["kind"] == "told")
-        assert told["bad"] and "message: must be a known message" in told["text"]
+        (record,) = await page.until(lambda record: record["kind"] == "told")
+        assert record["bad"] and "message: must be a known message" in record["text"]
         await page.say(do="zoom", panel="diagram")
         page.socket.close()
 
@@ -257,33 +215,32 @@ def test_a_thousand_clicks_end_with_the_last_and_two_pages_are_apart(served):
     run(talk())
 
 
-def test_what_can_be_taken(served, tmp_path):
+def test_files_of_a_page(served, tmp_path):
     async def talk():
         page = await Page.open(served.url)
         await page.say(do="start", x=0.9, v=-1.1)
         base, token = served.url.split("?")
-        found = {}
-        for name in ("scene.toml", "lines.py", "data.zip", "portrait.png", "portrait.svg", "trace.pdf", "shadow.png"):
-            found[name] = await fetched(f"{base}take/{page.name}/{name}?{token}")
-        found["other"] = await fetched(f"{base}take/{page.name}x/lines.py?{token}")
-        found["none"] = await fetched(f"{base}take/{page.name}/lines.py")
+        names = ("scene.toml", "lines.py", "data.zip", "portrait.png", "portrait.svg", "trace.pdf", "shadow.png")
+        answers = {name: await fetch(f"{base}take/{page.name}/{name}?{token}") for name in names}
+        answers["other"] = await fetch(f"{base}take/{page.name}x/lines.py?{token}")
+        answers["none"] = await fetch(f"{base}take/{page.name}/lines.py")
         page.socket.close()
-        return page.state, found
+        return page.state, answers
 
-    state, found = run(talk())
-    assert [found[name].code for name in ("shadow.png", "other", "none")] == [400, 404, 403]
-    assert found["lines.py"].body.decode() == state["python"]
-    assert found["portrait.png"].body[:4] == b"\x89PNG" and b"<svg" in found["portrait.svg"].body[:500]
-    assert found["trace.pdf"].body[:4] == b"%PDF"
-    with zipfile.ZipFile(io.BytesIO(found["data.zip"].body)) as data:
+    state, answers = run(talk())
+    assert [answers[name].code for name in ("shadow.png", "other", "none")] == [400, 404, 403]
+    assert answers["lines.py"].body.decode() == state["python"]
+    assert answers["portrait.png"].body[:4] == b"\x89PNG" and b"<svg" in answers["portrait.svg"].body[:500]
+    assert answers["trace.pdf"].body[:4] == b"%PDF"
+    with zipfile.ZipFile(io.BytesIO(answers["data.zip"].body)) as data:
         assert data.namelist() == ["orbit_1.nc", "orbit_1.txt"]
         assert "multipliers" in data.read("orbit_1.txt").decode()
     path = tmp_path / "page.toml"
-    path.write_bytes(found["scene.toml"].body)
+    path.write_bytes(answers["scene.toml"].body)
     assert jv.load_scene(path).numbers == two_walls().numbers
 
 
-def test_a_page_that_goes_away_ends_its_work(served):
+def test_a_page_that_closes_ends_its_tasks(served):
     pages = served._explorer.page_sockets
 
     async def talk():
@@ -291,20 +248,20 @@ def test_a_page_that_goes_away_ends_its_work(served):
         page = await Page.open(served.url, size=False)
         (name,) = set(pages) - before
         await page.say(do="ask", call="explore", max_period=8)
-        (work,) = [work for _, work in pages[name].session.tasks._tasks.values()]
+        (task,) = [task for _, task in pages[name].session.tasks._tasks.values()]
         page.socket.close()
         for _ in range(600):
-            if not work.is_alive():
+            if not task.is_alive():
                 return
             await asyncio.sleep(0.1)
-        pytest.fail("the work goes on")
+        pytest.fail("the task goes on")
 
     run(talk())
 
 
-def test_a_server_that_has_stopped_is_gone():
+def test_a_stopped_server_is_gone():
     shown = jv.view(two_walls(), 0)
     assert shown.url in shown._repr_html_() and "127.0.0.1" in repr(shown)
     shown.stop()
     with pytest.raises(OSError):
-        socket.create_connection(("127.0.0.1", int(shown.url.split(":")[2].split("/")[0])), 5.0)
+        socket.create_connection(("127.0.0.1", port_of(shown)), 5.0)

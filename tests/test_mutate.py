@@ -1,44 +1,83 @@
-"""The list of broken guards: each reads in one place as it says, and the tests that are to notice are there."""
+"""The lists of mutants: their texts and tests exist, and drawn ones change the code and depend on the seed alone."""
 
 import ast
 from collections import Counter
-from pathlib import Path
 
 import pytest
 
-from tests import mutate
+from . import drawn_mutants, mutate, tiers
 
-ROOT = Path(__file__).parents[1]
-MUTANTS = mutate.mutants()
-SIZES = {"flight": 8, "maps": 8, "orbits": 8, "branches": 8, "loci": 8}
-
-
-def test_there_are_enough_in_each_room():
-    rooms = Counter(one.room for one in MUTANTS)
-    assert sum(rooms.values()) >= 80
-    assert {room: rooms[room] >= least for room, least in SIZES.items()} == dict.fromkeys(SIZES, True)
-    assert len({(one.file, one.text, one.becomes) for one in MUTANTS}) == len(MUTANTS)
-    assert len({(one.room, one.name) for one in MUTANTS}) == len(MUTANTS)
-    assert sum(not one.survives for one in MUTANTS) >= mutate.ENOUGH * len(MUTANTS)
+ROOT = mutate.ROOT
+MUTANTS = mutate.listed_mutants()
+LEAST = {"flight": 8, "maps": 8, "orbits": 8, "branches": 8, "loci": 8}
 
 
-@pytest.mark.parametrize("one", MUTANTS, ids=lambda one: f"{one.room}-{one.name}".replace(" ", "-"))
-def test_its_guard_is_there_and_its_tests_are(one):
-    path = ROOT / one.file
-    room = "continuation" if one.file.startswith("continuation/") else path.parent.name
-    assert room == one.room
-    ast.parse(mutate.broken(one, path.read_text("utf-8")))
-    assert one.guard and one.tests
-    for test in one.tests:
-        file, name = test.split("::")
-        tree = ast.parse((ROOT / file).read_text("utf-8"))
-        names = [each for each in tree.body if isinstance(each, ast.FunctionDef) and each.name == name.split("[")[0]]
-        marks = {ast.unparse(mark) for each in names for mark in each.decorator_list}
-        assert len(names) == 1 and not marks & {"pytest.mark.slow", "pytest.mark.long"}
+def test_each_folder_has_enough_mutants():
+    folders = Counter(mutant.folder for mutant in MUTANTS)
+    assert folders.total() >= 80 and {name for name, least in LEAST.items() if folders[name] < least} == set()
+    assert len({(mutant.file, mutant.text, mutant.becomes) for mutant in MUTANTS}) == len(MUTANTS)
+    assert len({(mutant.folder, mutant.name) for mutant in MUTANTS}) == len(MUTANTS)
+    assert sum(not mutant.survives for mutant in MUTANTS) >= mutate.ENOUGH * len(MUTANTS)
 
 
-def test_a_guard_that_reads_otherwise_is_an_error():
-    (one,) = MUTANTS[:1]
-    for source in ("", one.text + one.text):
-        with pytest.raises(ValueError, match=f"has its text {source.count(one.text)} times"):
-            mutate.broken(one, source)
+def lacking_test(node):
+    """Return whether a node id is that of no test, or of one that runs before a release alone."""
+    file, _, name = node.partition("::")
+    path, function = ROOT / file, name.partition("[")[0]
+    functions = ast.parse(path.read_text("utf-8")).body if path.exists() else []
+    names = [node.name for node in functions if isinstance(node, ast.FunctionDef)]
+    return names.count(function) != 1 or tiers.tier_of(path.stem, name) == "release"
+
+
+def test_each_mutant_applies_and_has_tests():
+    wrong = []
+    for mutant in MUTANTS:
+        path = ROOT / mutant.file
+        ast.parse(mutate.mutated(mutant, path.read_text("utf-8")))
+        folder = "continuation" if mutant.file.startswith("continuation/") else path.parent.name
+        if folder != mutant.folder or not mutant.guard or not mutant.tests or any(map(lacking_test, mutant.tests)):
+            wrong.append(f"{mutant.folder}: {mutant.name}")
+    assert wrong == []
+    assert lacking_test("tests/test_mutate.py::test_no_such_name") and lacking_test("tests/no_such_file.py::test_a")
+
+
+@pytest.mark.parametrize("source, line, count", [("", 0, 0), ("a = 1\na = 1\n", 0, 2), ("b = 1\na = 1\n", 1, 0)])
+def test_a_text_that_does_not_occur_once_is_an_error(source, line, count):
+    mutant = mutate.Mutant("maps", "sign", "a.py", "a = 1\n", "a = 2\n", line=line)
+    with pytest.raises(ValueError, match=f"has its text {count} times"):
+        mutate.mutated(mutant, source)
+
+
+def test_every_kind_of_expression_is_mutated():
+    source = (
+        'def f(x: int | None = 1):\n    """A + b."""\n    if x < 2:\n        return not x\n    return x + -y * 2.0\n'
+    )
+    mutants = drawn_mutants.mutants_of(source)
+    lines = {kind: {becomes.strip() for _, _, becomes in rows} for kind, rows in mutants.items()}
+    assert lines == {
+        "comparison": {"if (x <= 2):", "if (x >= 2):"},
+        "constant": {"def f(x: int | None = 2):", "if x < 3:", "return x + -y * 4.0"},
+        "negation": {"return x"},
+        "operator": {"return (x - -y * 2.0)", "return x + (-y / 2.0)", "return x + y * 2.0"},
+        "dropped term": {"return x", "return (-y * 2.0)", "return x + (-y)", "return x + 2.0"},
+    }
+
+
+def test_drawn_mutants_change_the_code_of_every_folder_and_depend_on_the_seed_alone():
+    every = drawn_mutants.package_folders()
+    folders = {name: every[name] for name in ("scene", "compiled", "output")}
+    drawn = drawn_mutants.draw(8, 3, folders)
+    assert sorted(map(len, drawn.values())) == [2, 3, 3] and drawn == drawn_mutants.draw(8, 3, folders)
+    assert drawn != drawn_mutants.draw(8, 4, folders)
+    for folder, tables in drawn.items():
+        for table in tables:
+            source = (ROOT / table["file"]).read_text("utf-8")
+            mutant = mutate.Mutant(folder, "0", **table)
+            assert ast.dump(ast.parse(mutate.mutated(mutant, source))) != ast.dump(ast.parse(source))
+            assert mutate.stages(mutant)[-1] == ["--tier", "push", "tests"]
+
+
+def test_each_folder_has_test_files():
+    table = mutate.read_table(mutate.FOLDERS)
+    assert table.keys() == drawn_mutants.package_folders().keys()
+    assert [name for names in table.values() for name in names if not (ROOT / "tests" / f"{name}.py").exists()] == []

@@ -1,4 +1,4 @@
-"""`jaxvibro report`: what a report of a fault needs, for people and for machines."""
+"""`jaxvibro report`: the facts that the report of a bug needs, for people and for machines."""
 
 import json
 import os
@@ -7,89 +7,99 @@ import re
 import subprocess
 import sys
 from importlib.metadata import version
-from pathlib import Path
 
 import jax
+import pytest
 
 import jaxvibro as jv
 from jaxvibro.compiled import kernel_calls, lane_arithmetic
-from jaxvibro.compiled.hints_in_use import describe_hints
-from jaxvibro.studies import command, environment
-from jaxvibro.studies.environment import describe_environment, format_environment
-from tests.test_persistent_jit import cache as cache  # a fixture
+from jaxvibro.studies import environment
+from jaxvibro.studies.command import main
+
+from .sources import ROOT
 
 
-def test_what_is_described(cache):
-    found = describe_environment()
-    assert found["versions"]["jaxvibro"] == jv.__version__
-    assert found["versions"]["python"].startswith(platform.python_version())
-    assert all(found["versions"][name] == version(name) for name in ("jax", "jaxlib", "numpy", "scipy"))
-    assert found["jax"]["platform"] == "cpu" and len(found["jax"]["devices"]) == jax.device_count()
-    assert found["jax"]["x64"] is True
+@pytest.fixture
+def cache(tmp_path):
+    """A folder for compiled programs of its own."""
+    before = jax.config.jax_compilation_cache_dir
+    jax.config.update("jax_compilation_cache_dir", str(tmp_path))
+    yield tmp_path
+    jax.config.update("jax_compilation_cache_dir", before)
+
+
+def test_the_facts_of_the_environment(cache):
+    facts = environment.describe_environment()
+    assert facts["versions"]["jaxvibro"] == jv.__version__
+    assert facts["versions"]["python"].startswith(platform.python_version())
+    assert all(facts["versions"][name] == version(name) for name in ("jax", "jaxlib", "numpy", "scipy"))
+    assert facts["jax"]["platform"] == "cpu" and len(facts["jax"]["devices"]) == jax.device_count()
+    assert facts["jax"]["x64"] is True
     with jax.enable_x64(False):
-        assert describe_environment()["jax"]["x64"] is False
-    assert found["processor"]["logical_cores"] == os.cpu_count()
-    assert found["hints"]["options"] == lane_arithmetic.COMPILER_OPTIONS
-    assert found["hints"]["block_width"] == kernel_calls.block_width()
-    kept = {"writable": True, "used_by_jax": True, "used_for_traced_functions": True, "reason_if_not": None}
-    assert found["cache"] == {"folder": str(cache), **kept}
-    assert json.loads(json.dumps(found, allow_nan=False)) == found
+        assert environment.describe_environment()["jax"]["x64"] is False
+    assert facts["processor"]["logical_cores"] == os.cpu_count()
+    assert facts["hints"]["options"] == lane_arithmetic.COMPILER_OPTIONS
+    assert facts["hints"]["block_width"] == kernel_calls.block_width()
+    used = {"writable": True, "used_by_jax": True, "used_for_traced_functions": True, "reason_if_not": None}
+    assert facts["cache"] == {"folder": str(cache), **used}
+    assert json.loads(json.dumps(facts, allow_nan=False)) == facts
 
 
-def test_a_cache_that_is_not_used_says_why(cache):
+def test_the_reason_why_a_cache_is_not_used(cache):
     cache.chmod(0o777)
-    found = describe_environment()["cache"]
-    assert not found["used_for_traced_functions"] and "can be written to by everyone" in found["reason_if_not"]
+    facts = environment.describe_environment()["cache"]
+    assert not facts["used_for_traced_functions"] and "can be written to by everyone" in facts["reason_if_not"]
     cache.chmod(0o700)
     jax.config.update("jax_compilation_cache_dir", None)
-    found = describe_environment()["cache"]
-    assert found["folder"] is None and not found["used_by_jax"] and "no cache folder is set" in found["reason_if_not"]
+    facts = environment.describe_environment()["cache"]
+    assert facts["folder"] is None and not facts["used_by_jax"] and "no cache folder is set" in facts["reason_if_not"]
     jax.config.update("jax_compilation_cache_dir", str(cache / "file" / "below"))
     (cache / "file").write_text("")
-    assert describe_environment()["cache"]["writable"] is False
+    assert environment.describe_environment()["cache"]["writable"] is False
 
 
-def test_hints_are_none_for_other_devices(monkeypatch):
-    marks = describe_hints()["marks"]
+def test_the_hints_are_the_marks_of_compiled_code_and_none_on_other_devices(monkeypatch):
+    def double(x):
+        return lane_arithmetic.call_without_inlining(lambda x: 2.0 * x, x)
+
+    text = jax.jit(lambda x: kernel_calls.call_as_kernel(double, x)).lower(jax.numpy.ones(3)).as_text()
+    marks = environment.describe_environment()["hints"]["marks"]
+    expected = {name: value for group in marks.values() for name, value in group.items()}
+    assert dict(re.findall(r'(inlineable|xla_cpu_small_call) = "(\w+)"', text)) == expected
     assert marks["stage"]["inlineable"] == "false" and marks["one_kernel"]["xla_cpu_small_call"] == "true"
     monkeypatch.setattr(kernel_calls, "is_traced_for_cpu", lambda: False)
-    found = describe_hints()
-    assert (found["applied"], found["marks"], found["block_width"]) == (False, {}, kernel_calls.GPU_BLOCK_WIDTHS[0])
+    hints = environment.describe_environment()["hints"]
+    assert (hints["applied"], hints["marks"]) == (False, {}) and hints["block_width"] == kernel_calls.GPU_BLOCK_WIDTHS[
+        0
+    ]
 
 
 def test_a_processor_without_a_description(monkeypatch):
     monkeypatch.setattr(environment, "_read_cpuinfo", lambda: ({}, None))
-    found = environment._processor_info()
-    assert found["model"] and found["instruction_sets"] == [] and found["cores"] is None
-
-
-def test_the_marks_that_are_described_are_those_of_compiled_code():
-    """Of a stage within one kernel, in the lowered text."""
-
-    def twice(x):
-        return lane_arithmetic.call_without_inlining(lambda x: 2.0 * x, x)
-
-    text = jax.jit(lambda x: kernel_calls.call_as_kernel(twice, x)).lower(jax.numpy.ones(3)).as_text()
-    found = {name: value for marks in describe_hints()["marks"].values() for name, value in marks.items()}
-    assert dict(re.findall(r'(inlineable|xla_cpu_small_call) = "(\w+)"', text)) == found
+    facts = environment.describe_environment()["processor"]
+    assert facts["model"] and facts["instruction_sets"] == [] and facts["cores"] is None
 
 
 def test_the_command_prints_both_forms(capsys):
-    assert command.main(["report"]) == 0
+    assert main(["report"]) == 0
     text = capsys.readouterr().out
     assert re.search(rf"^  jaxvibro +{re.escape(jv.__version__)}$", text, re.MULTILINE)
     assert re.search(r"^  block_width +\d+$", text, re.MULTILINE) and "None" not in text
-    assert command.main(["report", "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)
-    assert list(found) == ["versions", "system", "processor", "jax", "hints", "cache"]
-    assert text == format_environment(found) + "\n"
+    assert main(["report", "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert list(facts) == ["versions", "system", "processor", "jax", "hints", "cache"]
+    groups = re.split(r"^(\w+):", text, flags=re.MULTILINE)[1:]
+    rows = [dict(re.findall(r"^  (\S+) +(.+)$", body, re.MULTILINE)) for body in groups[1::2]]
+    keys = [list(group) if isinstance(group, dict) else [] for group in facts.values()]
+    assert groups[::2] == list(facts) and [list(row) for row in rows] == keys
+    assert rows[0] == facts["versions"]
 
 
-def test_a_process_of_its_own_uses_the_commands_settings(tmp_path):
+def test_a_process_of_its_own_uses_the_settings_of_the_command(tmp_path):
     plain = {name: value for name, value in os.environ.items() if not name.startswith("JAX_")}
-    words = [sys.executable, "-m", "jaxvibro", "report", "--json"]
+    command = [sys.executable, "-m", "jaxvibro", "report", "--json"]
     given = plain | {"XDG_CACHE_HOME": str(tmp_path)}
-    done = subprocess.run(words, cwd=Path(__file__).parents[1], env=given, capture_output=True, text=True, check=True)
-    found = json.loads(done.stdout)
-    assert found["jax"]["x64"] is True and found["cache"]["folder"].startswith(str(tmp_path / "jaxvibro"))
-    assert found["cache"]["used_for_traced_functions"] is True
+    done = subprocess.run(command, cwd=ROOT, env=given, capture_output=True, text=True, check=True)
+    facts = json.loads(done.stdout)
+    assert facts["jax"]["x64"] is True and facts["cache"]["folder"].startswith(str(tmp_path / "jaxvibro"))
+    assert facts["cache"]["used_for_traced_functions"] is True

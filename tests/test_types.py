@@ -1,8 +1,7 @@
-"""Types: every record and the whole public face are annotated, and `checked_types` finds what does not keep to it."""
+"""Types: records and the public API are annotated, and `checked_types` notices values that differ from them."""
 
 import inspect
 from importlib import import_module
-from pathlib import Path
 from typing import NamedTuple, get_args, get_type_hints
 
 import jax
@@ -13,75 +12,88 @@ from jaxtyping import Float
 
 import continuation as co
 import jaxvibro as jv
-from continuation.array_type import Array
 
 from . import checked_types
-from .test_architecture import FILES, name
+from .sources import MODULES, ROOT
 
-PUBLIC = [getattr(jv, one) for one in jv.__all__ if one not in ("__version__", "plot")]
-PUBLIC += [getattr(package, one) for package in (co, jv.plot) for one in package.__all__]
-
-
-def missing(function, own=""):
-    """What of a function has no annotation."""
-    signature = inspect.signature(function)
-    left = [one.name for one in signature.parameters.values() if one.annotation is one.empty and one.name != own]
-    return left + (["return"] if signature.return_annotation is signature.empty else [])
+PUBLIC = [getattr(jv, name) for name in jv.__all__ if name not in ("__version__", "plot")]
+PUBLIC += [getattr(package, name) for package in (co, jv.plot) for name in package.__all__]
 
 
-@pytest.mark.parametrize("one", PUBLIC, ids=lambda one: f"{one.__module__}.{one.__name__}")
-def test_the_public_face_has_types(one):
-    if not inspect.isclass(one):
-        assert missing(one) == []
-        return
-    for field, part in inspect.getmembers(one):
-        part = part.fget if isinstance(part, property) else getattr(part, "func", part)
-        if not field.startswith("_") and inspect.isfunction(part) and part.__module__.split(".")[0] == "jaxvibro":
-            assert missing(part, "self") == [], field
+def untyped(value, own=""):
+    """Return what has no annotation: parameters of a function, or those of the public methods of a class."""
+    if inspect.isclass(value):
+        members = [(name, part) for name, part in inspect.getmembers(value) if not name.startswith("_")]
+        plain = [(name, getattr(part, "fget", None) or getattr(part, "func", part)) for name, part in members]
+        methods = [(name, part) for name, part in plain if inspect.isfunction(part)]
+        ours = [row for row in methods if row[1].__module__.split(".")[0] in (*checked_types.PACKAGES, "tests")]
+        return [f"{value.__name__}.{name}: {row}" for name, part in ours for row in untyped(part, "self")]
+    signature = inspect.signature(value)
+    missing = [part.name for part in signature.parameters.values() if part.annotation is part.empty]
+    return [name for name in missing if name != own] + ["return"] * (signature.return_annotation is signature.empty)
 
 
-def bare(hint):
-    """Whether a type says of an array no shape, or of a collection not what is in it."""
-    return hint in (np.ndarray, jax.Array, tuple, list, dict) or any(bare(one) for one in get_args(hint))
+def is_bare(hint):
+    """Return whether a type gives no shape of an array, or no types of the items of a collection."""
+    return hint in (np.ndarray, jax.Array, tuple, list, dict) or any(map(is_bare, get_args(hint)))
 
 
-@pytest.mark.parametrize("path", [one for one in FILES if one.name != "__main__.py"], ids=name)
-def test_records_have_types_with_shapes(path):
-    module = import_module(name(path))
-    for one in vars(module).values():
-        if checked_types.is_record(one) and one.__module__ == module.__name__:
-            hints = get_type_hints(one, include_extras=True)
-            assert {field: hint for field, hint in hints.items() if bare(hint)} == {}, one.__name__
-            for field, part in inspect.getmembers(one):
-                part = part.fget if isinstance(part, property) else getattr(part, "func", part)
-                ours = inspect.isfunction(part) and part.__module__.split(".")[0] in checked_types.PACKAGES
-                if ours and not field.startswith("_"):
-                    assert missing(part, "self") == [], (one.__name__, field)
+def bare_fields(record):
+    """Return the fields of a record with a bare type."""
+    return [name for name, hint in get_type_hints(record, include_extras=True).items() if is_bare(hint)]
 
 
-def test_checker_and_packages_say_that_they_are_typed():
-    for package in checked_types.PACKAGES:
-        assert (Path(import_module(package).__file__).parent / "py.typed").exists()
+def records():
+    """Return the records of both packages."""
+    modules = [import_module(name) for name in MODULES if not name.endswith("__main__")]
+    values = [(module, value) for module in modules for value in vars(module).values()]
+    return [value for module, value in values if checked_types.is_record(value) and value.__module__ == module.__name__]
 
 
 class Pair(NamedTuple):
     """Two rows of one length."""
 
-    one: Float[Array, " rows"]
-    other: Float[Array, " rows"]
+    first: Float[jax.Array | np.ndarray, " rows"]
+    second: Float[jax.Array | np.ndarray, " rows"]
+
+    def total(self, axis):
+        """Return the sum."""
 
 
-def test_what_does_not_keep_to_its_type_is_found(monkeypatch):
+class Bare(NamedTuple):
+    """A record without shapes."""
+
+    values: np.ndarray
+    names: dict[str, list]
+
+
+def test_the_public_api_has_types():
+    assert {str(value): untyped(value) for value in PUBLIC if untyped(value)} == {}
+    assert untyped(Pair) == ["Pair.total: axis", "Pair.total: return"]
+
+
+def test_records_have_types_with_shapes():
+    wrong = {record.__qualname__: (bare_fields(record), untyped(record)) for record in records()}
+    assert len(wrong) > 100 and {name: row for name, row in wrong.items() if row != ([], [])} == {}
+    assert bare_fields(Bare) == ["values", "names"]
+
+
+def test_the_packages_declare_that_they_are_typed():
+    assert [name for name in checked_types.PACKAGES if not (ROOT / name / "py.typed").exists()] == []
+
+
+def test_a_record_with_a_wrong_field_is_noticed(monkeypatch):
     monkeypatch.setattr(checked_types, "PACKAGES", ("tests",))
     monkeypatch.setattr(Pair, "__new__", Pair.__new__)
+    monkeypatch.setattr(Pair, "total", Pair.total)
     checked_types.check_record(Pair)
     three = np.zeros(3)
-    assert Pair(three, jnp.ones(3)).one is three
-    with pytest.raises(TypeError, match="other"):
+    assert Pair(three, jnp.ones(3)).first is three
+    with pytest.raises(TypeError, match="second"):
         Pair(three, np.zeros(2))
-    with pytest.raises(TypeError, match="one"):
+    with pytest.raises(TypeError, match="first"):
         Pair(np.zeros(3, int), three)
-    assert len(jax.tree.map(lambda leaf: leaf[:, None], Pair(three, three)).one) == 3
+    assert len(jax.tree.map(lambda leaf: leaf[:, None], Pair(three, three)).first) == 3
 
 
 def half(number: Float[np.ndarray, " rows"]) -> Float[np.ndarray, " rows"]:
@@ -97,22 +109,21 @@ def refuse(number: float) -> int:
 
 def test_functions_are_held_to_their_types():
     assert checked_types.checked(half)(np.ones(2))[0] == 0.5
-    with pytest.raises(TypeError, match="rows"):
-        checked_types.checked(half)(np.ones((2, 2)))
-    with pytest.raises(ValueError, match="must be a number"):
-        checked_types.checked(refuse)("a")
-    with pytest.raises(TypeError, match="return"):
-        checked_types.checked(refuse)(1.5)
+    for function, argument, error, text in (
+        (half, np.ones((2, 2)), TypeError, "rows"),
+        (refuse, "a", ValueError, "must be a number"),
+        (refuse, 1.5, TypeError, "return"),
+    ):
+        with pytest.raises(error, match=text):
+            checked_types.checked(function)(argument)
 
 
-def test_of_many_calls_some_are_held():
-    function, kept = checked_types.checked(half), 0
-    for _ in range(checked_types.FIRST):
-        with pytest.raises(TypeError, match="rows"):
-            function(np.ones((2, 2)))
-    for _ in range(2 * checked_types.EVERY):
+def test_the_first_calls_are_checked_and_then_some():
+    function, outcomes = checked_types.checked(half), []
+    for _ in range(checked_types.FIRST + 2 * checked_types.EVERY):
         try:
             function(np.ones((2, 2)))
+            outcomes.append(False)
         except TypeError:
-            kept += 1
-    assert kept == 2
+            outcomes.append(True)
+    assert all(outcomes[: checked_types.FIRST]) and sum(outcomes[checked_types.FIRST :]) == 2

@@ -14,20 +14,17 @@ from pathlib import Path
 
 import continuation
 import jaxvibro as jv
-
-ROOT = Path(__file__).parents[2]
-PACKAGES = ("jaxvibro", "continuation")
+from tests.sources import MODULES, PAGES, ROOT
 
 
 def names():
     """Every name once per file and function: [{kind, file, function, name}]."""
     public = {*jv._HOMES, *jv.plot.__all__, *continuation.__all__}
     rows = []
-    for path in sorted(file for package in PACKAGES for file in (ROOT / package).rglob("*.py")):
-        file = str(path.relative_to(ROOT))
-        if path.stem != "__init__":
-            rows.append(("file", file, "", path.stem))
-        _collect(ast.parse(path.read_text()), file, "", public, rows)
+    for source in MODULES.values():
+        if not source.file.endswith("__init__.py"):
+            rows.append(("file", source.file, "", Path(source.file).stem))
+        _collect(source.tree, source.file, "", public, rows)
     keys = ("kind", "file", "function", "name")
     return [dict(zip(keys, row, strict=True)) for row in dict.fromkeys(rows)]
 
@@ -55,14 +52,10 @@ def _collect(node, file, function, public, rows):
 def texts():
     """Docstrings and sentences: [{kind, file, text}]."""
     rows = []
-    for path in sorted(file for package in PACKAGES for file in (ROOT / package).rglob("*.py")):
-        documented = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
-        for node in ast.walk(ast.parse(path.read_text())):
-            if isinstance(node, documented) and (text := ast.get_docstring(node)):
-                name = getattr(node, "name", "")
-                rows.append({"kind": "docstring", "file": f"{path.relative_to(ROOT)}:{name}", "text": text})
-    pages = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
-    for path in pages:
+    for source in MODULES.values():
+        for node, text in source.docstrings:
+            rows.append({"kind": "docstring", "file": f"{source.file}:{getattr(node, 'name', '')}", "text": text})
+    for path in (ROOT / page for page in ("README.md", "CONTRIBUTING.md", *PAGES[1:])):
         prose = re.sub(r"(?ms)^```.*?^```|^\|.*?$|^#.*?$|\$\$.*?\$\$", "", path.read_text())
         for sentence in re.split(r"(?<=[.?!])\s+(?=[A-Z])", " ".join(prose.split())):
             if len(sentence.split()) >= 5:

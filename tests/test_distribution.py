@@ -10,20 +10,58 @@ import tomllib
 import venv
 from pathlib import Path
 
+import pytest
 import yaml
 
 import jaxvibro as jv
 
+from . import conftest, shard
+
 ROOT = Path(__file__).parents[1]
 
 
-def test_the_workflow_tries_each_python_that_is_promised():
-    jobs = yaml.safe_load((ROOT / ".github" / "workflows" / "ci.yml").read_text())["jobs"]
-    told = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["classifiers"]
-    promised = [one.rpartition(" ")[2] for one in told if re.search(r":: 3\.\d+$", one)]
-    assert jobs["test"]["strategy"]["matrix"]["python"] == promised
-    runs = [step["run"] for job in jobs.values() for step in job["steps"] if "run" in step]
-    assert runs == ["make run", "make test", "make docs"]
+def jobs(workflow):
+    """Return {job: (lines that it runs, actions that it uses, its matrix)} of a workflow."""
+    table = yaml.safe_load((ROOT / ".github" / "workflows" / f"{workflow}.yml").read_text())["jobs"]
+    return {
+        name: (
+            [step["run"].split(" SHARD=")[0] for step in job["steps"] if "run" in step],
+            [step["uses"] for step in job["steps"] if "uses" in step],
+            job.get("strategy", {}).get("matrix", {}),
+        )
+        for name, job in table.items()
+    }
+
+
+def test_the_workflows_run_each_tier_and_each_python_that_is_promised():
+    classifiers = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["classifiers"]
+    promised = [line.rpartition(" ")[2] for line in classifiers if re.search(r":: 3\.\d+$", line)]
+    ci, nightly = jobs("ci"), jobs("nightly")
+    assert ci["test"][2]["python"] == promised
+    assert {name: runs for name, (runs, _, _) in (ci | nightly).items()} == {
+        "test": ["make run", "make test"],
+        "test-ci": ["make test-ci"],
+        "docs": ["make docs"],
+        "release": ["make release-tests"],
+        "without-cache": ["make test", "make test-ci"],
+    }
+    cached = {name for name, (_, uses, _) in (ci | nightly).items() if "./.github/actions/compiled" in uses}
+    assert cached == {"test", "test-ci", "release"}
+    action = yaml.safe_load((ROOT / ".github" / "actions" / "compiled" / "action.yml").read_text())
+    (cache,) = [step["with"] for step in action["runs"]["steps"] if "with" in step]
+    assert cache["path"] == str(Path(conftest.CACHE["JAX_COMPILATION_CACHE_DIR"]).relative_to(ROOT))
+    for pattern in re.findall(r"'([\w.*/-]+)'", cache["key"]):
+        assert any(ROOT.glob(pattern)), pattern
+
+
+def test_the_shards_of_a_workflow_are_all_test_files():
+    matrices = [matrix["shard"] for _, _, matrix in (jobs("ci") | jobs("nightly")).values() if "shard" in matrix]
+    assert len(matrices) == 3
+    for parts in matrices:
+        files = [file for part in parts for file in shard.files(part)]
+        assert sorted(files) == sorted(str(path.relative_to(ROOT)) for path in (ROOT / "tests").rglob("test_*.py"))
+    with pytest.raises(ValueError, match="shard must be"):
+        shard.files("4/3")
 
 
 def test_the_hooks_are_the_lines_of_make_test():
