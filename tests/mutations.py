@@ -35,13 +35,11 @@ def one_of(values, draw):
     return values[draw.integers(len(values))]
 
 
-def mutated(files, draw, changes):
-    """(content, changes, kind) of one of the kinds below, from one of the files."""
-    kind = draw.choice(list(KINDS), p=WEIGHTS)
-    content = one_of(files, draw)
+def mutate(kind, content, draw, changes):
+    """Return a content and changes, of which one is mutated in the way of a kind."""
     given = [one_of(changes, draw)] if draw.random() < 0.3 else []
     content, more = KINDS[kind](content, draw)
-    return content, given + more, str(kind)
+    return content, given + more
 
 
 def _bytes(content, draw):
@@ -151,4 +149,3 @@ KINDS = {
     "changes": _change,
     "cut": _cut,
 }
-WEIGHTS = [0.15, 0.25, 0.15, 0.1, 0.08, 0.04, 0.03, 0.05, 0.1, 0.05]

@@ -1,4 +1,4 @@
-"""Scenes: what is refused and how it is said, batches, names, tracing, and physical quantities."""
+"""Scenes: refusals, batches, names, tracing, and the gap of moving walls."""
 
 import pickle
 import subprocess
@@ -12,7 +12,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import jaxvibro as jv
-from jaxvibro.scene.wall_gap import minimum_gap
 
 GOOD = {"amplitude": 2.0, "frequency": 2.1, "damping": 0.05, "restitution": 0.7, "walls": (-1.0, 1.0)}
 MOVING = jv.Motion(0.5)
@@ -39,38 +38,29 @@ def test_walls_with_restitutions_of_their_own_need_no_other():
 BAD = [
     ("amplitude", {"amplitude": float("nan")}, "must be finite; got nan"),
     ("amplitude", {"amplitude": "2"}, "must be a real number; got '2'"),
-    ("amplitude", {"amplitude": 2j}, "must be a real number"),
     ("amplitude", {"amplitude": None}, "must be a real number"),
     ("amplitude", {"amplitude": 10**400}, "must be a real number"),
     ("amplitude", {"amplitude": [1.0, [2.0]]}, "must be a number or an array, not a list: "),
     ("amplitude", {"amplitude": np.array(["a\nb"])}, "must be a real number"),
     ("frequency", {"frequency": 0.0}, "must be greater than 0; got 0.0"),
-    ("frequency", {"frequency": -2.1}, "must be greater than 0; got -2.1"),
     ("frequency", {"frequency": float("inf")}, "must be finite; got inf"),
     ("frequency", {"frequency": True}, "must be a real number; got True"),
     ("damping", {"damping": -1e-9}, "must not be negative; got -1e-09"),
     ("damping", {"damping": np.array([0.0, 0.1, -0.2])}, "must not be negative; got -0.2 at index (2,)"),
     ("damping", {"damping": np.array([[0.0, 0.1], [0.2, np.nan]])}, "must be finite; got nan at index (1, 1)"),
     ("damping", {"damping": np.zeros(3), "amplitude": np.zeros(2)}, "must broadcast with the shape (2,)"),
-    ("damping", {"damping": np.array([True])}, "must be a real number"),
     ("restitution", {"restitution": 1.0000001}, "must lie between 0 and 1; got 1.0000001"),
-    ("restitution", {"restitution": -0.1}, "must lie between 0 and 1; got -0.1"),
     ("restitution", {"restitution": None}, "must be given, unless each rigid wall has its own; got None"),
     ("restitution", right(restitution=0.5) | {"restitution": None}, "must be given, unless each"),
     ("walls", {"walls": 1.0}, "must be a pair"),
     ("walls", {"walls": (-1.0, 0.0, 1.0)}, "must be a pair"),
-    ("walls", {"walls": np.array([-1.0, 0.0, 1.0])}, "must be a pair"),
     ("walls", {"walls": np.array([[-1.0, 1.0]])}, "must be a pair"),
-    ("walls", {"walls": None}, "must be a pair"),
     ("left.position", {"walls": ("-1", 1.0)}, "must be a real number; got '-1'"),
-    ("left.position", {"walls": (float("-inf"), 1.0)}, "must be finite; got -inf"),
     ("left", {"walls": (MOVING, 1.0)}, "must be a position, None or a Wall"),
     ("right.position", {"walls": (1.0, -1.0)}, "must lie to the right of left.position; got -1.0"),
-    ("right.position", {"walls": (1.0, 1.0)}, "must lie to the right of left.position; got 1.0"),
     ("right.position", {"walls": (0.0, np.array([1.0, 2.0, -3.0]))}, "got -3.0 at index (2,)"),
     ("right.position", right(position=None), "must be a real number; got None"),
     ("right.restitution", right(restitution=1.5), "must lie between 0 and 1; got 1.5"),
-    ("right.restitution", right(restitution="hard"), "must be a real number; got 'hard'"),
     ("right.motion", right(motion=0.5), "must be a Motion or None; got 0.5"),
     ("right.motion", right(motion=jv.Motion(2.0)), "the smallest gap must exceed 0; got 0.0"),
     ("right.motion", right(motion=jv.Motion(np.array([0.1, -2.5]))), "must not touch or cross in their motion"),
@@ -92,19 +82,9 @@ def test_bad_scene_is_one_clear_line(key, changes, said):
     with pytest.raises(jv.SceneError) as caught:
         jv.make_scene(**{**GOOD, **changes})
     line = str(caught.value)
-    assert caught.value.key == key
-    assert line.startswith(f"{key}: ")
-    assert said in line
-    assert "\n" not in line
-    assert len(line) < 250
-    assert (
-        str(pickle.loads(pickle.dumps(jv.SceneError(key, "rule", 1.0, (2,))))) == f"{key}: rule; got 1.0 at index (2,)"
-    )
-
-
-def test_an_error_can_be_sent_to_another_process():
-    error = pickle.loads(pickle.dumps(jv.SceneError("damping", "rule", 1.0, (2,))))
-    assert str(error) == "damping: rule; got 1.0 at index (2,)"
+    assert caught.value.key == key and line.startswith(f"{key}: ") and said in line
+    assert "\n" not in line and len(line) < 250
+    assert str(pickle.loads(pickle.dumps(caught.value))) == line  # it can be sent to another process
 
 
 def test_double_precision_is_asked_for():
@@ -124,20 +104,13 @@ def test_import_leaves_jax_alone():
 
 
 @pytest.mark.parametrize("walls", [(-1.0, 1.0), (None, 1.0), (-1.0, None), (None, None)])
-def test_walls_are_structure(walls):
+def test_walls_and_harmonics_are_structure_and_numbers_are_leaves(walls):
     scene = jv.make_scene(**{**GOOD, "walls": walls})
-    assert [scene.left is None, scene.right is None] == [wall is None for wall in walls]
     assert len(jax.tree.leaves(scene)) == 4 + sum(wall is not None for wall in walls)
-    assert all(scene.parameter(name).shape == () for name in scene.names)
-
-
-def test_harmonic_is_static_and_numbers_are_leaves():
-    scene = jv.make_scene(**{**GOOD, **right(motion=jv.Motion(0.1, 0.2, np.int64(3)))})
-    leaves, structure = jax.tree.flatten(scene)
-    assert len(leaves) == 8
-    other = jv.make_scene(**{**GOOD, **right(motion=jv.Motion(0.1, 0.2, 4))})
-    assert structure != jax.tree.structure(other)
-    assert type(scene.right.motion.harmonic) is int
+    assert list(scene.walls) == [side for side, wall in zip(("left", "right"), walls, strict=True) if wall is not None]
+    third, fourth = (jv.make_scene(**{**GOOD, **right(motion=jv.Motion(0.1, 0.2, k))}) for k in (np.int64(3), 4))
+    assert len(jax.tree.leaves(third)) == 8 and type(third.right.motion.harmonic) is int
+    assert jax.tree.structure(third) != jax.tree.structure(fourth)
 
 
 EACH = ("amplitude", "frequency", "damping", "restitution")
@@ -146,7 +119,7 @@ OWN = ("position", "restitution", "stiffness", "damping")
 
 @pytest.mark.parametrize("kind", [list, tuple])
 def test_a_list_is_no_batch_and_no_pair_of_walls(kind):
-    """Wherever a number may stand: it is refused, with the way to write what may have been meant."""
+    """A list is refused in place of any number, with the way to write what may have been meant."""
 
     def refused(key, make, *given, **named):
         with pytest.raises(jv.SceneError) as error:
@@ -193,21 +166,12 @@ def test_batches_broadcast():
     assert jv.make_scene(**{**GOOD, "amplitude": np.zeros((0,))}).shape == (0,)
 
 
-def test_replace_and_parameter():
+def test_a_wall_without_a_restitution_takes_that_of_the_scene():
     scene = jv.make_scene(**{**GOOD, **right(motion=MOVING)})
-    assert scene.parameter("right.restitution") == 0.7
-    own = scene.replace(**{"right.restitution": 0.5, "amplitude": 3.0, "right.motion.phase": -1.0})
-    assert [float(own.parameter(name)) for name in ("right.restitution", "left.restitution", "amplitude")] == [
-        0.5,
-        0.7,
-        3,
-    ]
-    assert own.right.motion.phase == -1.0
-    assert scene.amplitude == 2.0
+    own = scene.replace(**{"right.restitution": 0.5})
+    assert [own.parameter(f"{side}.restitution") for side in ("left", "right")] == [0.7, 0.5]
     assert own.replace(**{"right.restitution": None}).parameter("right.restitution") == 0.7
-    with pytest.raises(
-        jv.SceneError, match=r"amplitud: is not a parameter of this scene, perhaps amplitude \(amplitude, freq"
-    ):
+    with pytest.raises(jv.SceneError, match=r"amplitud: is not a parameter of this scene, perhaps amplitude \(ampl"):
         scene.replace(amplitud=1.0)
     with pytest.raises(jv.ArgumentError, match=r"left\.motion\.phase: is not a parameter"):
         scene.parameter("left.motion.phase")
@@ -226,73 +190,39 @@ def test_tracing_checks_types_and_shapes_only():
         jax.jit(lambda x: scene.replace(amplitude=x, damping=-1.0))(1.0)
     with pytest.raises(jv.SceneError, match="damping: must broadcast"):
         jax.jit(lambda x: scene.replace(amplitude=x, damping=x[:2]))(jnp.zeros(3))
+    assert jax.grad(lambda force: physical(force=force).amplitude)(5.0) == 1 / (8.0 * 0.5)
+
+
+def is_accepted(low, high, mean):
+    """Return whether walls with these motions (amplitude, phase, harmonic) and this mean gap make a scene."""
+    walls = jv.Wall(0.0, motion=jv.Motion(*low)), jv.Wall(mean, motion=jv.Motion(*high))
+    try:
+        jv.make_scene(**{**GOOD, "walls": walls})
+    except jv.SceneError as error:
+        assert "must not touch or cross in their motion" in str(error)
+        return False
+    return True
 
 
 sizes, phases, harmonics = st.floats(-2, 2), st.floats(-7, 7), st.integers(1, 9)
 
 
 @given(low=st.tuples(sizes, phases, harmonics), high=st.tuples(sizes, phases, harmonics), mean=st.floats(1e-3, 4))
-def test_least_gap_has_the_sign_of_a_dense_search(low, high, mean):
+def test_walls_are_accepted_if_a_dense_search_finds_a_gap(low, high, mean):
     theta = np.linspace(0.0, 2 * np.pi, 40_001)
     gap = mean + high[0] * np.cos(high[2] * theta + high[1]) - low[0] * np.cos(low[2] * theta + low[1])
-    found = minimum_gap(jv.Wall(0.0, None, motion=jv.Motion(*low)), jv.Wall(mean, None, motion=jv.Motion(*high)))
     # The dense search is this far above the least value at most: (step / 2)^2 max abs f'' / 2.
     unseen = (np.pi / 40_000) ** 2 * (abs(low[0]) * low[2] ** 2 + abs(high[0]) * high[2] ** 2) / 2 + 1e-14
-    assert found <= 0 if gap.min() <= 0 else found > 0 or gap.min() < unseen
+    assert is_accepted(low, high, mean) == (gap.min() > 0) or 0 < gap.min() < unseen
 
 
-def test_walls_that_move_apart_together_are_allowed():
-    scene = jv.make_scene(**{**GOOD, "walls": two_moving(phase=0.0)})
-    assert scene.right.motion.harmonic == 2
-
-
-def test_least_gap_of_a_flat_touch():
+def test_walls_that_move_together_or_touch_at_a_flat_minimum():
+    assert jv.make_scene(**{**GOOD, "walls": two_moving(phase=0.0)}).right.motion.harmonic == 2
     # f = 3 + 4 cos(x + pi) + cos 2x = 8 sin(x/2)^4 touches with order four.
-    low = jv.Wall(0.0, None, motion=jv.Motion(4.0))
     for more, opens in ((0.0, False), (-1e-9, False), (1e-9, True)):
-        assert (minimum_gap(low, jv.Wall(3.0 + more, None, motion=jv.Motion(1.0, 0.0, 2))) > 0) == opens
+        assert is_accepted((4.0, 0.0, 1), (1.0, 0.0, 2), 3.0 + more) == opens
 
 
 def physical(**changes):
     given = {"mass": 2.0, "damping": 3.0, "stiffness": 8.0, "force": 5.0, "frequency": 3.0, "restitution": 0.7}
     return jv.scene_from_physical(**{**given, "walls": (-0.75, 0.5), **changes})
-
-
-def test_physical_solves_the_same_equation():
-    """The forced response of M X'' + C X' + K X = F cos(Omega T) is d times that of the scene."""
-    scene = physical(walls=(jv.Wall(-0.75, 0.6, motion=jv.Motion(0.1, 0.3, 2)), 0.5))
-    a, omega, gamma = (float(scene.parameter(name)) for name in ("amplitude", "frequency", "damping"))
-    response = a / (1 - omega**2 + 2j * gamma * omega)
-    assert np.isclose(0.5 * response, 5.0 / (8.0 - 2.0 * 3.0**2 + 3j * 3.0), rtol=1e-15)
-    assert (scene.left.position, scene.right.position, scene.left.motion.amplitude) == (-1.5, 1.0, 0.2)
-    assert (scene.left.motion.phase, scene.left.motion.harmonic, scene.left.restitution) == (0.3, 2, 0.6)
-    assert physical(length=0.25).right.position == 2.0
-
-
-@pytest.mark.parametrize(
-    ("key", "changes"),
-    [
-        ("mass", {"mass": 0.0}),
-        ("stiffness", {"stiffness": -1.0}),
-        ("damping", {"damping": -0.1}),
-        ("frequency", {"frequency": 0.0}),
-        ("force", {"force": float("nan")}),
-        ("length", {"length": -1.0}),
-        ("length", {"walls": (-1.0, None)}),
-        ("length", {"walls": (-1.0, -0.5)}),
-        ("left.position", {"walls": ("a", 1.0)}),
-        ("left.motion", {"walls": (jv.Wall(-1.0, motion=3), 1.0)}),
-        ("restitution", {"restitution": 7.0}),
-        ("walls", {"walls": 3}),
-        ("stiffness", {"mass": np.ones(2), "stiffness": np.ones(3)}),
-    ],
-)
-def test_bad_physical_quantities(key, changes):
-    with pytest.raises(jv.SceneError) as caught:
-        physical(**changes)
-    assert caught.value.key == key
-    assert "\n" not in str(caught.value)
-
-
-def test_physical_under_tracing():
-    assert jax.grad(lambda force: physical(force=force).amplitude)(5.0) == 1 / (8.0 * 0.5)
