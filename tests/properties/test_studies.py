@@ -1,13 +1,12 @@
 """Properties of scene files: of each table of a study, and of hostile texts of many kinds."""
 
-import math
+import json
 import time
 import tomllib
 from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-import jax
 import msgspec
 import pytest
 import xarray as xr
@@ -43,26 +42,26 @@ class TextKind:
 
 
 BRANCH = {"parameter": "amplitude", "bounds": [0.1, 9.0], "start": START, "at": {"damping": 0.06}}
-BRANCH |= {"settle": 200, "max_period": 1, "largest_step": 0.1, "max_seconds": 99.0}
+BRANCH |= {"settle": 200, "max_period": 1, "largest_step": 0.1, "max_seconds": 9999.0}
 LEGS = [
     {"name": name, "from": low, "to": high, "start": START} for name, low, high in (("up", 2.0, 3.0), ("b", 3.0, 2.0))
 ]
 STUDIES = {
     "scene": {},
-    "sweep": {"parameter": "amplitude", "count": 5, "settle": 5, "keep": 5, "legs": LEGS, "max_seconds": 99.0},
-    "attractors": {"starts": 5, "seed": 1, "at": {"damping": 0.06}, "max_seconds": 99.0},
+    "sweep": {"parameter": "amplitude", "count": 5, "settle": 5, "keep": 5, "legs": LEGS, "max_seconds": 9999.0},
+    "attractors": {"starts": 5, "seed": 1, "at": {"damping": 0.06}, "max_seconds": 9999.0},
     "orbits": {"max_period": 1, "starts": 20, "seed": 1, "at": {"damping": 0.06}},
     "branch": BRANCH,
     "explore": {"parameter": "amplitude", "bounds": [0.1, 9.0], "at": {"damping": 0.06}, "max_period": 1, "seed": 1}
-    | {"budget": 1, "max_seconds": 99.0},
-    "locus": PLANE | {"kinds": ["SN", "GR"], "largest_step": 0.1, "max_seconds": 99.0},
+    | {"budget": 1, "max_seconds": 9999.0},
+    "locus": PLANE | {"kinds": ["SN", "GR"], "largest_step": 0.1, "max_seconds": 9999.0},
     "margin": {"free": {"amplitude": 0.1}, "bounds": {"amplitude": [0.1, 9.0]}, "kinds": ["SN"], "start": START}
-    | {"at": {"damping": 0.06}, "settle": 200, "directions": 8, "seed": 1, "max_seconds": 99.0},
+    | {"at": {"damping": 0.06}, "settle": 200, "directions": 8, "seed": 1, "max_seconds": 9999.0},
     "fit": {"record": "fit.csv", "sigma": 1e-3, "free": {"damping": 0.01}, "bounds": {"damping": [0.01, 0.2]}}
     | {"sigma_v": 1e-3, "flawed": True},
     "map": PLANE
     | {"count": [2, 3], "quantities": ["label"], "starts": 2, "seed": 1, "settle": 30, "patience": 500}
-    | {"at": {"damping": 0.06}, "max_seconds": 99.0},
+    | {"at": {"damping": 0.06}, "max_seconds": 9999.0},
     "spectrum": {"parameter": "amplitude", "from": 2.0, "to": 3.0, "count": 3, "start": START, "settle": 9}
     | {"error": 1e-2},
     "basins": {"x": [-0.5, 0.5], "v": [-1.0, 1.0], "count": 9, "phase": 0.5, "starts": 9, "seed": 1}
@@ -108,7 +107,7 @@ WRONG = {
     int: ("'text'", "3.5", "true", "[]", "{}", "-1", f"{2**70}", "nan"),
     float: ("'text'", "true", "[]", "{}", "nan", "inf", "-inf", "[1.0, 2.0]"),
     str: ("3.5", "true", "[]", "{}", "'no such name'"),
-    list: ("3.5", "'text'", "true", "{}", "[[]]", "[true]"),
+    list: ("3.5", "'text'", "true", "{a = 1.0}", "[[]]", "[true]"),
     dict: ("3.5", "'text'", "true", "[]", "{'no such name' = 1.0}"),
 }
 
@@ -139,8 +138,8 @@ def test_writing(kind, number):
         path, again = Path(folder) / "study.toml", Path(folder) / "again.toml"
         tables = write_tables(kind, path)
         file = scene_file.read_scene_file(path)
-        for key, value in (kind.table or {}).items():
-            assert kind.name == "panels" or msgspec.to_builtins(getattr(file, kind.name))[key] == value
+        read = json.loads(msgspec.json.encode(file))
+        assert kind.table.items() <= read[kind.name].items() if kind.table else read["sweep"] is None
         scene_file.write_scene_file(file, again)
         assert scene_file.read_scene_file(again) == file and tables["scene"]["frequency"] == file.scene.frequency
 
@@ -152,7 +151,10 @@ def scene_of(number):
 
 @of_numbers
 def test_runs(kind, number):
-    """The job that a run leaves with its data gives the same data once more; the files are those of the summary."""
+    """The job that a run leaves with its data gives the same data once more; the files are those of the summary.
+
+    The data are the same to rounding: the first evaluations of a program are by NumPy, later ones compiled.
+    """
     with TemporaryDirectory() as folder:
         path, out = Path(folder) / "study.toml", Path(folder) / "out"
         write_tables(kind, path, scene_of(number))
@@ -174,20 +176,20 @@ def test_runs(kind, number):
         assert job == scene_file.read_scene_file(path) == scene_file.parse_tables(tomllib.loads(data.attrs["job"]))
         (Path(folder) / "again.toml").write_text(data.attrs["job"])
         jv.run(Path(folder) / "again.toml", out)
-        xr.testing.assert_identical(jv.load_data(out / "again.nc"), data)
+        again = jv.load_data(out / "again.nc")
+        xr.testing.assert_allclose(again, data, rtol=1e-6, atol=1e-9)
+        assert again.attrs.keys() == data.attrs.keys() and again.attrs["job"] == data.attrs["job"]
 
 
 @of_numbers
 def test_hostile_texts(kind, number):
     """A mutated scene file, or a change, is read or refused in one line within 2 s; it never ends in another error."""
-    draw, outcomes = generator(kind, number), []
-    files = [path.read_bytes() for path in sorted(SCENES.glob("*.toml"))]
+    draw, files = generator(kind, number), [path.read_bytes() for path in sorted(SCENES.glob("*.toml"))]
     with TemporaryDirectory() as folder:
         path = Path(folder) / "mutated.toml"
         for _ in range(8):
             content, changes = mutate(kind.name, files[draw.integers(len(files))], draw, CHANGES)
             path.write_bytes(content)
             began = time.process_time()
-            outcomes.append(read_or_refuse(path, changes)[1] is None)
+            read_or_refuse(path, changes)
             assert time.process_time() - began < SLOWEST, (content[:200], changes)
-    assert len(outcomes) == 8 and math.isfinite(sum(outcomes)) and jax.config.jax_enable_x64
