@@ -65,17 +65,21 @@ def test_numbers_of_any_size_are_written_with_all_their_digits(number, tmp_path)
     [
         ("orbits = {}", {"max_period": 4, "starts": 200, "seed": 0, "at": {}}),
         ("attractors = {}", {"starts": 200, "seed": 0, "at": {}, "max_seconds": None}),
-        ("branch = {parameter='frequency', bounds=[1, 3]}", {"settle": 200, "max_period": 1, "largest_step": 0.1}),
-        ("branch = {parameter='frequency', bounds=[1, 3]}", {"bounds": (1.0, 3.0), "at": {}}),
-        ("explore = {parameter='frequency', bounds=[1, 3]}", {"at": {}, "max_period": 8, "seed": 0, "budget": None}),
+        ("branch = {parameter='frequency', bounds=[1.0, 3.0]}", {"settle": 200, "max_period": 1, "largest_step": 0.1}),
+        ("branch = {parameter='frequency', bounds=[1.0, 3.0]}", {"bounds": (1.0, 3.0), "at": {}}),
+        (
+            "explore = {parameter='frequency', bounds=[1.0, 3.0]}",
+            {"at": {}, "max_period": 8, "seed": 0, "budget": None},
+        ),
         (
             "sweep = {parameter='frequency', count=3, legs=[{name='a', from=1, to=2, start={x=0, v=0}}]}",
             {"settle": 300, "keep": 100},
         ),
     ],
 )
-def test_tables_have_defaults(table, values):
-    asked = getattr(read_scene_file(FIG4, [table]), table.split()[0])
+def test_tables_have_defaults(table, values, tmp_path):
+    (tmp_path / "plain.toml").write_text(SCENE)
+    asked = getattr(read_scene_file(tmp_path / "plain.toml", [table]), table.split()[0])
     assert {key: getattr(asked, key) for key in values} == values
 
 
