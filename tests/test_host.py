@@ -7,7 +7,6 @@ import jax.numpy as jnp
 import pytest
 
 import jaxvibro as jv
-from jaxvibro import plot
 from jaxvibro.reproduction.figure_jobs import JOBS
 from jaxvibro.studies import command, scene_file_studies
 from jaxvibro.studies.schema import SceneFile
@@ -70,9 +69,9 @@ def test_what_runs_on_the_host_says_so_at_once(name):
     assert inspect.signature(function).parameters and function.__doc__ and function.__name__ == name
 
 
-@pytest.mark.parametrize("name", plot.__all__)
+@pytest.mark.parametrize("name", jv.plot.__all__)
 def test_a_picture_says_what_it_is_of(name):
-    function, orbit = getattr(plot, name), jv.State(0.0, 0.0)
+    function, orbit = getattr(jv.plot, name), jv.State(0.0, 0.0)
     count = sum(one.default is one.empty for one in inspect.signature(function).parameters.values())
     for wrong in (orbit, 3.0, None, "name", SCENE, [orbit], jv.Impacts(*[0] * 7)):
         assert line_of(lambda wrong=wrong: function(*[wrong] * count)).startswith(f"plot.{name}: must be given a")
@@ -80,12 +79,12 @@ def test_a_picture_says_what_it_is_of(name):
 
 def test_a_picture_of_a_branch_is_of_no_orbit():
     orbit = jv.find_orbit(SCENE.replace(amplitude=0.5), jv.State(0.0, 0.0))
-    assert line_of(lambda: plot.branch(orbit)).startswith(
-        "plot.branch: must be given a Branch (an Orbit is drawn by plot.orbit); got Orbit(label='P100'"
+    assert line_of(lambda: jv.plot.branch(orbit)).startswith(
+        "plot.branch: must be given a Branch (an Orbit is drawn by jv.plot.orbit); got Orbit(label='P100'"
     )
-    assert line_of(lambda: plot.orbit(SCENE)).startswith("plot.orbit: must be given an Orbit")
+    assert line_of(lambda: jv.plot.orbit(SCENE)).startswith("plot.orbit: must be given an Orbit")
     path = jv.simulate(SCENE, jv.State(0.0, 0.0))
-    assert line_of(lambda: plot.diagram(path)).endswith("must be given a Dataset of sweep; got 'Dataset'")
+    assert line_of(lambda: jv.plot.diagram(path)).endswith("must be given a Dataset of sweep; got 'Dataset'")
 
 
 def test_the_help_knows_all_that_there_is(capsys):
