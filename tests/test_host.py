@@ -1,15 +1,15 @@
-"""What can be traced and what cannot: every public name is the one or says at once that it is the other."""
+"""Tracing: each public function can be traced, or refuses tracers at once in one line."""
 
 import inspect
+import re
 
 import jax
 import jax.numpy as jnp
 import pytest
 
 import jaxvibro as jv
-from jaxvibro.reproduction.figure_jobs import JOBS
-from jaxvibro.studies import command, scene_file_studies
-from jaxvibro.studies.schema import SceneFile
+from jaxvibro.studies.command import main
+from tests.properties.test_studies import STUDIES
 
 TRACED = {
     "make_scene": lambda x: jv.make_scene(x, 2.1, 0.05, 0.7, (-1.0, 1.0)).amplitude,
@@ -51,7 +51,7 @@ def line_of(call):
 
 
 def called(function, x):
-    """The function of arguments enough, one of them traced within a record or alone."""
+    """Call a function with as many arguments as it needs, one of them traced, in a scene or alone."""
     names = inspect.signature(function).parameters
     given = {name: SCENE.replace(amplitude=x) if name == "scene" else x for name in names}
     by_name = {name: given.pop(name) for name, one in names.items() if one.kind is one.KEYWORD_ONLY}
@@ -61,11 +61,11 @@ def called(function, x):
 @pytest.mark.parametrize("name", HOST)
 def test_what_runs_on_the_host_says_so_at_once(name):
     function = getattr(jv, name)
-    told = f"{name}: runs on the host and cannot be traced by jit, vmap or grad: call it outside; inside, "
+    text = f"{name}: runs on the host and cannot be traced by jit, vmap or grad: call it outside; inside, "
     traced, plain = (lambda x: called(function, x)), (lambda x: (called(function, 2.0), x)[1])
     for one in (traced, plain):
         for transformed in (jax.jit(one), jax.grad(one), lambda x, one=one: jax.vmap(one)(jnp.full(2, x))):
-            assert line_of(lambda transformed=transformed: transformed(2.0)).startswith(told)
+            assert line_of(lambda transformed=transformed: transformed(2.0)).startswith(text)
     assert inspect.signature(function).parameters and function.__doc__ and function.__name__ == name
 
 
@@ -87,15 +87,17 @@ def test_a_picture_of_a_branch_is_of_no_orbit():
     assert line_of(lambda: jv.plot.diagram(path)).endswith("must be given a Dataset of sweep; got 'Dataset'")
 
 
-def test_the_help_knows_all_that_there_is(capsys):
+def test_the_help_names_all_tables_and_figures(capsys):
     for words in ([], ["run"], ["paper"], ["init"]):
-        assert command.main([*words, "--help"]) == 0
-        told = " ".join(capsys.readouterr().out.split())
-        assert "between rigid walls" not in told
+        assert main([*words, "--help"]) == 0
+        text = " ".join(capsys.readouterr().out.split())
+        assert "between rigid walls" not in text
         if words == ["run"]:
-            assert "Walls are rigid or soft" in told
-            assert [name for name in SceneFile.__struct_fields__[1:] if f"[{name}]" not in told] == []
+            assert "Walls are rigid or soft" in text
+            assert [name for name in STUDIES if name != "scene" and f"[{name}]" not in text] == []
         if words == ["paper"]:
-            assert "figures 2 to 12" in told and "fig2 to fig12, walls, formulas" in told
-            assert {*JOBS} == {*(f"fig{k}" for k in range(2, 13)), "walls", "formulas"}
-    assert "soft" in jv.__doc__ and scene_file_studies.__doc__
+            assert "figures 2 to 12" in text and "fig2 to fig12, walls, formulas" in text
+    with pytest.raises(jv.ArgumentError) as error:
+        jv.paper(["unknown"])
+    known = re.findall(r"[a-z]+\d*", str(error.value).split("(")[1].split(")")[0])
+    assert set(known) == {*(f"fig{k}" for k in range(2, 13)), "walls", "formulas"} and "soft" in jv.__doc__

@@ -2,6 +2,7 @@
 
 import json
 import math
+from types import SimpleNamespace
 
 import jax
 import mpmath as mp
@@ -11,15 +12,12 @@ import xarray as xr
 from scipy.integrate import quad
 
 import jaxvibro as jv
-from jaxvibro.attractors.find import Attractor
 from jaxvibro.reproduction import (
-    attractor_checks,
     bifurcation_diagrams,
     closed_forms,
     figure_jobs,
     fixed_step,
     phase_portraits,
-    run,
 )
 from jaxvibro.reproduction.claim import (
     additional_claim,
@@ -32,8 +30,8 @@ from jaxvibro.reproduction.claim_report import claim_rows, report_html, report_m
 from jaxvibro.reproduction.figure_panels import FigureResult, panel_scene_files
 from jaxvibro.reproduction.hysteresis import hysteresis_ranges
 from jaxvibro.studies.scene_file import read_scene_file
+from tests.scene_files import SCENES
 
-SCENES = run.ROOT.parent / "scenes"
 AGREES, DIFFERS, HOLDS, CANNOT_HOLD, UNDECIDED = "agrees to its digits", "differs", "holds", "cannot hold", "undecided"
 SCENE = jv.make_scene(2.0, 2.1, 0.05, 0.7, (-1.0, 1.0))
 INFINITY, NAN = math.inf, math.nan
@@ -85,22 +83,11 @@ def test_a_claim_in_words_is_judged_by_its_number_and_by_what_stays_unresolved(c
     assert computed_value_text(claim).endswith(", perhaps more") == (allowance > 0.0)
 
 
-def attractor(kind, exponent, label="P111", share=0.5):
-    return Attractor(
-        label=label,
-        kind=kind,
-        share=share,
-        share_bounds=(0.0, 1.0),
-        starts=2,
-        state=jv.State(0.1, 0.2, 0.0, 0.0),
-        periods=1,
-        itinerary=(),
-        points=None,
-        least_speed=1.0,
-        exponent=exponent,
-        mirror_of=None,
-        note="",
-    )
+def attractor(kind, exponent, label="P111"):
+    """Return an attractor with the fields that a verdict reads."""
+    state = jv.State(0.1, 0.2, 0.0, 0.0)
+    fields = {"share": 0.5, "state": state, "periods": 1, "mirror_of": None, "orbit": None, "note": ""}
+    return SimpleNamespace(label=label, kind=kind, exponent=exponent, **fields)
 
 
 @pytest.mark.parametrize(
@@ -125,7 +112,7 @@ def test_chaos_is_judged_by_all_attractors(monkeypatch, kinds, exponents, verdic
         return xr.Dataset(pairs)
 
     monkeypatch.setattr(bifurcation_diagrams, "find_attractors", lambda scene, starts: found)
-    monkeypatch.setattr(attractor_checks, "spectrum", spectrum)
+    monkeypatch.setattr("jaxvibro.reproduction.attractor_checks.spectrum", spectrum)
     monkeypatch.setattr(bifurcation_diagrams, "locate_chaos_onset", lambda scene, low, high: (4.98, 0.02, 8, 0.2))
     there, begins = bifurcation_diagrams._chaos_claims("4", SCENE, "5.24", 3.4)
     assert there.verdict == verdict
@@ -210,7 +197,7 @@ def test_the_papers_method_comes_near_the_strobe():
     states = draw.uniform([-1.0, -3.0, 0.0], [1.0, 3.0, 6.0], (200, 3))
     found = fixed_step.fixed_step_strobe(fixed_step.OscillatorParameters(2.1, 0.05, 0.7), states, 400)
     scene = jv.make_scene(states[:, 2], 2.1, 0.05, 0.7, (-1.0, 1.0))
-    end, impacts = jv.strobe(scene, jv.State(states[:, 0], states[:, 1]), slots=fixed_step.MAX_IMPACTS)
+    end, impacts = jv.strobe(scene, jv.State(states[:, 0], states[:, 1]), slots=found.sides.shape[1])
     same = (found.sides == np.asarray(impacts.side)).all(axis=1)
     assert same.mean() > 0.97
     gaps = abs(found.ends - np.stack([end.x, end.v], axis=1))[same].max(axis=1)
@@ -275,7 +262,7 @@ def jobs(monkeypatch):
         return FigureResult(None, "", (additional_claim("2", "never", (1.0, 0.0), high=0.0, reason="Because."),))
 
     jobs = {name: figure_jobs.FigureJob(name, ("formulas",), drawn) for name, drawn in (("one", one), ("two", two))}
-    monkeypatch.setattr(run, "JOBS", jobs)
+    monkeypatch.setattr("jaxvibro.reproduction.run.JOBS", jobs)
     return calls
 
 
