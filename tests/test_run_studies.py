@@ -427,6 +427,6 @@ def test_orbits_of_another_scene_stay_out_of_the_diagram_and_none_are_reported_a
     scenes = results.scene_of_table(file.orbits), results.scene_of_table(file.attractors)
     assert (scenes[0].damping, scenes[1].amplitude) == (0.1, 4.65)
     alone = replace(results, file=msgspec.structs.replace(file, sweep=None, attractors=None), attractors=None)
-    assert "20 starts (seed 0) at damping = 0.1: none found" in results_report.format_results_table(alone, "name")
+    assert "20 starts (seed 0): none found" in results_report.format_results_table(alone, "name")
     assert results_report.summarise_results(alone, {})["orbits"] == []
     assert result_pictures.draw_main_picture(alone).startswith(b"\x89PNG")
