@@ -47,6 +47,27 @@ def test_names(kind, scene, state):
             scene.replace(**{wrong: 1.0})
 
 
+WRONG = {
+    "must be finite": (np.nan, np.inf, -np.inf),
+    "must be a real number": ("2", 2j, True, 10**400, np.array(["a\nb"]), np.array([True])),
+    "must be a number or an array, not a ": ([0.5, 0.8], (0.5,), [0.5, [0.8]]),
+}
+
+
+@of_numbers
+def test_wrong_numbers(kind, number):
+    """What is no finite real number is refused for each parameter, in one line that begins with its name."""
+    scene = kind.draw_single(number)[0]
+    for name in scene.names:
+        for said, values in WRONG.items():
+            for value in values:
+                with pytest.raises(jv.SceneError) as caught:
+                    scene.replace(**{name: value})
+                line = str(caught.value)
+                assert caught.value.key == name and line.startswith(f"{name}: {said}"), (line, value)
+                assert "\n" not in line and len(line) <= 300
+
+
 @of_batches
 def test_files(kind, scene, state):
     """A scene that is written to a file and read has the same bits and the same structure; a batch is refused."""
