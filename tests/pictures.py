@@ -171,23 +171,8 @@ def fit():
     return jv.plot.fit(jv.fit(unlike().replace(damping=0.07), record, free={"damping": 0.01}), record, ax)
 
 
-PICTURES: tuple[Callable, ...] = (
-    diagram,
-    over_branches,
-    speed,
-    clearance,
-    orbit,
-    marked_orbits,
-    motion,
-    basins,
-    manifolds,
-    sections,
-    spectrum,
-    shares,
-    loci,
-    margins,
-    fit,
-)
+PICTURES: tuple[Callable, ...] = (diagram, over_branches, speed, clearance, orbit, marked_orbits, motion)
+PICTURES += (basins, manifolds, sections, spectrum, shares, loci, margins, fit)
 
 
 def write(draw, path, dots):
