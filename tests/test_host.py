@@ -80,7 +80,7 @@ def test_a_picture_says_what_it_is_of(name):
 def test_a_picture_of_a_branch_is_of_no_orbit():
     orbit = jv.find_orbit(SCENE.replace(amplitude=0.5), jv.State(0.0, 0.0))
     assert line_of(lambda: jv.plot.branch(orbit)).startswith(
-        "plot.branch: must be given a Branch (an Orbit is drawn by jv.plot.orbit); got Orbit(label='P100'"
+        "plot.branch: must be given a Branch (an Orbit is drawn by plot.orbit); got Orbit(label='P100'"
     )
     assert line_of(lambda: jv.plot.orbit(SCENE)).startswith("plot.orbit: must be given an Orbit")
     path = jv.simulate(SCENE, jv.State(0.0, 0.0))
