@@ -1,8 +1,10 @@
 """Properties of scene files: of each table of a study, and of hostile texts of many kinds."""
 
+import io
 import json
 import time
 import tomllib
+from contextlib import redirect_stderr
 from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -13,6 +15,7 @@ import xarray as xr
 
 import jaxvibro as jv
 from jaxvibro.studies import scene_file
+from jaxvibro.studies.command import main
 from tests.kinds import KINDS
 from tests.mutations import CHANGES, mutate
 from tests.mutations import KINDS as MUTATIONS
@@ -185,7 +188,7 @@ def test_runs(kind, number):
 
 @of_numbers
 def test_hostile_texts(kind, number):
-    """A mutated scene file, or a change, is read or refused in one line within 2 s; it never ends in another error."""
+    """A mutated scene file, or a change, is read or refused in one line within 2 s, also by the command."""
     draw, files = generator(kind, number), [path.read_bytes() for path in sorted(SCENES.glob("*.toml"))]
     with TemporaryDirectory() as folder:
         path = Path(folder) / "mutated.toml"
@@ -193,5 +196,10 @@ def test_hostile_texts(kind, number):
             content, changes = mutate(kind.name, files[draw.integers(len(files))], draw, CHANGES)
             path.write_bytes(content)
             began = time.process_time()
-            read_or_refuse(path, changes)
+            is_refused = read_or_refuse(path, changes)[0] is None
             assert time.process_time() - began < SLOWEST, (content[:200], changes)
+            if is_refused:
+                words = [word for change in changes for word in ("--set", change)]
+                with redirect_stderr(io.StringIO()) as stderr:
+                    assert main(["run", str(path), "--out", f"{folder}/out", *words]) == 2
+                assert len(stderr.getvalue().splitlines()) == 1, stderr.getvalue()
