@@ -115,12 +115,9 @@ def contents(record):
     ]
     leaves, structure = jax.tree.flatten([part.scene for part in (*parts, record)])
     fields = ("name", "names", "bounds", "segments", "reasons", "ends", "kind", "held", "value", "left", "settings")
-    values = [
-        {key: str(getattr(part, key)) for key in fields if not callable(getattr(part, key, len))}
-        for part in (*parts, record)
-    ]
+    values = [{key: str(getattr(part, key)) for key in fields if hasattr(part, key)} for part in (*parts, record)]
     points = [
-        (point.kind, str(point.value if hasattr(point, "value") else point.values), point.label, str(point.multipliers))
+        (point.kind, str(getattr(point, "value", None)), point.label, str(point.multipliers))
         for part in parts
         for point in getattr(part, "special", ())
     ]
