@@ -86,7 +86,7 @@ def test_a_killed_study_leaves_whole_files_and_ends_with_the_same_numbers(study,
     program = [sys.executable, "-m", "jaxvibro"]
     command, numbers = {
         "run": ([*program, "run", str(tmp_path / "study.toml"), "--force", "--out"], numbers_of_run),
-        "paper": ([*program, "paper", "formulas", "fig12", "--out"], numbers_of_paper),
+        "paper": ([*program, "paper", "fig9", "formulas", "--out"], numbers_of_paper),
         "explore": ([sys.executable, "-c", EXPLORE], numbers_of_explore),
     }[study]
     alone, disturbed = tmp_path / "alone", tmp_path / "disturbed"
