@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -69,14 +70,16 @@ def numbers_of_explore(folder):
 
 
 def stop(command, seconds, how):
-    """Begin a command and stop it by a signal after some seconds."""
-    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "cwd": ROOT}
+    """Begin a command and stop it by a signal after some seconds; then end the processes that it leaves."""
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "cwd": ROOT, "start_new_session": True}
     process = subprocess.Popen(command, preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL), **quiet)
     try:
         process.wait(seconds)
     except subprocess.TimeoutExpired:
         process.send_signal(how)
         process.wait()
+    with suppress(ProcessLookupError):
+        os.killpg(process.pid, signal.SIGKILL)
 
 
 @pytest.mark.parametrize("kills", [pytest.param(1, id="once"), pytest.param(10, id="often")])
