@@ -6,24 +6,8 @@ WORDS = re.compile(rb"[A-Za-z_.]+|-?\d[\d.e+-]*|[\[\]{}=,\"']|\s+|#")
 ODD = [b"nan", b"-inf", b"1e400", b"-0.0", b"5e-324", b"9" * 400, b"0x" + b"f" * 300, b"1_0", b"true", b"''", b'"""']
 ODD += [b"{}", b"[]", b"[[1.0]]", b"1979-05-27", b"\\u0000", b"\x00", b"\xff", "\u202e\u00e9".encode(), b"$x_$", b"\n"]
 ODD += [b"1e308", b"-1", b"0", b"1000000", b"1000", b"32", b"hardness", b"left.motion.phase", b"stiffness = 1e9\n"]
-THINGS = [
-    "#",
-    " ",
-    "\n",
-    "a = 1\n",
-    "[[sweep.legs]]\n",
-    "[a]\n",
-    '"',
-    "'",
-    "\\",
-    "a.",
-    "[",
-    "0",
-    "a",
-    '"""\\',
-    "=",
-    "a{k} = 1\n",
-]
+THINGS = ["#", " ", "\n", "a = 1\n", "[[sweep.legs]]\n", "[a]\n", '"', "'", "\\", "a.", "[", "0", "a", '"""\\', "="]
+THINGS += ["a{k} = 1\n"]
 BEGUN = ["", "x = ", 'x = "', "x = '''", "x = [", "[attractors.at]\n", "x = 0x"]
 LETTERS = [*"abc.=[]{}'\"#\\ \n\t0123-+e_\x00\u00e9\udc80", "scene", "sweep", "legs", "true", "=", "="]
 CODES = ("utf-8-sig", "utf-16", "utf-16-be", "utf-32", "latin-1", "cp037", "utf-7")
@@ -35,13 +19,11 @@ def one_of(values, draw):
     return values[draw.integers(len(values))]
 
 
-def mutated(files, draw, changes):
-    """(content, changes, kind) of one of the kinds below, from one of the files."""
-    kind = draw.choice(list(KINDS), p=WEIGHTS)
-    content = one_of(files, draw)
+def mutate(kind, content, draw, changes):
+    """Return a content and changes, of which one is mutated in the way of a kind."""
     given = [one_of(changes, draw)] if draw.random() < 0.3 else []
     content, more = KINDS[kind](content, draw)
-    return content, given + more, str(kind)
+    return content, given + more
 
 
 def _bytes(content, draw):
@@ -151,4 +133,3 @@ KINDS = {
     "changes": _change,
     "cut": _cut,
 }
-WEIGHTS = [0.15, 0.25, 0.15, 0.1, 0.08, 0.04, 0.03, 0.05, 0.1, 0.05]

@@ -1,10 +1,12 @@
-"""What the tests of scene files share: the scene of figure 4, and that a broken rule is told in one clear line."""
+"""Scene files for the tests: the scene of figure 4, and the check that a broken rule is reported in one clear line."""
+
+from pathlib import Path
 
 import pytest
 
-from jaxvibro import ArgumentError
-from jaxvibro.studies import scene_file
+import jaxvibro as jv
 
+SCENES = Path(__file__).parents[1] / "scenes"
 SCENE = """
 [scene]
 amplitude = 4.65
@@ -18,17 +20,11 @@ position = 1.0
 """
 
 
-def each_of(bad):
-    """Marks a test that takes each (change to a file, key that the error names, what it says)."""
-    names = [f"{place}-{key}" for place, (_, key, _) in enumerate(bad)]
-    return pytest.mark.parametrize(("change", "key", "said"), bad, ids=names)
-
-
 def check_refusal(path, change, key, said):
-    """A file with a change is refused in one clear line."""
-    with pytest.raises(ArgumentError) as caught:
-        scene_file.read_scene_file(path, [change])
+    """Check that a run of a file with a change is refused before any work, in one clear line."""
+    with pytest.raises(jv.ArgumentError) as caught:
+        jv.run(path, "nowhere", [change])
     line = str(caught.value)
     assert caught.value.key == key
     assert line.startswith(" ".join(key.split()) + ": ") and said in line, line
-    assert "\n" not in line and len(line) < 300, line
+    assert "\n" not in line and len(line) < 300 and not Path("nowhere").exists(), line

@@ -1,16 +1,15 @@
-"""What can be traced and what cannot: every public name is the one or says at once that it is the other."""
+"""Tracing: each public function can be traced, or refuses tracers at once in one line."""
 
 import inspect
+import re
 
 import jax
 import jax.numpy as jnp
 import pytest
 
 import jaxvibro as jv
-from jaxvibro import plot
-from jaxvibro.reproduction.figure_jobs import JOBS
-from jaxvibro.studies import command, scene_file_studies
-from jaxvibro.studies.schema import SceneFile
+from jaxvibro.studies.command import main
+from tests.properties.test_studies import STUDIES
 
 TRACED = {
     "make_scene": lambda x: jv.make_scene(x, 2.1, 0.05, 0.7, (-1.0, 1.0)).amplitude,
@@ -52,7 +51,7 @@ def line_of(call):
 
 
 def called(function, x):
-    """The function of arguments enough, one of them traced within a record or alone."""
+    """Call a function with as many arguments as it needs, one of them traced, in a scene or alone."""
     names = inspect.signature(function).parameters
     given = {name: SCENE.replace(amplitude=x) if name == "scene" else x for name in names}
     by_name = {name: given.pop(name) for name, one in names.items() if one.kind is one.KEYWORD_ONLY}
@@ -62,17 +61,17 @@ def called(function, x):
 @pytest.mark.parametrize("name", HOST)
 def test_what_runs_on_the_host_says_so_at_once(name):
     function = getattr(jv, name)
-    told = f"{name}: runs on the host and cannot be traced by jit, vmap or grad: call it outside; inside, "
+    text = f"{name}: runs on the host and cannot be traced by jit, vmap or grad: call it outside; inside, "
     traced, plain = (lambda x: called(function, x)), (lambda x: (called(function, 2.0), x)[1])
     for one in (traced, plain):
         for transformed in (jax.jit(one), jax.grad(one), lambda x, one=one: jax.vmap(one)(jnp.full(2, x))):
-            assert line_of(lambda transformed=transformed: transformed(2.0)).startswith(told)
+            assert line_of(lambda transformed=transformed: transformed(2.0)).startswith(text)
     assert inspect.signature(function).parameters and function.__doc__ and function.__name__ == name
 
 
-@pytest.mark.parametrize("name", plot.__all__)
+@pytest.mark.parametrize("name", jv.plot.__all__)
 def test_a_picture_says_what_it_is_of(name):
-    function, orbit = getattr(plot, name), jv.State(0.0, 0.0)
+    function, orbit = getattr(jv.plot, name), jv.State(0.0, 0.0)
     count = sum(one.default is one.empty for one in inspect.signature(function).parameters.values())
     for wrong in (orbit, 3.0, None, "name", SCENE, [orbit], jv.Impacts(*[0] * 7)):
         assert line_of(lambda wrong=wrong: function(*[wrong] * count)).startswith(f"plot.{name}: must be given a")
@@ -80,23 +79,25 @@ def test_a_picture_says_what_it_is_of(name):
 
 def test_a_picture_of_a_branch_is_of_no_orbit():
     orbit = jv.find_orbit(SCENE.replace(amplitude=0.5), jv.State(0.0, 0.0))
-    assert line_of(lambda: plot.branch(orbit)).startswith(
+    assert line_of(lambda: jv.plot.branch(orbit)).startswith(
         "plot.branch: must be given a Branch (an Orbit is drawn by plot.orbit); got Orbit(label='P100'"
     )
-    assert line_of(lambda: plot.orbit(SCENE)).startswith("plot.orbit: must be given an Orbit")
+    assert line_of(lambda: jv.plot.orbit(SCENE)).startswith("plot.orbit: must be given an Orbit")
     path = jv.simulate(SCENE, jv.State(0.0, 0.0))
-    assert line_of(lambda: plot.diagram(path)).endswith("must be given a Dataset of sweep; got 'Dataset'")
+    assert line_of(lambda: jv.plot.diagram(path)).endswith("must be given a Dataset of sweep; got 'Dataset'")
 
 
-def test_the_help_knows_all_that_there_is(capsys):
+def test_the_help_names_all_tables_and_figures(capsys):
     for words in ([], ["run"], ["paper"], ["init"]):
-        assert command.main([*words, "--help"]) == 0
-        told = " ".join(capsys.readouterr().out.split())
-        assert "between rigid walls" not in told
+        assert main([*words, "--help"]) == 0
+        text = " ".join(capsys.readouterr().out.split())
+        assert "between rigid walls" not in text
         if words == ["run"]:
-            assert "Walls are rigid or soft" in told
-            assert [name for name in SceneFile.__struct_fields__[1:] if f"[{name}]" not in told] == []
+            assert "Walls are rigid or soft" in text
+            assert [name for name in STUDIES if name != "scene" and f"[{name}]" not in text] == []
         if words == ["paper"]:
-            assert "figures 2 to 12" in told and "fig2 to fig12, walls, formulas" in told
-            assert {*JOBS} == {*(f"fig{k}" for k in range(2, 13)), "walls", "formulas"}
-    assert "soft" in jv.__doc__ and scene_file_studies.__doc__
+            assert "figures 2 to 12" in text and "fig2 to fig12, walls, formulas" in text
+    with pytest.raises(jv.ArgumentError) as error:
+        jv.paper(["unknown"])
+    known = re.findall(r"[a-z]+\d*", str(error.value).split("(")[1].split(")")[0])
+    assert set(known) == {*(f"fig{k}" for k in range(2, 13)), "walls", "formulas"} and "soft" in jv.__doc__

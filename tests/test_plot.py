@@ -1,4 +1,4 @@
-"""Pictures: Axes in, Axes out, nothing shown; told apart by the colour-blind and in grey; symbols and units."""
+"""Pictures of motions, orbits and branches: drawn into given Axes, distinct in grey, with symbols and units."""
 
 from dataclasses import replace
 
@@ -10,7 +10,6 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
 import jaxvibro as jv
-from jaxvibro import plot
 from jaxvibro.attractors.find import Attractor
 from jaxvibro.branches.branch import Branch, Segment, make_special
 from jaxvibro.plot import impact_insertion, style
@@ -42,19 +41,10 @@ def numbers(line):
     return tuple(np.asarray(part) for part in line.get_data())
 
 
-def test_a_diagram_takes_axes_and_shows_nothing():
-    ax = Figure().subplots()
-    assert plot.diagram(swept(), "x", ax) is ax
-    assert plt.get_fignums() == []
-    new = plot.diagram(swept(), "v")
-    assert len(plt.get_fignums()) == 1
-    plt.close(new.figure)
-
-
 @pytest.mark.parametrize("variable", ["x", "v"])
 def test_a_diagram_holds_every_state_of_every_leg(variable):
     data = swept()
-    ax = plot.diagram(data, variable, Figure().subplots())
+    ax = jv.plot.diagram(data, variable, Figure().subplots())
     dots = [line for line in ax.lines if line.get_rasterized()]
     for line, leg in zip(dots, data["leg"].values, strict=True):
         across, up = numbers(line)
@@ -65,16 +55,24 @@ def test_a_diagram_holds_every_state_of_every_leg(variable):
     assert ("A = F" in ax.get_xlabel()) and ("/" in ax.get_ylabel())
 
 
-def test_only_walls_that_stand_still_are_lines_in_a_diagram():
-    def walls(variable):
-        return [
-            line
-            for line in plot.diagram(swept(), variable, Figure().subplots()).lines
+def test_a_diagram_is_drawn_into_axes_with_walls_at_rest_and_may_be_faint():
+    ax = Figure().subplots()
+    assert jv.plot.diagram(swept(), "x", ax) is ax and plt.get_fignums() == []
+    walls = {
+        variable: [
+            line.get_ydata()[0]
+            for line in jv.plot.diagram(swept(), variable, Figure().subplots()).lines
             if line.get_color() == style.WALL_COLOUR
         ]
-
-    assert [line.get_ydata()[0] for line in walls("x")] == [-1.1]
-    assert walls("v") == []
+        for variable in "xv"
+    }
+    assert walls == {"x": [-1.1], "v": []}
+    new = jv.plot.diagram(swept(), "v")
+    assert len(plt.get_fignums()) == 1
+    plt.close(new.figure)
+    plain, faint = (jv.plot.diagram(swept(), "x", Figure().subplots(), faint).lines[0] for faint in (False, True))
+    assert sum(to_rgb(faint.get_color())) > sum(to_rgb(plain.get_color()))
+    assert faint.get_markersize() < plain.get_markersize()
 
 
 def test_a_plain_sweep_and_names_with_signs_are_drawn(tmp_path):
@@ -82,16 +80,16 @@ def test_a_plain_sweep_and_names_with_signs_are_drawn(tmp_path):
     data = jv.sweep(jv.make_scene(1.0, 2.1, 0.05, 0.7, (-1.0, 1.0)), "amplitude", values, jv.State(0.0, 0.0), 3, 2)
     figure = Figure()
     left, right = figure.subplots(1, 2)
-    plot.diagram(data, "x", left)
-    plot.diagram(swept(), "x", right).legend()
+    jv.plot.diagram(data, "x", left)
+    jv.plot.diagram(swept(), "x", right).legend()
     figure.savefig(tmp_path / "both.png")
     assert left.get_legend_handles_labels()[1] == ["from 0 to 6"]
     assert right.get_legend_handles_labels()[1] == [r"down \$x: from 0 to 6", "up: from 6 to 0"]
 
 
-def test_attractors_are_marked_where_they_are_and_twins_share_a_shape():
+def test_attractors_are_marked_and_mirror_images_share_a_shape():
     found = [attractor("P111", 1, 0.2), attractor("P111", 0, -0.3), attractor("P101", None, 0.5)]
-    ax = plot.mark(found, 4.65, "v", Figure().subplots())
+    ax = jv.plot.mark(found, 4.65, "v", Figure().subplots())
     marks = ax.lines[1:]
     assert [line.get_xydata().tolist() for line in marks] == [[[4.65, -0.2]], [[4.65, 0.3]], [[4.65, -0.5]]]
     one, twin, other = ((line.get_marker(), line.get_markerfacecolor()) for line in marks)
@@ -104,10 +102,10 @@ def orbits():
     return jv.find_orbits(jv.make_scene(4.65, 2.1, 0.05, 0.7, (-1.0, 1.0)), max_period=1, starts=20)
 
 
-def test_an_orbit_s_portrait_tells_stable_from_unstable(orbits):
+def test_portraits_of_stable_and_unstable_orbits_differ(orbits):
     titles = []
     for one in (orbits[0], orbits[2]):
-        ax = plot.orbit(one, Figure().subplots())
+        ax = jv.plot.orbit(one, Figure().subplots())
         titles.append(ax.get_title())
         path, jumps, dots = ax.lines[-3:]
         x, v = (line[np.isfinite(line)] for line in numbers(path))
@@ -119,7 +117,7 @@ def test_an_orbit_s_portrait_tells_stable_from_unstable(orbits):
 
 
 def test_orbits_are_marked_at_phase_0_and_the_unstable_ones_are_open(orbits):
-    ax = plot.mark_orbits(orbits, 4.65, "x", Figure().subplots())
+    ax = jv.plot.mark_orbits(orbits, 4.65, "x", Figure().subplots())
     marks = ax.lines[1:]
     drawn = [line.get_xydata().tolist() for line in marks]
     np.testing.assert_allclose(drawn, [[[4.65, one.state.x]] for one in orbits], atol=1e-12)
@@ -133,7 +131,7 @@ def test_an_orbit_with_another_phase_is_marked_at_phase_0(orbits):
     one = orbits[3]
     later = jv.simulate(one.scene, one.state, 1, 400).isel(time=120)
     state = jv.State(float(later["x"]), float(later["v"]), float(later["phase"]))
-    ax = plot.mark_orbits([replace(one, state=state)], 4.65, "v", Figure().subplots())
+    ax = jv.plot.mark_orbits([replace(one, state=state)], 4.65, "v", Figure().subplots())
     np.testing.assert_allclose(ax.lines[-1].get_ydata(), [one.state.v], atol=1e-9)
 
 
@@ -183,7 +181,7 @@ def kept(ax, kind):
 def test_stable_parts_of_a_branch_are_solid_and_thick_and_unstable_ones_dashed_and_thin():
     one = branch(change=9)
     ax = Figure().subplots()
-    assert plot.branch(one, "speed", ax) is ax
+    assert jv.plot.branch(one, "speed", ax) is ax
     solid, dashed = kept(ax, "branch")
     points = np.stack([one.values, one.data["least_speed"]], -1)  # of all its impacts
     np.testing.assert_allclose(solid.get_xydata()[::SUBDIVISIONS], points[:4], rtol=1e-14)
@@ -191,7 +189,7 @@ def test_stable_parts_of_a_branch_are_solid_and_thick_and_unstable_ones_dashed_a
     assert (solid.get_linestyle(), dashed.get_linestyle()) == ("-", "--")
     assert solid.get_linewidth() > 2 * dashed.get_linewidth() and solid.get_color() == dashed.get_color()
     assert "A = F" in ax.get_xlabel() and "omega_0" in ax.get_ylabel() and "/" in ax.get_ylabel()
-    solid, dashed = kept(plot.branch(one, "clearance", Figure().subplots(), "red"), "branch")
+    solid, dashed = kept(jv.plot.branch(one, "clearance", Figure().subplots(), "red"), "branch")
     assert np.isnan(numbers(solid)[1]).tolist() == [True, True, False, False] and solid.get_color() == "red"
 
 
@@ -205,9 +203,9 @@ def test_a_line_breaks_where_an_impact_crosses_phase_0_and_where_an_itinerary_ch
     np.testing.assert_allclose(
         v.columns[:, 0], [-0.3, -0.4, fast, np.nan, slow, -0.5, -0.6, -0.6, np.nan, -1.7, -1.7, -1.8]
     )
-    ax = plot.branch(branch(change=9), "x", Figure().subplots())
+    ax = jv.plot.branch(branch(change=9), "x", Figure().subplots())
     assert np.isnan(numbers(kept(ax, "branch")[1])[1]).sum() == 1
-    first, second = kept(plot.branch(branch(periods=2, change=9), "v", Figure().subplots()), "branch")[2:]
+    first, second = kept(jv.plot.branch(branch(periods=2, change=9), "v", Figure().subplots()), "branch")[2:]
     assert np.isnan(numbers(first)[1]).sum() == 1 and not np.isnan(numbers(second)[1]).any()
 
 
@@ -221,11 +219,8 @@ def test_a_line_is_bent_between_its_points_and_swings_beyond_none():
     assert np.nanmax(sharp[0]) == 1.2 and np.isnan(sharp[1]).sum() == 1
     many = np.linspace(0.0, 1.0, 1000)
     assert smooth_line(many, many)[0] is many
-
-
-def test_a_point_that_is_there_twice_leaves_a_line_bent():
     turn = np.linspace(0.0, 1.0, 7)
-    line = np.stack([turn, np.sin(turn)])
+    line = np.stack([turn, np.sin(turn)])  # with its ends twice
     np.testing.assert_array_equal(smooth_line(*line[:, [0, *range(7), 6]]), smooth_line(*line))
     assert smooth_line(*line).shape == (2, 6 * SUBDIVISIONS + 1)
 
@@ -242,12 +237,12 @@ def test_curves_are_arrays_ready_to_plot():
 
 def test_special_points_have_a_marker_a_kind_and_branches_share_a_legend():
     ax, one = Figure().subplots(), branch()
-    plot.branch(one, "x", ax)
+    jv.plot.branch(one, "x", ax)
     marks = kept(ax, "special")
     np.testing.assert_allclose([line.get_xydata()[0] for line in marks], [[2.5, 0.3], [4.0, 0.6], [5.0, 1.8]])
     assert len({line.get_marker() for line in marks}) == 3
-    plot.branch(one, "x", ax)
-    plot.branch(branch("P121", change=6), "x", ax)
+    jv.plot.branch(one, "x", ax)
+    jv.plot.branch(branch("P121", change=6), "x", ax)
     told = ax.get_legend_handles_labels()[1]
     assert sorted(told) == sorted(
         [
@@ -268,24 +263,13 @@ def test_special_points_have_a_marker_a_kind_and_branches_share_a_legend():
 
 def test_special_points_are_told_along_the_top():
     ax, one = Figure().subplots(), branch()
-    assert plot.mark_points([one, one], plot.branch(one, "v", ax)) is ax
+    assert jv.plot.mark_points([one, one], jv.plot.branch(one, "v", ax)) is ax
     (top,) = ax.child_axes
     assert [each.get_text() for each in top.get_xticklabels()] == ["SN 2.500", "PD 4.000", "fast 5.000"]
-    ax = plot.branch(one, "v", Figure().subplots())
+    ax = jv.plot.branch(one, "v", Figure().subplots())
     ax.set_xlim(0.0, 200.0)
-    (tick,) = plot.mark_points([one], ax).child_axes[0].get_xticklabels()
+    (tick,) = jv.plot.mark_points([one], ax).child_axes[0].get_xticklabels()
     assert tick.get_text() == "SN 2.5\nPD 4.0\nfast 5.0"
-
-
-def test_a_faint_diagram_is_paler_and_finer():
-    plain, faint = (plot.diagram(swept(), "x", Figure().subplots(), faint).lines[0] for faint in (False, True))
-    assert sum(to_rgb(faint.get_color())) > sum(to_rgb(plain.get_color()))
-    assert faint.get_markersize() < plain.get_markersize()
-
-
-def test_neighbouring_colours_differ_in_grey():
-    grey = [np.dot(to_rgb(colour), (0.2126, 0.7152, 0.0722)) for colour in style.COLOURS]
-    assert np.min(abs(np.diff(grey))) > 0.14
 
 
 def test_a_path_breaks_at_impacts_and_obeys_the_impact_law():
@@ -310,17 +294,19 @@ def test_a_wall_in_a_picture_is_where_and_as_fast_as_it_is():
     assert (impact_insertion.wall_position(SCENE.left, phase) == -1.0).all()
 
 
-@pytest.mark.parametrize("draw", [plot.portrait, plot.trace])
+@pytest.mark.parametrize("draw", [jv.plot.portrait, jv.plot.trace])
 def test_a_trajectory_is_drawn_whole(draw):
     trajectory = jv.simulate(SCENE, jv.State(0.0, 0.0), 6, 300)
     ax = Figure().subplots()
     assert draw(trajectory, SCENE, ax) is ax
     drawn = np.concatenate([numbers(line)[1] for line in ax.lines])
-    wanted = trajectory["v" if draw is plot.portrait else "x"].values
+    wanted = trajectory["v" if draw is jv.plot.portrait else "x"].values
     assert np.isin(wanted, drawn).all()
     assert "/" in ax.get_xlabel() and "/" in ax.get_ylabel()
 
 
-@pytest.mark.parametrize("name", [*SCENE.names, "left.motion.amplitude"])
-def test_every_parameter_has_a_label(name):
-    assert "$" in style.parameter_label(name) or "rad" in style.parameter_label(name)
+def test_parameters_have_labels_and_neighbouring_colours_differ_in_grey():
+    for name in (*SCENE.names, "left.motion.amplitude"):
+        assert "$" in style.parameter_label(name) or "rad" in style.parameter_label(name)
+    grey = [np.dot(to_rgb(colour), (0.2126, 0.7152, 0.0722)) for colour in style.COLOURS]
+    assert np.min(abs(np.diff(grey))) > 0.14

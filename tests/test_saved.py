@@ -1,4 +1,7 @@
-"""Saved files: any damage is told in one line, what was saved before checksums is read, nonsense is not."""
+"""Saved files: files of earlier versions are read, and invalid fields and columns are refused in one line.
+
+Properties in tests/properties/test_output.py check that records are read as saved, and that damage is detected.
+"""
 
 import json
 import warnings
@@ -10,103 +13,44 @@ import pytest
 import xarray as xr
 
 import jaxvibro as jv
-from jaxvibro import plot
-from jaxvibro.branches import diagram as diagrams
-from jaxvibro.loci.locus import build_codim2
-from jaxvibro.loci.locus_file import DIMENSIONS
 from jaxvibro.output.checksums import FORMAT_NUMBER, HEADER_ATTRIBUTES, fill_in_checksum, netcdf_bytes
+from tests.properties.test_output import branch_of, check_refusal, make_diagram, make_held, make_locus
 
-MARKED = set(HEADER_ATTRIBUTES)
+LOADERS = {"branch": jv.load_branch, "held": jv.load_held_branch, "locus": jv.load_locus, "index": jv.load_diagram}
 
 
 @pytest.fixture(scope="module")
 def branch():
     """A branch with a grazing and a saddle-node."""
-    scene = jv.make_scene(2.0, 2.1, 0.05, 0.7, (-1.0, 1.0))
-    return jv.follow(jv.find_orbit(scene, jv.State(0.9, -1.1)), "amplitude", (1.5, 4.0))
+    return branch_of(0)
 
 
 @pytest.fixture(scope="module")
-def diagram(branch):
-    settings = {"max_period": 1, "seed": 0, "largest_step": 0.1}
-    return jv.Diagram("amplitude", (1.5, 4.0), branch.scene, (branch, branch), ((0, 1),), True, "all done", settings)
-
-
-PLANE = {"frequency": (1.5, 3.0), "amplitude": (1.5, 4.0)}
-
-
-@pytest.fixture(scope="module")
-def held(branch):
-    """The rows of a branch as those of a curve along two parameters."""
-    data = branch.data.assign(frequency=("point", np.linspace(2.0, 2.2, len(branch))))
-    data.attrs = {}
-    return jv.HeldBranch(tuple(PLANE), "least_speed", 1.25, PLANE, branch.scene, data, ("the start", "the end"))
-
-
-@pytest.fixture(scope="module")
-def locus(held):
-    """The same rows as those of a locus, with a cusp in the middle."""
-    data = held.data[["frequency", "amplitude", *DIMENSIONS]].assign_attrs(periods=1)
-    marks = (0, "EP"), (9, "CP"), (len(held) - 1, "EP")
-    special = tuple(build_codim2(held.scene, "SN", PLANE, data, place, kind, 1e-16) for place, kind in marks)
-    return jv.Locus("SN", tuple(PLANE), PLANE, held.scene, data, special, held.reasons)
-
-
-@pytest.fixture(scope="module")
-def files(branch, diagram, held, locus, tmp_path_factory):
-    """{kind: (file, how it is read)} of every kind of file that is read again."""
+def files(branch, tmp_path_factory):
+    """Return {kind: file} of every kind of file that is read again."""
     out = tmp_path_factory.mktemp("saved")
-    branch.save(out / "branch.nc")
-    held.save(out / "held.nc")
-    locus.save(out / "locus.nc")
-    diagram.save(out / "diagram")
-    one = min((out / "diagram").glob("*.nc"))
+    records = {"branch": branch, "held": make_held(branch), "locus": make_locus(branch), "index": make_diagram(branch)}
+    for kind, record in records.items():
+        record.save(out / kind)
+    paths = {kind: out / kind for kind in records} | {"index": out / "index" / "diagram.json"}
     (out / "data.nc").write_bytes(netcdf_bytes(branch.data.assign(word=("point", ["a", "bb"] * (len(branch) // 2)))))
-    return {
-        "branch": (out / "branch.nc", jv.load_branch),
-        "held": (out / "held.nc", jv.load_held_branch),
-        "locus": (out / "locus.nc", jv.load_locus),
-        "data": (out / "data.nc", jv.load_data),
-        "index": (out / "diagram" / "diagram.json", lambda path: jv.load_diagram(path.parent)),
-        "of a diagram": (one, lambda path: jv.load_diagram(path.parent)),
-    }
+    return paths | {"data": out / "data.nc"}
 
 
-def refused(path, read, content):
-    """A file with this content is refused in one clear line; it is then as it was."""
+def refused(path, kind, content):
+    """Check that a file with this content is refused; then restore the file."""
     before = path.read_bytes()
-    path.write_bytes(content)
     try:
-        with warnings.catch_warnings(), pytest.raises(jv.ArgumentError) as error:
-            warnings.simplefilter("error")
-            read(path)
+        check_refusal(LOADERS[kind], path.parent if kind == "index" else path, path, content)
     finally:
         path.write_bytes(before)
-    line = str(error.value)
-    assert "\n" not in line and len(line) <= 300 and "must be" in line
 
 
-def kinds(test):
-    return pytest.mark.parametrize("kind", ["branch", "held", "locus", "data", "index", "of a diagram"])(test)
-
-
-@kinds
-def test_a_flipped_bit_is_told(files, kind):
-    path, read = files[kind]
-    whole, draw = path.read_bytes(), np.random.default_rng(1)
-    marks = [whole.index(b"checksum") + k for k in range(80)]
-    for place in [*marks, *draw.integers(0, len(whole), 40)]:
-        content = bytearray(whole)
-        content[place] ^= 1 << draw.integers(8)
-        refused(path, read, bytes(content))
-
-
-@kinds
-def test_a_cut_is_told(files, kind):
-    path, read = files[kind]
-    whole, draw = path.read_bytes(), np.random.default_rng(2)
-    for size in [0, 1, 4, 60, len(whole) - 1, *draw.integers(0, len(whole), 15)]:
-        refused(path, read, whole[:size])
+def with_attributes(path, attributes, header=HEADER_ATTRIBUTES):
+    """Return the content of a NetCDF file with other attributes, with a header in place of its own."""
+    data = xr.load_dataset(path, engine="scipy")
+    data.attrs = header | {key: value for key, value in data.attrs.items() if key not in HEADER_ATTRIBUTES} | attributes
+    return fill_in_checksum(bytes(data.to_netcdf(engine="scipy")))
 
 
 def test_a_branch_without_impacts_is_read(tmp_path):
@@ -114,53 +58,42 @@ def test_a_branch_without_impacts_is_read(tmp_path):
     branch = jv.follow(jv.find_orbit(scene, jv.State(0.0, 0.0)), "amplitude", (0.1, 0.5))
     assert branch.data.sizes["impact"] == 0
     branch.save(tmp_path / "free.nc")
-    found = jv.load_branch(tmp_path / "free.nc")
-    np.testing.assert_array_equal(found.values, branch.values)
-    assert len(found.orbit(3).impacts.time) == 0
-    assert found.table() == branch.table() and found.to_frame().equals(branch.to_frame())
+    loaded = jv.load_branch(tmp_path / "free.nc")
+    np.testing.assert_array_equal(loaded.values, branch.values)
+    assert len(loaded.orbit(3).impacts.time) == 0
+    assert loaded.table() == branch.table() and loaded.to_frame().equals(branch.to_frame())
 
 
-def before(path, attrs=None):
-    """A NetCDF file's content without format number and checksum, attributes changed."""
-    data = xr.load_dataset(path, engine="scipy")
-    data.attrs = {key: each for key, each in data.attrs.items() if key not in MARKED} | (attrs or {})
-    return bytes(data.to_netcdf(engine="scipy"))
-
-
-def test_a_branch_of_before_is_read_with_one_warning(branch, files, tmp_path):
-    (tmp_path / "old.nc").write_bytes(before(files["branch"][0]))
-    with pytest.warns(UserWarning, match=r"old\.nc: has no checksum") as told:
-        found = jv.load_branch(tmp_path / "old.nc")
-    assert len(told) == 1 and told[0].filename == __file__
-    assert found.table() == branch.table()
-    found.save(tmp_path / "new.nc")
+def test_files_of_format_1_are_read_with_one_warning(branch, files, tmp_path):
+    """They have neither a format number nor a checksum."""
+    content = with_attributes(files["branch"], {}, {})
+    (tmp_path / "old.nc").write_bytes(content)
+    with pytest.warns(UserWarning, match=r"old\.nc: has no checksum") as caught:
+        loaded = jv.load_branch(tmp_path / "old.nc")
+    assert len(caught) == 1 and caught[0].filename == __file__ and loaded.table() == branch.table()
+    loaded.save(tmp_path / "new.nc")
     assert jv.load_branch(tmp_path / "new.nc").table() == branch.table()
-    (tmp_path / "data.nc").write_bytes(before(files["data"][0]))
+    (tmp_path / "data.nc").write_bytes(with_attributes(files["data"], {}, {}))
     with pytest.warns(UserWarning, match="has no checksum"):
         assert jv.load_data(tmp_path / "data.nc").sizes["point"] == len(branch)
-
-
-def test_a_diagram_of_before_is_read_with_one_warning(diagram, files, tmp_path):
-    told = {key: getattr(diagram, key) for key in ("name", "bounds", "left", "complete", "reason", "settings")}
-    for place in (0, 1):
-        (tmp_path / f"branch_00{place}.nc").write_bytes(before(files["branch"][0]))
-    names = [f"branch_00{place}.nc" for place in (0, 1)]
-    (tmp_path / "diagram.json").write_text(json.dumps(told | {"branches": names}, indent=1))
-    with pytest.warns(UserWarning, match="has no checksum") as seen:
-        found = jv.load_diagram(tmp_path)
-    assert len(seen) == 1 and found.table() == diagram.table()
-    (tmp_path / "mine.nc").write_text("not a branch's file")
-    found.save(tmp_path, force=True)
-    names = sorted(one.name for one in tmp_path.iterdir())
-    assert names[-2:] == ["diagram.json", "mine.nc"] and not {"branch_000.nc", "branch_001.nc"} & set(names)
+    diagram, names = replace(make_diagram(branch), branches=(branch, branch)), ["branch_000.nc", "branch_001.nc"]
+    for name in names:
+        (tmp_path / name).write_bytes(content)
+    fields = {key: getattr(diagram, key) for key in ("name", "bounds", "left", "complete", "reason", "settings")}
+    (tmp_path / "diagram.json").write_text(json.dumps(fields | {"branches": names}, indent=1))
+    with pytest.warns(UserWarning, match="has no checksum") as caught:
+        loaded = jv.load_diagram(tmp_path)
+    assert len(caught) == 1 and loaded.table() == diagram.table()
+    loaded.save(tmp_path, force=True)
+    left = {path.name for path in tmp_path.iterdir()}
+    assert {"old.nc", "data.nc", "diagram.json"} < left and not set(names) & left
     assert jv.load_diagram(tmp_path).table() == diagram.table()
 
 
-def test_damage_to_a_file_of_before_is_no_crash(files, tmp_path):
-    """Without a checksum what is read may be wrong, but nothing else than a refusal comes out."""
-    whole, path, draw = before(files["branch"][0]), tmp_path / "old.nc", np.random.default_rng(3)
-    head = whole.index(b"multiplier_real")
-    for _ in range(200):
+def test_a_damaged_file_of_format_1_causes_no_other_error_than_a_refusal(files, tmp_path):
+    whole, path = with_attributes(files["branch"], {}, {}), tmp_path / "old.nc"
+    head, draw = whole.index(b"multiplier_real"), np.random.default_rng(3)
+    for _ in range(100):
         content = bytearray(whole)
         for place in draw.integers(0, head, draw.integers(1, 4)):
             content[place] = draw.integers(256)
@@ -173,93 +106,28 @@ def test_damage_to_a_file_of_before_is_no_crash(files, tmp_path):
                 assert "\n" not in str(error) and len(str(error)) <= 300
 
 
-def test_curves_in_two_parameters_are_read_as_they_were(held, locus, files):
-    for one, kind in ((held, "held"), (locus, "locus")):
-        path, read = files[kind]
-        found = read(path)
-        assert found.data.identical(one.data) and repr(found) == repr(one) and found.table() == one.table()
-        assert (found.names, found.bounds, found.reasons) == (one.names, one.bounds, one.reasons)
-        assert found.to_frame().equals(one.to_frame()) and found.orbit(3).label == one.orbit(3).label == "P111"
-        with pytest.raises(FileExistsError):
-            one.save(path)
-    assert [each.values for each in found.special] == [each.values for each in locus.special]
-
-
 PLANES = [
-    *({"bounds": each} for each in ("{}", '{"amplitude": [0, 1]}', '{"amplitude": [1, 0], "frequency": [1, 2]}')),
-    *({"scene": each} for each in ("", "amplitude = 1", 3.0)),
+    *({"bounds": value} for value in ("{}", '{"amplitude": [0, 1]}', '{"amplitude": [1, 0], "frequency": [1, 2]}')),
+    *({"scene": value} for value in ("", "amplitude = 1", 3.0)),
     {"bounds": '{"amplitude": [0, 1], "mass": [1, 2]}'},
     {"reasons": "[1, 2]"},
 ]
 
 
-@pytest.mark.parametrize(
-    ("kind", "attrs"),
-    [
-        *((kind, attrs) for kind in ("held", "locus") for attrs in PLANES),
-        *(("held", attrs) for attrs in ({"held": "speed"}, {"value": np.nan})),
-        *(("locus", {"special": each}) for each in ("[]", '[["CP", 1000000, 0.0]]', '[["", 1, 0.0]]')),
-        *(("locus", attrs) for attrs in ({"kind": "EP"}, {"periods": 0})),
-    ],
-)
-def test_fields_that_no_curve_has_are_refused(files, kind, attrs):
-    path, read = files[kind]
-    data = xr.load_dataset(path, engine="scipy")
-    data.attrs = {key: each for key, each in data.attrs.items() if key not in MARKED} | attrs
-    refused(path, read, netcdf_bytes(data))
-
-
-def test_rows_that_no_curve_has_are_refused(files):
-    for kind in ("held", "locus"):
-        path, read = files[kind]
-        data = xr.load_dataset(path, engine="scipy")
-        for change in (
-            data.drop_vars("side"),
-            data.isel(point=slice(0, 0)),
-            data.assign(amplitude=data.residual * np.inf),
-        ):
-            refused(path, read, netcdf_bytes(change))
-
-
-def test_what_is_held_is_told_and_drawn(branch, held):
-    lines = held.table().splitlines()
-    assert lines[0] == "least_speed held at 1.25" and lines[-2:] == ["first point: the start", "last point: the end"]
-    spans = [tuple(map(int, (line.split()[0], line.split()[2]))) for line in lines[2:-2]]
-    words = branch.to_frame()["stability"].values
-    assert [len(set(words[first : last + 1])) for first, last in spans] == [1] * len(spans)
-    assert spans[0][0] == 0 and spans[-1][1] == len(held) - 1 and len(spans) > 1
-    table = held.to_frame()
-    assert list(table.columns[:3]) == ["frequency", "amplitude", "least_speed"] and (table["least_speed"] == 1.25).all()
-    ax = plot.held(held)
-    drawn = [line for line in ax.lines if (line.get_gid() or "").startswith("held") and len(line.get_xdata())]
-    assert {line.get_linestyle() for line in drawn} == {"-", "--"}
-    ends = [(line.get_xdata()[0], line.get_ydata()[-1]) for line in (drawn[0], drawn[-1])]
-    assert ends[0][0] == held.values[0, 0] and ends[1][1] == held.values[-1, 1]
-    assert plot.held(held, ax) is ax and len(ax.get_legend().get_texts()) == 3
-    plt.close(ax.figure)
-    turned = replace(held, names=held.names[::-1])
-    with pytest.raises(jv.ArgumentError, match="must have the parameters of the curves that these Axes hold"):
-        plot.held(turned, ax)
-    with pytest.raises(jv.ArgumentError, match=r"plot\.held: must be given a HeldBranch"):
-        plot.held(branch)
-    with pytest.raises(jv.ArgumentError, match="units: physical units need scales"):
-        held.table("physical")
-
-
 DEEP = 5000 * "[" + 5000 * "]"
 NONSENSE = [
-    *({"parameter": each} for each in ("mass", "", 3.0)),
-    *({"bounds": each} for each in ([4.0, 1.5], [1.5], [1.5, np.inf], "ab", [1.5, 2.0, 3.0])),
-    *({"scene": each} for each in ("", "amplitude = 1", "a = " + DEEP, "\x00", 3.0)),
-    *({"special": each} for each in ("", "{}", "[1]", DEEP, '[["SN", 10000000, 0.0, [], []]]')),
+    *({"parameter": value} for value in ("mass", "", 3.0)),
+    *({"bounds": value} for value in ([4.0, 1.5], [1.5], [1.5, np.inf], "ab", [1.5, 2.0, 3.0])),
+    *({"scene": value} for value in ("", "amplitude = 1", "a = " + DEEP, "\x00", 3.0)),
+    *({"special": value} for value in ("", "{}", "[1]", DEEP, '[["SN", 10000000, 0.0, [], []]]')),
     *(
-        {"special": each}
-        for each in ('[["SN", -1, 0.0, [], []]]', '[["", 1, 0.0, [], []]]', '[["SN", 1e400, 0, [], []]]')
+        {"special": value}
+        for value in ('[["SN", -1, 0.0, [], []]]', '[["", 1, 0.0, [], []]]', '[["SN", 1e400, 0, [], []]]')
     ),
     *({"special": f'[["GR", 1, 0.0, [{join}], [false]]]'} for join in ("[1.0]", "[2.0, [1.0], [], [1], 1, 0, 0, 0]")),
-    *({"segments": each} for each in ("[]", '[[0, 3, "P111", ["RL"]]]', '[[5, 1, "P111", ["RL"]]]', "[[0]]", "nan")),
-    *({"reasons": each} for each in ("[]", '["one"]', "[1, 2]", '["a", "b", "c"]')),
-    *({"settings": each} for each in ("{}", "[]", '{"first_step": 1}', '{"first_step": NaN}')),
+    *({"segments": value} for value in ("[]", '[[0, 3, "P111", ["RL"]]]', '[[5, 1, "P111", ["RL"]]]', "[[0]]", "nan")),
+    *({"reasons": value} for value in ("[]", '["one"]', "[1, 2]", '["a", "b", "c"]')),
+    *({"settings": value} for value in ("{}", "[]", '{"first_step": 1}', '{"first_step": NaN}')),
     {"settings": '{"first_step": 0.05, "largest_step": -1.0, "tolerance": 1e-10}'},
     {"format": FORMAT_NUMBER + 1},
     {"format": "new"},
@@ -267,32 +135,38 @@ NONSENSE = [
 ]
 
 
-@pytest.mark.parametrize("attrs", NONSENSE, ids=lambda one: str(one)[:40])
-def test_fields_that_are_nonsense_are_refused(files, attrs):
-    """Whether there is no checksum, or one that fits."""
-    path = files["branch"][0]
-    data = xr.load_dataset(path, engine="scipy")
-    data.attrs = HEADER_ATTRIBUTES | {key: each for key, each in data.attrs.items() if key not in MARKED} | attrs
-    refused(path, jv.load_branch, fill_in_checksum(bytes(data.to_netcdf(engine="scipy"))))
+FIELDS = [
+    *(("branch", fields) for fields in NONSENSE),
+    *((kind, fields) for kind in ("held", "locus") for fields in PLANES),
+    *(("held", fields) for fields in ({"held": "speed"}, {"value": np.nan})),
+    *(("locus", {"special": value}) for value in ("[]", '[["CP", 1000000, 0.0]]', '[["", 1, 0.0]]')),
+    *(("locus", fields) for fields in ({"kind": "EP"}, {"periods": 0})),
+]
 
 
-def columns(data):
+@pytest.mark.parametrize(("kind", "fields"), FIELDS, ids=lambda value: str(value)[:40])
+def test_invalid_fields_are_refused_though_the_checksum_fits(files, kind, fields):
+    refused(files[kind], kind, with_attributes(files[kind], fields))
+
+
+def invalid_columns(data):
     yield data.drop_vars("side")
-    yield data.assign(side=data["side"] + 5)
-    yield data.assign(time=data["time"] * np.inf)
-    yield data.assign(speed=data["speed"].T)
-    yield data.assign(x=data["x"].astype(str))
-    yield data.assign(x=data["x"] * np.nan)
-    yield data.assign(stable=data["stable"] + 7)
-    yield data.assign(amplitude=data["amplitude"] * np.nan)
     yield data.isel(point=slice(0, 0))
+    yield data.assign(amplitude=data["residual"] * np.inf)
+    yield data.assign(time=data["time"] * np.inf)
+    yield data.assign(side=data["side"] + 5)
+    yield data.assign(speed=data["speed"].T)
     yield data.isel(multiplier=slice(0, 1))
+    if "x" in data:
+        yield data.assign(x=data["x"].astype(str))
+        yield data.assign(x=data["x"] * np.nan)
+        yield data.assign(stable=data["stable"] + 7)
 
 
-def test_columns_that_no_branch_has_are_refused(files):
-    path = files["branch"][0]
-    for data in columns(xr.load_dataset(path, engine="scipy")):
-        refused(path, jv.load_branch, netcdf_bytes(data))
+@pytest.mark.parametrize("kind", ["branch", "held", "locus"])
+def test_invalid_columns_are_refused(files, kind):
+    for data in invalid_columns(xr.load_dataset(files[kind], engine="scipy")):
+        refused(files[kind], kind, netcdf_bytes(data))
 
 
 @pytest.mark.parametrize(
@@ -316,37 +190,37 @@ def test_columns_that_no_branch_has_are_refused(files):
         {"reason": None},
     ],
 )
-def test_an_index_that_is_nonsense_is_refused(files, changes):
-    path, read = files["index"]
-    told = json.loads(path.read_bytes()) | changes | {"checksum": HEADER_ATTRIBUTES["checksum"]}
-    refused(path, read, fill_in_checksum(json.dumps(told).encode()))
+def test_invalid_indices_of_diagrams_are_refused(files, changes):
+    index = json.loads(files["index"].read_bytes()) | changes | {"checksum": HEADER_ATTRIBUTES["checksum"]}
+    refused(files["index"], "index", fill_in_checksum(json.dumps(index).encode()))
 
 
-@pytest.mark.parametrize("after", [0, 1, 2])
-def test_a_diagram_saved_anew_is_whole_or_the_old_one(diagram, tmp_path, monkeypatch, after):
-    """Interrupted after so many files, each of which may be a branch's or the index."""
-    other = replace(diagram, branches=diagram.branches[:1], reason="another")
-    other.save(tmp_path)
-    plain, count = diagrams.atomic_file, []
-
-    def stopped(*given):
-        count.append(1)
-        if len(count) > after:
-            raise KeyboardInterrupt
-        return plain(*given)
-
-    monkeypatch.setattr(diagrams, "atomic_file", stopped)
-    with pytest.raises(KeyboardInterrupt):
-        diagram.save(tmp_path, force=True)
-    assert jv.load_diagram(tmp_path).reason == "another"
-    monkeypatch.undo()
-    diagram.save(tmp_path, force=True)
-    assert jv.load_diagram(tmp_path).table() == diagram.table()
-
-
-def test_a_branch_of_another_diagram_is_refused(diagram, branch, tmp_path):
-    diagram.save(tmp_path)
-    place = next(tmp_path.glob("branch_000*.nc"))
-    replace(branch, reasons=("one", "two")).save(place, force=True)
+def test_a_branch_of_another_diagram_is_refused(branch, tmp_path):
+    make_diagram(branch).save(tmp_path)
+    replace(branch, reasons=("another", "end")).save(next(tmp_path.glob("branch_000*.nc")), force=True)
     with pytest.raises(jv.ArgumentError, match="must be the file that the diagram was saved with"):
         jv.load_diagram(tmp_path)
+
+
+def test_a_held_branch_is_reported_and_drawn(branch):
+    held = make_held(branch)
+    lines = held.table().splitlines()
+    assert lines[0] == "least_speed held at 1.25" and lines[-2].startswith("first point: the parameter reached")
+    spans = [tuple(map(int, (line.split()[0], line.split()[2]))) for line in lines[2:-2]]
+    words, frame = branch.to_frame()["stability"].values, held.to_frame()
+    assert [len(set(words[first : last + 1])) for first, last in spans] == [1] * len(spans)
+    assert spans[0][0] == 0 and spans[-1][1] == len(held) - 1 and len(spans) > 1
+    assert list(frame.columns[:3]) == ["frequency", "amplitude", "least_speed"]
+    assert (frame["least_speed"] == 1.25).all() and held.orbit(3).label == "P111"
+    ax = jv.plot.held(held)
+    drawn = [line for line in ax.lines if (line.get_gid() or "").startswith("held") and len(line.get_xdata())]
+    assert {line.get_linestyle() for line in drawn} == {"-", "--"}
+    assert drawn[0].get_xdata()[0] == held.values[0, 0] and drawn[-1].get_ydata()[-1] == held.values[-1, 1]
+    assert jv.plot.held(held, ax) is ax and len(ax.get_legend().get_texts()) == 3
+    plt.close(ax.figure)
+    with pytest.raises(jv.ArgumentError, match="must have the parameters of the curves that these Axes hold"):
+        jv.plot.held(replace(held, names=held.names[::-1]), ax)
+    with pytest.raises(jv.ArgumentError, match=r"plot\.held: must be given a HeldBranch"):
+        jv.plot.held(branch)
+    with pytest.raises(jv.ArgumentError, match="units: physical units need scales"):
+        held.table("physical")

@@ -1,4 +1,4 @@
-"""Scenes: what is refused and how it is said, batches, names, tracing, and physical quantities."""
+"""Scenes: refusals, batches, names, tracing, and the gap of moving walls."""
 
 import pickle
 import subprocess
@@ -12,10 +12,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import jaxvibro as jv
-from jaxvibro.scene.wall_gap import minimum_gap
 
 GOOD = {"amplitude": 2.0, "frequency": 2.1, "damping": 0.05, "restitution": 0.7, "walls": (-1.0, 1.0)}
 MOVING = jv.Motion(0.5)
+
+
+def good_scene(**changes):
+    """Return the usual scene with other arguments."""
+    return jv.make_scene(**{**GOOD, **changes})
 
 
 def right(**changes):
@@ -37,46 +41,27 @@ def test_walls_with_restitutions_of_their_own_need_no_other():
 
 
 BAD = [
-    ("amplitude", {"amplitude": float("nan")}, "must be finite; got nan"),
-    ("amplitude", {"amplitude": "2"}, "must be a real number; got '2'"),
-    ("amplitude", {"amplitude": 2j}, "must be a real number"),
     ("amplitude", {"amplitude": None}, "must be a real number"),
-    ("amplitude", {"amplitude": 10**400}, "must be a real number"),
-    ("amplitude", {"amplitude": [1.0, [2.0]]}, "must be a number or an array, not a list: "),
-    ("amplitude", {"amplitude": np.array(["a\nb"])}, "must be a real number"),
     ("frequency", {"frequency": 0.0}, "must be greater than 0; got 0.0"),
-    ("frequency", {"frequency": -2.1}, "must be greater than 0; got -2.1"),
-    ("frequency", {"frequency": float("inf")}, "must be finite; got inf"),
-    ("frequency", {"frequency": True}, "must be a real number; got True"),
     ("damping", {"damping": -1e-9}, "must not be negative; got -1e-09"),
     ("damping", {"damping": np.array([0.0, 0.1, -0.2])}, "must not be negative; got -0.2 at index (2,)"),
     ("damping", {"damping": np.array([[0.0, 0.1], [0.2, np.nan]])}, "must be finite; got nan at index (1, 1)"),
     ("damping", {"damping": np.zeros(3), "amplitude": np.zeros(2)}, "must broadcast with the shape (2,)"),
-    ("damping", {"damping": np.array([True])}, "must be a real number"),
     ("restitution", {"restitution": 1.0000001}, "must lie between 0 and 1; got 1.0000001"),
-    ("restitution", {"restitution": -0.1}, "must lie between 0 and 1; got -0.1"),
     ("restitution", {"restitution": None}, "must be given, unless each rigid wall has its own; got None"),
     ("restitution", right(restitution=0.5) | {"restitution": None}, "must be given, unless each"),
     ("walls", {"walls": 1.0}, "must be a pair"),
     ("walls", {"walls": (-1.0, 0.0, 1.0)}, "must be a pair"),
-    ("walls", {"walls": np.array([-1.0, 0.0, 1.0])}, "must be a pair"),
     ("walls", {"walls": np.array([[-1.0, 1.0]])}, "must be a pair"),
-    ("walls", {"walls": None}, "must be a pair"),
-    ("left.position", {"walls": ("-1", 1.0)}, "must be a real number; got '-1'"),
-    ("left.position", {"walls": (float("-inf"), 1.0)}, "must be finite; got -inf"),
     ("left", {"walls": (MOVING, 1.0)}, "must be a position, None or a Wall"),
     ("right.position", {"walls": (1.0, -1.0)}, "must lie to the right of left.position; got -1.0"),
-    ("right.position", {"walls": (1.0, 1.0)}, "must lie to the right of left.position; got 1.0"),
     ("right.position", {"walls": (0.0, np.array([1.0, 2.0, -3.0]))}, "got -3.0 at index (2,)"),
     ("right.position", right(position=None), "must be a real number; got None"),
-    ("right.restitution", right(restitution=1.5), "must lie between 0 and 1; got 1.5"),
-    ("right.restitution", right(restitution="hard"), "must be a real number; got 'hard'"),
     ("right.motion", right(motion=0.5), "must be a Motion or None; got 0.5"),
     ("right.motion", right(motion=jv.Motion(2.0)), "the smallest gap must exceed 0; got 0.0"),
     ("right.motion", right(motion=jv.Motion(np.array([0.1, -2.5]))), "must not touch or cross in their motion"),
     ("left.motion", {"walls": (jv.Wall(-1.0, motion=jv.Motion(-2.5)), 1.0)}, "must not touch or cross in their motion"),
     ("right.motion", {"walls": two_moving(phase=3.0)}, "must not touch or cross in their motion"),
-    ("right.motion.amplitude", right(motion=jv.Motion(float("nan"))), "must be finite; got nan"),
     ("right.motion.phase", right(motion=jv.Motion(0.1, phase="0")), "must be a real number; got '0'"),
     ("right.motion.harmonic", right(motion=jv.Motion(0.1, harmonic=0)), "must be a whole number from 1 to 1000; got 0"),
     ("right.motion.harmonic", right(motion=jv.Motion(0.1, harmonic=2.0)), "must be a whole number from 1 to 1000"),
@@ -90,32 +75,22 @@ BAD = [
 @pytest.mark.parametrize(("key", "changes", "said"), BAD)
 def test_bad_scene_is_one_clear_line(key, changes, said):
     with pytest.raises(jv.SceneError) as caught:
-        jv.make_scene(**{**GOOD, **changes})
+        good_scene(**changes)
     line = str(caught.value)
-    assert caught.value.key == key
-    assert line.startswith(f"{key}: ")
-    assert said in line
-    assert "\n" not in line
-    assert len(line) < 250
-    assert (
-        str(pickle.loads(pickle.dumps(jv.SceneError(key, "rule", 1.0, (2,))))) == f"{key}: rule; got 1.0 at index (2,)"
-    )
-
-
-def test_an_error_can_be_sent_to_another_process():
-    error = pickle.loads(pickle.dumps(jv.SceneError("damping", "rule", 1.0, (2,))))
-    assert str(error) == "damping: rule; got 1.0 at index (2,)"
+    assert caught.value.key == key and line.startswith(f"{key}: ") and said in line
+    assert "\n" not in line and len(line) < 250
+    assert str(pickle.loads(pickle.dumps(caught.value))) == line  # it can be sent to another process
 
 
 def test_double_precision_is_asked_for():
     with jax.enable_x64(False):
         with pytest.raises(jv.SceneError, match="jax_enable_x64"):
-            jv.make_scene(**GOOD)
-        single = jv.make_scene(**GOOD, dtype=jnp.float32)
+            good_scene()
+        single = good_scene(dtype=jnp.float32)
     assert {leaf.dtype for leaf in jax.tree.leaves(single)} == {np.dtype(np.float32)}
-    assert {leaf.dtype for leaf in jax.tree.leaves(jv.make_scene(**GOOD))} == {np.dtype(np.float64)}
+    assert {leaf.dtype for leaf in jax.tree.leaves(good_scene())} == {np.dtype(np.float64)}
     with pytest.raises(jv.SceneError, match=r"right\.position"):
-        jv.make_scene(**{**GOOD, "walls": (1.0, 1.0 + 1e-9)}, dtype=jnp.float32)
+        good_scene(walls=(1.0, 1.0 + 1e-9), dtype=jnp.float32)
 
 
 def test_import_leaves_jax_alone():
@@ -124,90 +99,58 @@ def test_import_leaves_jax_alone():
 
 
 @pytest.mark.parametrize("walls", [(-1.0, 1.0), (None, 1.0), (-1.0, None), (None, None)])
-def test_walls_are_structure(walls):
-    scene = jv.make_scene(**{**GOOD, "walls": walls})
-    assert [scene.left is None, scene.right is None] == [wall is None for wall in walls]
+def test_walls_and_harmonics_are_structure_and_numbers_are_leaves(walls):
+    scene = good_scene(walls=walls)
     assert len(jax.tree.leaves(scene)) == 4 + sum(wall is not None for wall in walls)
-    assert all(scene.parameter(name).shape == () for name in scene.names)
-
-
-def test_harmonic_is_static_and_numbers_are_leaves():
-    scene = jv.make_scene(**{**GOOD, **right(motion=jv.Motion(0.1, 0.2, np.int64(3)))})
-    leaves, structure = jax.tree.flatten(scene)
-    assert len(leaves) == 8
-    other = jv.make_scene(**{**GOOD, **right(motion=jv.Motion(0.1, 0.2, 4))})
-    assert structure != jax.tree.structure(other)
-    assert type(scene.right.motion.harmonic) is int
-
-
-EACH = ("amplitude", "frequency", "damping", "restitution")
-OWN = ("position", "restitution", "stiffness", "damping")
+    assert list(scene.walls) == [side for side, wall in zip(("left", "right"), walls, strict=True) if wall is not None]
+    third, fourth = (good_scene(**right(motion=jv.Motion(0.1, 0.2, k))) for k in (np.int64(3), 4))
+    assert len(jax.tree.leaves(third)) == 8 and type(third.right.motion.harmonic) is int
+    assert jax.tree.structure(third) != jax.tree.structure(fourth)
 
 
 @pytest.mark.parametrize("kind", [list, tuple])
 def test_a_list_is_no_batch_and_no_pair_of_walls(kind):
-    """Wherever a number may stand: it is refused, with the way to write what may have been meant."""
-
-    def refused(key, make, *given, **named):
-        with pytest.raises(jv.SceneError) as error:
-            make(*given, **named)
-        line = str(error.value)
-        assert error.value.key == key and line.startswith(f"{key}: must be a number or an array, not a {kind.__name__}")
-        assert "walls=(Wall(...), Wall(...))" in line and "np.array([...])" in line and len(line) <= 300
-
-    two, good = kind((0.55, 0.8)), jv.make_scene(**{**GOOD, **right(motion=MOVING)})
-    soft = jv.make_scene(**{**GOOD, **right(stiffness=100.0)})
-    for key in EACH:
-        refused(key, jv.make_scene, **GOOD | {key: two})
-        refused(key, jv.make_scene, **GOOD | {key: kind((0.5,))})
-    for key in good.names:
-        refused(key, good.replace, **{key: two})
-    for key in ("right.stiffness", "right.damping", "hardness"):
-        refused(key, soft.replace, **{key: two})
-    refused("left.position", jv.make_scene, **GOOD | {"walls": (two, 1.0)})
-    for key in OWN:
-        own = {"position": 1.0} | ({"stiffness": 9.0} if key == "damping" else {}) | {key: two}
-        refused(f"right.{key}", jv.make_scene, **GOOD | right(**own))
-        refused(f"right.{key}", physical, walls=(-1.0, jv.Wall(**own)), length=1.0)
+    """It is refused in place of a number, with the way to write what may have been meant."""
+    two = kind((0.55, 0.8))
+    calls = [(key, good_scene, {key: two}) for key in ("amplitude", "frequency", "damping", "restitution")]
+    calls += [("left.position", good_scene, {"walls": (two, 1.0)})]
+    for key in ("position", "restitution", "stiffness", "damping"):
+        wall = jv.Wall(**{"position": 1.0} | ({"stiffness": 9.0} if key == "damping" else {}) | {key: two})
+        calls += [(f"right.{key}", good_scene, {"walls": (-1.0, wall)})]
+        calls += [(f"right.{key}", physical, {"walls": (-1.0, wall), "length": 1.0})]
     for key in ("amplitude", "phase"):
-        motion = jv.Motion(**{"amplitude": 0.1, key: two})
-        refused(f"right.motion.{key}", jv.make_scene, **GOOD | right(motion=motion))
-        refused(f"right.motion.{key}", physical, walls=(-1.0, jv.Wall(1.0, motion=motion)))
+        walls = -1.0, jv.Wall(1.0, motion=jv.Motion(**{"amplitude": 0.1, key: two}))
+        calls += [(f"right.motion.{key}", make, {"walls": walls}) for make in (physical, good_scene)]
     for key in ("mass", "damping", "stiffness", "force", "frequency", "restitution", "length"):
-        refused(key, physical, **{key: two})
+        calls += [(key, physical, {key: two})]
+    for key, make, arguments in calls:
+        with pytest.raises(jv.SceneError) as error:
+            make(**arguments)
+        line = str(error.value)
+        assert line.startswith(f"{key}: must be a number or an array, not a {kind.__name__}") and len(line) <= 300
+        assert "walls=(Wall(...), Wall(...))" in line and "np.array([...])" in line
 
 
 def test_an_array_of_two_positions_is_the_pair_of_walls():
     for pair in (np.array([-1.0, 1.5]), jnp.array([-1.0, 1.5]), np.array([None, 1.5])):
-        scene = jv.make_scene(**GOOD | {"walls": pair})
+        scene = good_scene(walls=pair)
         assert scene.shape == () and scene.right.position == 1.5 and (pair[0] is None or scene.left.position == -1.0)
-    assert (
-        jax.grad(lambda pair: jv.make_scene(**GOOD | {"walls": pair}).right.position)(np.array([-1.0, 1.5]))[1] == 1.0
-    )
+    assert jax.grad(lambda pair: good_scene(walls=pair).right.position)(np.array([-1.0, 1.5]))[1] == 1.0
     assert physical(walls=np.array([-0.5, 0.5])).left.position == -1.0
 
 
 def test_batches_broadcast():
-    scene = jv.make_scene(**{**GOOD, "amplitude": np.zeros((3, 1)), "walls": (-1.0, np.ones(2))})
+    scene = good_scene(amplitude=np.zeros((3, 1)), walls=(-1.0, np.ones(2)))
     assert scene.shape == (3, 2)
-    assert jv.make_scene(**{**GOOD, "amplitude": np.zeros((0,))}).shape == (0,)
+    assert good_scene(amplitude=np.zeros((0,))).shape == (0,)
 
 
-def test_replace_and_parameter():
-    scene = jv.make_scene(**{**GOOD, **right(motion=MOVING)})
-    assert scene.parameter("right.restitution") == 0.7
-    own = scene.replace(**{"right.restitution": 0.5, "amplitude": 3.0, "right.motion.phase": -1.0})
-    assert [float(own.parameter(name)) for name in ("right.restitution", "left.restitution", "amplitude")] == [
-        0.5,
-        0.7,
-        3,
-    ]
-    assert own.right.motion.phase == -1.0
-    assert scene.amplitude == 2.0
+def test_a_wall_without_a_restitution_takes_that_of_the_scene():
+    scene = good_scene(**right(motion=MOVING))
+    own = scene.replace(**{"right.restitution": 0.5})
+    assert [own.parameter(f"{side}.restitution") for side in ("left", "right")] == [0.7, 0.5]
     assert own.replace(**{"right.restitution": None}).parameter("right.restitution") == 0.7
-    with pytest.raises(
-        jv.SceneError, match=r"amplitud: is not a parameter of this scene, perhaps amplitude \(amplitude, freq"
-    ):
+    with pytest.raises(jv.SceneError, match=r"amplitud: is not a parameter of this scene, perhaps amplitude \(ampl"):
         scene.replace(amplitud=1.0)
     with pytest.raises(jv.ArgumentError, match=r"left\.motion\.phase: is not a parameter"):
         scene.parameter("left.motion.phase")
@@ -216,7 +159,7 @@ def test_replace_and_parameter():
 
 
 def test_tracing_checks_types_and_shapes_only():
-    scene = jv.make_scene(**GOOD)
+    scene = good_scene()
     assert jax.jit(lambda damping: scene.replace(damping=damping))(-1.0).damping == -1.0
     assert jax.vmap(lambda x: scene.replace(**{"right.position": x}))(jnp.arange(3.0)).right.position.shape == (3,)
     assert jax.grad(lambda x: scene.replace(frequency=x).frequency ** 2)(2.0) == 4.0
@@ -226,73 +169,39 @@ def test_tracing_checks_types_and_shapes_only():
         jax.jit(lambda x: scene.replace(amplitude=x, damping=-1.0))(1.0)
     with pytest.raises(jv.SceneError, match="damping: must broadcast"):
         jax.jit(lambda x: scene.replace(amplitude=x, damping=x[:2]))(jnp.zeros(3))
+    assert jax.grad(lambda force: physical(force=force).amplitude)(5.0) == 1 / (8.0 * 0.5)
+
+
+def is_accepted(low, high, mean):
+    """Return whether walls with these motions (amplitude, phase, harmonic) and this mean gap make a scene."""
+    walls = jv.Wall(0.0, motion=jv.Motion(*low)), jv.Wall(mean, motion=jv.Motion(*high))
+    try:
+        good_scene(walls=walls)
+    except jv.SceneError as error:
+        assert "must not touch or cross in their motion" in str(error)
+        return False
+    return True
 
 
 sizes, phases, harmonics = st.floats(-2, 2), st.floats(-7, 7), st.integers(1, 9)
 
 
 @given(low=st.tuples(sizes, phases, harmonics), high=st.tuples(sizes, phases, harmonics), mean=st.floats(1e-3, 4))
-def test_least_gap_has_the_sign_of_a_dense_search(low, high, mean):
+def test_walls_are_accepted_if_a_dense_search_finds_a_gap(low, high, mean):
     theta = np.linspace(0.0, 2 * np.pi, 40_001)
     gap = mean + high[0] * np.cos(high[2] * theta + high[1]) - low[0] * np.cos(low[2] * theta + low[1])
-    found = minimum_gap(jv.Wall(0.0, None, motion=jv.Motion(*low)), jv.Wall(mean, None, motion=jv.Motion(*high)))
     # The dense search is this far above the least value at most: (step / 2)^2 max abs f'' / 2.
     unseen = (np.pi / 40_000) ** 2 * (abs(low[0]) * low[2] ** 2 + abs(high[0]) * high[2] ** 2) / 2 + 1e-14
-    assert found <= 0 if gap.min() <= 0 else found > 0 or gap.min() < unseen
+    assert is_accepted(low, high, mean) == (gap.min() > 0) or 0 < gap.min() < unseen
 
 
-def test_walls_that_move_apart_together_are_allowed():
-    scene = jv.make_scene(**{**GOOD, "walls": two_moving(phase=0.0)})
-    assert scene.right.motion.harmonic == 2
-
-
-def test_least_gap_of_a_flat_touch():
+def test_walls_that_move_together_or_touch_at_a_flat_minimum():
+    assert good_scene(walls=two_moving(phase=0.0)).right.motion.harmonic == 2
     # f = 3 + 4 cos(x + pi) + cos 2x = 8 sin(x/2)^4 touches with order four.
-    low = jv.Wall(0.0, None, motion=jv.Motion(4.0))
     for more, opens in ((0.0, False), (-1e-9, False), (1e-9, True)):
-        assert (minimum_gap(low, jv.Wall(3.0 + more, None, motion=jv.Motion(1.0, 0.0, 2))) > 0) == opens
+        assert is_accepted((4.0, 0.0, 1), (1.0, 0.0, 2), 3.0 + more) == opens
 
 
 def physical(**changes):
     given = {"mass": 2.0, "damping": 3.0, "stiffness": 8.0, "force": 5.0, "frequency": 3.0, "restitution": 0.7}
     return jv.scene_from_physical(**{**given, "walls": (-0.75, 0.5), **changes})
-
-
-def test_physical_solves_the_same_equation():
-    """The forced response of M X'' + C X' + K X = F cos(Omega T) is d times that of the scene."""
-    scene = physical(walls=(jv.Wall(-0.75, 0.6, motion=jv.Motion(0.1, 0.3, 2)), 0.5))
-    a, omega, gamma = (float(scene.parameter(name)) for name in ("amplitude", "frequency", "damping"))
-    response = a / (1 - omega**2 + 2j * gamma * omega)
-    assert np.isclose(0.5 * response, 5.0 / (8.0 - 2.0 * 3.0**2 + 3j * 3.0), rtol=1e-15)
-    assert (scene.left.position, scene.right.position, scene.left.motion.amplitude) == (-1.5, 1.0, 0.2)
-    assert (scene.left.motion.phase, scene.left.motion.harmonic, scene.left.restitution) == (0.3, 2, 0.6)
-    assert physical(length=0.25).right.position == 2.0
-
-
-@pytest.mark.parametrize(
-    ("key", "changes"),
-    [
-        ("mass", {"mass": 0.0}),
-        ("stiffness", {"stiffness": -1.0}),
-        ("damping", {"damping": -0.1}),
-        ("frequency", {"frequency": 0.0}),
-        ("force", {"force": float("nan")}),
-        ("length", {"length": -1.0}),
-        ("length", {"walls": (-1.0, None)}),
-        ("length", {"walls": (-1.0, -0.5)}),
-        ("left.position", {"walls": ("a", 1.0)}),
-        ("left.motion", {"walls": (jv.Wall(-1.0, motion=3), 1.0)}),
-        ("restitution", {"restitution": 7.0}),
-        ("walls", {"walls": 3}),
-        ("stiffness", {"mass": np.ones(2), "stiffness": np.ones(3)}),
-    ],
-)
-def test_bad_physical_quantities(key, changes):
-    with pytest.raises(jv.SceneError) as caught:
-        physical(**changes)
-    assert caught.value.key == key
-    assert "\n" not in str(caught.value)
-
-
-def test_physical_under_tracing():
-    assert jax.grad(lambda force: physical(force=force).amplitude)(5.0) == 1 / (8.0 * 0.5)

@@ -1,4 +1,4 @@
-"""Files that are whole or not there: what lies beside them, who may read them, and what an error leaves."""
+"""Files that are complete or absent: links beside them, permissions, and what an error leaves."""
 
 import builtins
 import os
