@@ -1,4 +1,4 @@
-"""Special points of branches by the high-precision references, from the approximate times and speeds of their impacts."""
+"""Special points of branches by the high-precision references, from approximate times and speeds of their impacts."""
 
 import mpmath
 import numpy as np
@@ -29,7 +29,7 @@ def impacts_of(point):
 
 
 def reference_error(point):
-    """Return how far the value of an SN, SB, BP, PD or GR is from the reference's. Raises ArithmeticError, ValueError."""
+    """Return how far the value of an SN, SB, BP, PD or GR is from the reference's."""
     contact = None
     if point.kind == "GR":
         problem, z = set_up_equations(point.scene, point.name, point.spot)
@@ -52,7 +52,9 @@ def reference_bend(point):
 def return_matrix(point, contact_time, is_half_orbit):
     """Return the matrix M of a grazing by flights and rebounds in 60 digits, from impacts polished there."""
     keep = [speed > 1e-7 for speed in point.spot.speeds]
-    times, speeds, sides = ([number for number, kept in zip(row, keep, strict=True) if kept] for row in impacts_of(point))
+    times, speeds, sides = (
+        [number for number, kept in zip(row, keep, strict=True) if kept] for row in impacts_of(point)
+    )
     with workdps(60):
         scene = exact(plain(point.scene))
         given = plain(point.scene), reference_name(point), point.value, times, speeds, sides, point.spot.periods, 30
@@ -111,7 +113,7 @@ def _end_in_sticking(base, spot, begin, value):
 
 
 def zero_force_value(point):
-    """Return the amplitude next to a CH or RL at which an impact with R = 0 meets no contact force; None without one."""
+    """Return the amplitude next to a CH or RL at which an impact with R = 0 meets no force, None without one."""
     spot, base = point.spot, exact(plain(point.scene))
     length = float(span(base, spot.periods))
     walls = {-1: base.left, 1: base.right}

@@ -37,15 +37,23 @@ def branch_of(kind, number):
     return jv.follow(orbit, name, bounds_of(orbit.scene, name), max_points=MOST_POINTS)
 
 
+def branch_with(kind, number, kinds_of_point):
+    """Return the branch of a draw, or one of the next draws if it is the first with such a special point."""
+    branches = (branch_of(kind, number + k) for k in range(4))
+    having = (branch for branch in branches if {point.kind for point in branch.special} & set(kinds_of_point))
+    return next(having, branch_of(kind, number))
+
+
 @cache
 def switched_branches(kind, number):
     """Return (special point, the branches that leave it) of the first PD and SB of a branch.
 
     Walls that are alike are placed symmetrically for it, so that there are SB.
     """
-    branch, switched = branch_of(kind, number), []
+    branch, switched = None, []
     if kind.name in SYMMETRIC_KINDS:
-        branch = symmetric_branch(kind, number) or branch
+        branch = symmetric_branch(kind, number)
+    branch = branch or branch_with(kind, number, ("PD", "SB"))
     for kind_of_point in ("PD", "SB"):
         for point in branch.points(kind_of_point)[:1]:
             room = 0.02 * (1.0 + abs(point.value))
@@ -55,7 +63,7 @@ def switched_branches(kind, number):
 
 
 def symmetric_branch(kind, number):
-    """Return the branch along the amplitude of the scene of a draw with its walls placed symmetrically, if there is one."""
+    """Return the branch along the amplitude of a draw's scene with its walls placed symmetrically, None without one."""
     scene = settled_orbit(kind, number).scene
     half = 0.5 * (float(scene.right.position) - float(scene.left.position))
     changes = {"left.position": -half, "right.position": half}
@@ -87,3 +95,21 @@ def assert_same_points(branch, other, tolerance):
     assert len(first) == len(second), (first, second)
     np.testing.assert_allclose([value for _, value in first], [value for _, value in second], rtol=0, atol=tolerance)
     assert sorted(kind for kind, _ in first) == sorted(kind for kind, _ in second)
+
+
+def is_on(orbit, diagram):
+    """Return whether an orbit is on a branch of a diagram: between two points of it, near the line between them."""
+    value, size = float(orbit.scene.parameter(diagram.name)), max(1.0, abs(orbit.impacts.speed).max(initial=0.0))
+    speeds = np.sort(orbit.impacts.speed)
+    for branch in diagram.branches:
+        data, values = branch.data, branch.values
+        if data.sizes["period"] != orbit.periods:
+            continue
+        for k in np.flatnonzero((values[:-1] - value) * (values[1:] - value) <= 0):
+            rows = [np.sort(data["speed"].values[j][abs(data["side"].values[j]) == 1]) for j in (k, k + 1)]
+            share = (value - values[k]) / (values[k + 1] - values[k] or 1.0)
+            if len(rows[0]) == len(rows[1]) == len(speeds):
+                line = (1.0 - share) * rows[0] + share * rows[1]
+                if abs(line - speeds).max(initial=0.0) < 2e-2 * size:
+                    return True
+    return False

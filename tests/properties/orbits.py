@@ -120,7 +120,7 @@ def sorted_roots(values):
 
 
 def assert_roots_agree(values, matrix, bound):
-    """Check that multipliers are the eigenvalues of a matrix: their sum and product agree, to a bound of its entries."""
+    """Check that multipliers are the eigenvalues of a matrix: sum and product agree, to a bound of its entries."""
     values, norm = np.asarray(values), np.linalg.norm(matrix)
     assert abs(values.sum() - np.trace(matrix)) <= bound
     assert abs(values.prod() - np.linalg.det(matrix)) <= bound * (1.0 + norm)
@@ -146,7 +146,7 @@ def assert_is_orbit(orbit, simulation, lane, tolerance):
     numbers = orbit.periods, walls.count("L"), walls.count("R")
     assert orbit.label in (f"P{'-'.join(map(str, numbers))}", f"P{''.join(map(str, numbers))}")
     np.testing.assert_allclose(simulation.speeds[lane], orbit.impacts.speed, rtol=0, atol=slack)
-    assert len(orbit.impacts.speed) == orbit.impacts.count and abs(orbit.least_speed - slow) < slack or slow == np.inf
+    assert len(orbit.impacts.speed) == orbit.impacts.count and (slow == np.inf or abs(orbit.least_speed - slow) < slack)
     assert orbit.least_clearance == np.inf or abs(orbit.least_clearance - simulation.clearance[lane]) < slack
     assert_roots_agree(orbit.multipliers, simulation.matrices[lane], 10.0 * slack * growth)
     largest = abs(orbit.multipliers[0])

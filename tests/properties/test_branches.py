@@ -16,12 +16,14 @@ from .branches import (
     assert_same_points,
     bounds_of,
     branch_of,
+    branch_with,
+    is_on,
     is_whole,
     parameter,
     significant,
     switched_branches,
 )
-from .orbits import Simulation, assert_is_orbit, settled_orbit, size_of
+from .orbits import MOST_PERIODS, Simulation, assert_is_orbit, settled_orbit, size_of
 
 REFERENCE_KINDS = "one_wall", "two_walls", "moving_walls", "inelastic"
 
@@ -77,7 +79,7 @@ def test_ends(kind, number):
 @of_numbers
 def test_special_points(kind, number):
     """Each special point has the property that its name says, and the value of the high-precision reference."""
-    branch = branch_of(kind, number)
+    branch = branch_with(kind, number, ("SN", "PD", "GR", "CH", "RL"))
     special = {point.place for point in branch.special}
     unstable = (abs(branch.multipliers) > 1.0).sum(axis=1)
     for point in significant(branch):
@@ -184,6 +186,25 @@ def test_switch(kind, number):
             orbit = branch.orbit(3)
             assert orbit.periods == point.orbit.periods * (2 if point.kind == "PD" else 1)
             back = jv.follow(orbit, point.name, branch.bounds)
-            values = [end for end, kind_of_end in zip(back.values[[0, -1]], back.ends) if kind_of_end is End.HALVED]
+            values = [
+                end
+                for end, kind_of_end in zip(back.values[[0, -1]], back.ends, strict=True)
+                if kind_of_end is End.HALVED
+            ]
             values += [other.value for other in back.points("SB")]
             assert min(abs(value - point.value) for value in values) < 1e-6 * (1.0 + abs(point.value))
+
+
+@of_numbers
+def test_diagram(kind, number):
+    """The periodic attractors that random starts settle on lie on the branches of `explore`."""
+    orbit, checked = settled_orbit(kind, number), 0
+    bounds = bounds_of(orbit.scene, "amplitude", 0.3)
+    diagram = jv.explore(orbit.scene, "amplitude", bounds, MOST_PERIODS)
+    assert diagram.complete
+    for value in np.linspace(*bounds, 5)[1:-1]:
+        for attractor in jv.find_attractors(orbit.scene.replace(amplitude=value), 20, 5):
+            if 0 < attractor.periods <= MOST_PERIODS:
+                assert attractor.orbit is not None and is_on(attractor.orbit, diagram)
+                checked += 1
+    assert checked

@@ -18,7 +18,7 @@ from .orbits import Simulation, assert_is_orbit, assert_roots_agree, settled_orb
 
 @of_numbers
 def test_orbit(kind, number):
-    """An orbit is what a simulation of its periods gives, repeats in no shorter time, and is found again from itself."""
+    """An orbit is what a simulation gives, repeats in no shorter time, and is found again from its state."""
     orbit = settled_orbit(kind, number)
     simulation = Simulation(kind, [orbit], differentiate=True)
     assert assert_is_orbit(orbit, simulation, 0, kind.tolerance)
