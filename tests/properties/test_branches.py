@@ -2,6 +2,7 @@
 
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from types import SimpleNamespace
 
 import numpy as np
 
@@ -36,20 +37,27 @@ def _tolerance(kind):
 @of_numbers
 def test_points(kind, number):
     """The points of a branch are orbits: of their segment's label, with their row's multipliers, between the walls."""
-    branch = branch_of(kind, number)
-    places = np.unique(np.linspace(0, len(branch) - 1, LANES).astype(int))
+    branch, checked = branch_of(kind, number), 0
+    places = _regular_places(branch, LANES if number < 3 else len(branch))
+    for group in (places[k : k + LANES] for k in range(0, len(places), LANES)):
+        orbits = [branch.orbit(place) for place in group]
+        simulation = Simulation(kind, orbits)
+        for lane, (place, orbit) in enumerate(zip(group, orbits, strict=True)):
+            segment = next(part for part in branch.segments if part.first <= place <= part.last)
+            assert orbit.label == segment.label and float(orbit.scene.parameter(branch.name)) == branch.values[place]
+            difference = abs(orbit.multipliers - branch.multipliers[place]).max()
+            assert difference < 1e-4 * (1.0 + abs(orbit.multipliers[0]))
+            assert branch.stable[place] == orbit.stable and orbit.least_clearance > -1e-9 * size_of(orbit)
+            checked += assert_is_orbit(orbit, simulation, lane, max(kind.tolerance, 1e-12))
+    assert checked >= 1
+
+
+def _regular_places(branch, count):
+    """Return so many indices of points of a branch that are not special and have finite multipliers."""
     special = {point.place for point in branch.special if point.kind != "EP"}
     finite = np.isfinite(branch.multipliers).all(axis=1)
-    places = [int(place) for place in places if place not in special and finite[place]]
-    orbits = [branch.orbit(place) for place in places]
-    simulation, checked = Simulation(kind, orbits), 0
-    for lane, (place, orbit) in enumerate(zip(places, orbits, strict=True)):
-        segment = next(part for part in branch.segments if part.first <= place <= part.last)
-        assert orbit.label == segment.label and float(orbit.scene.parameter(branch.name)) == branch.values[place]
-        assert abs(orbit.multipliers - branch.multipliers[place]).max() < 1e-4 * (1.0 + abs(orbit.multipliers[0]))
-        assert branch.stable[place] == orbit.stable and orbit.least_clearance > -1e-9 * size_of(orbit)
-        checked += assert_is_orbit(orbit, simulation, lane, max(kind.tolerance, 1e-12))
-    assert checked >= 1
+    places = np.unique(np.linspace(0, len(branch) - 1, count).astype(int))
+    return [int(place) for place in places if place not in special and finite[place]]
 
 
 @of_numbers
@@ -124,7 +132,7 @@ def _assert_orbits_meet(kind, point):
 
 @of_numbers
 def test_return(kind, number):
-    """Followed back from its last point with other steps, a branch has the same special points and ends."""
+    """Followed back from its last point with other steps, a branch is the same curve with the same special points."""
     branch = branch_of(kind, number)
     if not is_whole(branch):
         return
@@ -132,6 +140,8 @@ def test_return(kind, number):
     place = max({len(branch) - 1, len(branch) - 2, 0} - special)
     back = jv.follow(branch.orbit(place), branch.name, branch.bounds, largest_step=0.07)
     assert_same_points(branch, back, _tolerance(kind))
+    for orbit in map(branch.orbit, _regular_places(branch, 6)[1:-1]):
+        assert is_on(orbit, SimpleNamespace(name=branch.name, branches=[back]))
     if not {End.CLOSED, End.HALVED, End.GRAZE} & {*branch.ends, *back.ends}:
         assert sorted(end.name for end in back.ends) == sorted(end.name for end in branch.ends)
         assert sorted(back.values[[0, -1]]) == sorted(branch.values[[0, -1]])
