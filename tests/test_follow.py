@@ -141,19 +141,10 @@ def test_a_monitor_a_stop_and_a_direction(orbit):
     assert one.values[-1] == 2.0
 
 
-def test_a_branch_is_saved_loaded_and_extended(branch, orbit, tmp_path):
-    short = jv.follow(orbit, "amplitude", (1.0, 5.0))
-    short.save(tmp_path / "short.nc")
+def test_a_file_is_not_overwritten_and_one_that_is_no_branch_is_refused(branch, tmp_path):
+    branch.save(tmp_path / "branch.nc")
     with pytest.raises(FileExistsError):
-        short.save(tmp_path / "short.nc")
-    loaded = jv.load_branch(tmp_path / "short.nc")
-    assert loaded.table() == short.table() and loaded.segments == short.segments
-    assert np.array_equal(loaded.values, short.values) and np.array_equal(loaded.data["time"], short.data["time"], True)
-    whole = jv.extend(loaded, (0.0, 6.0))
-    assert kinds(whole) == kinds(branch)
-    assert np.allclose([one.value for one in whole.special], [one.value for one in branch.special], rtol=0, atol=1e-12)
-    assert [one.last for one in whole.segments][-1] == len(whole) - 1
-    assert np.array_equal(np.flatnonzero(np.diff(whole.data["segment"])), [whole.segments[0].last])
+        branch.save(tmp_path / "branch.nc")
     (tmp_path / "bad.nc").write_bytes(b"CDF nothing")
     with pytest.raises(jv.ArgumentError, match=r"^path: must be a NetCDF file"):
         jv.load_branch(tmp_path / "bad.nc")

@@ -38,9 +38,11 @@ REFERENCE_KINDS = "one_wall", "two_walls", "moving_walls"
 @of_numbers
 def test_unfolding(kind, number):
     """The coefficient of an SN, PD or SB is the curvature of the branches, by orbits beside it and in many digits."""
-    branches = [branch_with(kind, number, ("SN", "PD")), *(some[0] for _, some in switched_branches(kind, number))]
-    points = [point for branch in branches for point in significant(branch) if point.kind in ("SN", "PD", "SB")]
-    for point in [point for point in points if point.normal_form and not point.orbit.rests][:4]:
+    switched = switched_branches(kind, number)
+    branches = [branch_with(kind, number, ("SN", "PD")), *(some[0] for _, some in switched)]
+    points = [*(point for point, _ in switched), *(point for branch in branches for point in significant(branch))]
+    points = [point for point in points if point.kind in ("SN", "PD", "SB") and point.normal_form]
+    for point in [point for point in points if not point.orbit.rests][:4]:
         form = point.normal_form
         if kind.name in REFERENCE_KINDS:
             expected = reference_bend(point)
