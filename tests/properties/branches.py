@@ -52,7 +52,8 @@ def switched_branches(kind, number):
     """
     branch, switched = None, []
     if kind.name in SYMMETRIC_KINDS:
-        branch = symmetric_branch(kind, number)
+        branches = (symmetric_branch(kind, number + k) for k in range(4))
+        branch = next((each for each in branches if each and (each.points("SB") or each.points("PD"))), None)
     branch = branch or branch_with(kind, number, ("PD", "SB"))
     for kind_of_point in ("PD", "SB"):
         for point in branch.points(kind_of_point)[:1]:
