@@ -94,10 +94,8 @@ def test_a_measurement(monkeypatch):
 
 @pytest.mark.parametrize(
     ("module", "fold"),
-    [
-        pytest.param(scipy_branch, 7.245431514880592, marks=pytest.mark.slow),
-        pytest.param(jaxcont_branch, 0.40044852663887776, marks=pytest.mark.long),
-    ],
+    [(scipy_branch, 7.245431514880592), (jaxcont_branch, 0.40044852663887776)],
+    ids=["scipy", "jaxcont"],
 )
 def test_a_rival_follows_a_branch_where_its_map_is_smooth(module, fold):
     (truth,) = (each for each in branches.drawn(30) if abs(each.special[-1][1] - fold) < 1e-9)

@@ -1,14 +1,15 @@
-"""`explore`: whole diagrams, checked against closed forms, attractors from random starts, and other routes."""
+"""`explore` and `diagrams` against closed forms, attractors of random starts, and each other."""
 
 import mpmath
 import numpy as np
 import pytest
 
 import jaxvibro as jv
+from tests.properties.branches import is_on
 from tests.reference import closed
 
 GAMMA, OMEGA, R = 0.05, 2.1, 0.7
-BOUNDS = (0.0, 6.0)
+BOUNDS, NARROW = (0.0, 6.0), (0.0, 4.0)
 
 
 @pytest.fixture(scope="module")
@@ -19,25 +20,6 @@ def scene():
 @pytest.fixture(scope="module")
 def diagram(scene):
     return jv.explore(scene, "amplitude", BOUNDS, max_period=2)
-
-
-def is_on(orbit, diagram):
-    """Whether an attractor's orbit is on a branch: between two points of it, within what lies between them."""
-    value = float(orbit.scene.parameter(diagram.name))
-    size = max(1.0, abs(orbit.impacts.speed).max(initial=0.0))
-    for branch in diagram.branches:
-        data, values = branch.data, branch.values
-        if data.sizes["period"] != orbit.periods:
-            continue
-        for k in np.flatnonzero((values[:-1] - value) * (values[1:] - value) <= 0):
-            rows = [np.sort(data["speed"].values[j][data["side"].values[j] != 0]) for j in (k, k + 1)]
-            mine = np.sort(orbit.impacts.speed)
-            share = (value - values[k]) / (values[k + 1] - values[k] or 1.0)
-            if len({len(rows[0]), len(rows[1]), len(mine)}) == 1:
-                line = (1.0 - share) * rows[0] + share * rows[1]
-                if abs(line - mine).max(initial=0.0) < 2e-2 * size:
-                    return True
-    return False
 
 
 def test_figure_4_by_itself(diagram):
@@ -96,40 +78,6 @@ def test_around_a_resonance_the_motion_that_meets_no_wall_is_there_on_both_sides
     assert [min(abs(np.array(found) - each)) < 1e-12 for each in w] == [True, True]
 
 
-def test_a_scene_of_one_wall_that_moves():
-    wall = jv.Wall(0.8, 0.6, motion=jv.Motion(0.1, 0.5))
-    scene = jv.make_scene(1.0, 1.8, 0.1, 0.6, (None, wall))
-    diagram = jv.explore(scene, "amplitude", (0.2, 4.0), max_period=1)
-    assert diagram.complete
-    for amplitude in (0.5, 1.0, 2.0, 3.5):
-        found = jv.find_attractors(scene.replace(amplitude=amplitude), 40, 3)
-        assert all(is_on(one.orbit, diagram) for one in found if one.periods == 1)
-
-
-@pytest.mark.parametrize(
-    ("key", "given"),
-    [
-        ("bounds", {"bounds": (6.0, 0.0)}),
-        ("bounds", {"bounds": 3.0}),
-        ("force", {"name": "force"}),
-        ("max_period", {"max_period": 0}),
-        ("max_period", {"max_period": 33}),
-        ("seed", {"seed": -1}),
-        ("budget", {"budget": 0}),
-        ("largest_step", {"largest_step": 0.0}),
-        ("resume", {"resume": 3}),
-        ("resume", {"max_period": 1, "resume": "diagram"}),
-    ],
-)
-def test_bad_arguments(key, given, scene, diagram):
-    given = {"name": "amplitude", "bounds": BOUNDS, "max_period": 2} | given
-    if given.get("resume") == "diagram":
-        given["resume"] = diagram
-    with pytest.raises(jv.ArgumentError) as error:
-        jv.explore(scene, **given)
-    assert error.value.key == key
-
-
 def test_a_folder_without_a_diagram(tmp_path):
     (tmp_path / "diagram.json").write_text("{}")
     with pytest.raises(jv.ArgumentError, match="folder"):
@@ -153,3 +101,54 @@ def test_both_halves_of_symmetric_orbits_leave_a_breaking_that_is_come_to_from_a
     np.testing.assert_allclose(branch.values.max(), 2.72)
     assert branch.values.min() == pytest.approx(found.points("SB")[0].value, abs=1e-6)
     assert branch.stable[len(branch) // 2]
+
+
+def test_diagrams_are_those_that_explore_gives(scene):
+    values = [0.3, 0.05]
+    seen = []
+    found = jv.diagrams(scene, "amplitude", NARROW, "damping", values, max_period=1, progress=seen.append)
+    assert len(found) == 2 and max(seen) == max(map(len, found))
+    for gamma, one in zip(values, found, strict=True):
+        other = jv.explore(scene.replace(damping=gamma), "amplitude", NARROW, max_period=1)
+        assert float(one.scene.damping) == gamma and one.complete and one.settings == other.settings
+        assert one.left == other.left and len(one) == len(other)
+        for mine, theirs in zip(one.branches, other.branches, strict=True):
+            assert len(mine) == len(theirs) and mine.reasons == theirs.reasons
+            assert np.allclose(mine.values, theirs.values, rtol=0, atol=1e-9)
+        for mine, theirs in zip(one.special, other.special, strict=True):
+            assert mine.kind == theirs.kind and abs(mine.value - theirs.value) < 1e-9
+        with mpmath.workdps(30):
+            fold = float(closed.fold(gamma, OMEGA, R, 1, symmetric=True).amplitude)
+            touch = float(closed.grazing(gamma, OMEGA, 1))
+        assert abs(one.points("SN")[0].value - fold) < 1e-11
+        assert min(abs(each.value - touch) for each in one.points("GR")) < 1e-11
+
+
+def test_diagrams_are_kept_in_a_store(scene, tmp_path):
+    asked, seen = ("amplitude", (0.0, 2.0), "damping", [0.3, 0.1]), []
+    plain = jv.diagrams(scene, *asked, max_period=1)
+    for _ in range(2):
+        kept = jv.diagrams(scene, *asked, max_period=1, progress=seen.append, store=jv.Store(tmp_path / "diagrams"))
+        for mine, other in zip(kept, plain, strict=True):
+            assert mine.settings == other.settings and mine.left == other.left and len(mine) == len(other)
+            assert float(mine.scene.damping) == float(other.scene.damping)
+            for one, another in zip(mine.branches, other.branches, strict=True):
+                np.testing.assert_allclose(one.values, another.values, rtol=0, atol=1e-9)
+    assert seen == [0, 1, 2, 2]
+    with pytest.raises(jv.ArgumentError, match="settings differs"):
+        jv.diagrams(scene, *asked, max_period=2, store=jv.Store(tmp_path / "diagrams"))
+
+
+def test_bad_arguments(scene, diagram):
+    batch = scene.replace(amplitude=np.array([1.0, 2.0]))
+    for key, given in (
+        ("max_period", {"max_period": 33}),
+        ("resume", {"max_period": 1, "resume": diagram}),
+        ("third", {"third": "amplitude", "values": [0.1]}),
+        ("damping", {"third": "damping", "values": [0.1, -0.1]}),
+        ("scene", {"scene": batch, "third": "damping", "values": [0.1]}),
+    ):
+        call = jv.diagrams if "third" in given else jv.explore
+        with pytest.raises(jv.ArgumentError) as error:
+            call(**({"scene": scene, "name": "amplitude", "bounds": BOUNDS, "max_period": 2} | given))
+        assert error.value.key == key

@@ -34,14 +34,6 @@ def test_each_order_of_walls_is_there_once(diagram):
     assert told(both, 1, 3) == ["L", "R", "LL", "LR", "RR", "LLL", "LLR", "LRR", "RRR"]
 
 
-def test_what_cannot_be_asked_is_refused(diagram):
-    for key, given in (("max_period", 0), ("max_period", 65), ("max_impacts", 0), ("max_impacts", 33), ("seed", -1)):
-        with pytest.raises(jv.ArgumentError, match=f"^{key}: must be"):
-            jv.find_isolas(diagram, **{key: given})
-    with pytest.raises(jv.ArgumentError, match=r"^diagram: must be a Diagram"):
-        jv.find_isolas(diagram.branches)
-
-
 def test_from_one_guess_to_both_orbits():
     """P201 at a frequency within the isola are two, of which a guess comes to one, and then to the other."""
     lanes, omega = 4, 2.39

@@ -3,7 +3,7 @@
 import pytest
 from mpmath import atan2, mpf, sqrt, workdps
 
-from tests.reference import closed, plain
+from tests.reference import closed
 from tests.reference.scene import Motion, Scene, Wall
 from tests.reference.special import special
 
@@ -68,14 +68,6 @@ def test_another_parameter_leads_back(case, name, value):
     assert abs(special(scene, name, kind, value + 1e-6, *impacts, 1, touch) - mpf(value)) < 1e-50
 
 
-def test_the_parameters_of_one_wall_lead_back():
-    _, _, impacts, _ = UNEVEN_DOUBLING
-    scene = UNEVEN._replace(amplitude=amplitude(UNEVEN_DOUBLING, UNEVEN))
-    numbers = {"left.position": -1.5, "left.restitution": 0.8, "right.motion.amplitude": 0.1, "right.motion.phase": 0.4}
-    for name, value in numbers.items():
-        assert abs(special(scene, name, "PD", value + 1e-6, *impacts, 1) - mpf(value)) < 1e-50
-
-
 @known
 def test_shaken_walls_are_another_drive(case):
     """y = x - b cos(omega t) has walls at rest and the drive (A - b (1 - omega^2)) cos + 2 gamma omega b sin."""
@@ -91,19 +83,6 @@ def test_shaken_walls_are_another_drive(case):
         expected = inphase + b * (1 - omega**2)
         impacts = [each + late for each in times], speeds, sides
         assert abs(special(there, "amplitude", kind, round(expected, 6), *impacts, 1, touch) - expected) < 1e-50
-
-
-def test_the_strobe_by_plain_taylor_steps_doubles_its_period_there():
-    with workdps(25):
-        kind, value, impacts, _ = UNEVEN_DOUBLING
-        scene = UNEVEN._replace(amplitude=special(UNEVEN, "amplitude", kind, value, *impacts, 1))
-        start, step = (mpf("0.849243920160991"), mpf("0.644398214037223")), mpf("1e-9")
-        x, v, found = plain.strobe(scene, *start)
-        assert max(abs(x - start[0]), abs(v - start[1])) < 1e-13
-        assert max(abs(a - b[0]) for a, b in zip(impacts[0], found, strict=True)) < 1e-6
-        moved = [plain.strobe(scene, start[0] + step, start[1]), plain.strobe(scene, start[0], start[1] + step)]
-        columns = [((a - x) / step, (b - v) / step) for a, b, _ in moved]
-        assert abs((columns[0][0] + 1) * (columns[1][1] + 1) - columns[0][1] * columns[1][0]) < 1e-7
 
 
 def test_another_kind_of_point_is_refused():

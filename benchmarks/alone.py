@@ -1,7 +1,7 @@
 """Special points whose numbers are known, by `continuation` and by jaxcont: errors, seconds of a first answer
 (compiling among them), lines of a user's code.
 
-    python -m tests.alone_proof
+    python -m benchmarks.alone
 """
 
 import inspect

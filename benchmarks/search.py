@@ -1,4 +1,4 @@
-"""A search along gradients beside searches without: `python -m tests.search_proof 200` prints boundaries a second.
+"""A search along gradients beside searches without: `python -m benchmarks.search 200` prints boundaries a second.
 
 All begin with the same orbits, those that random scenes of a box settle on, and look for the same test to vanish. A
 random search looks at scenes drawn from the box, Nelder and Mead's at the test's size, each with the orbit solved anew
