@@ -16,7 +16,7 @@ from jaxvibro.compiled import kernel_calls, lane_arithmetic
 from jaxvibro.compiled.hints_in_use import describe_hints
 from jaxvibro.studies import command, environment
 from jaxvibro.studies.environment import describe_environment, format_environment
-from tests.test_persistent_jit import cache as cache  # a fixture
+from tests.test_cache_files import cache as cache  # a fixture
 
 
 def test_what_is_described(cache):

@@ -1,6 +1,10 @@
 """Properties of the continuation package, which knows no oscillators: its kinds are problems, functions and types."""
 
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
 from functools import cache
+from pathlib import Path
 
 import jax
 import numpy as np
@@ -9,12 +13,25 @@ import pytest
 import continuation as co
 from continuation.jaxpr_to_python import build_program, compile_program_text, load_program
 from continuation.numpy_evaluation import NumpyEvaluator
+from continuation.trusted_cache_file import DIGEST, read
+from tests.cached_functions import compiled, evaluated, flipped, other_waves, own_files, require_right, separate_cache
 from tests.tiers import generator, of_numbers
 
 from .continued import PROBLEMS
 from .programs import PROGRAMS, TYPES_OF_NUMBERS, functions_of
 
-OWN_KINDS = PROBLEMS | TYPES_OF_NUMBERS | PROGRAMS
+
+@dataclass(frozen=True)
+class CacheFile:
+    """A kind of cached file: the end of its name, and a function that reads it or writes it anew."""
+
+    name: str
+    suffix: str
+    values: Callable
+
+
+FILES = {kind.name: kind for kind in (CacheFile("program", ".code", evaluated), CacheFile("module", "", compiled))}
+OWN_KINDS = PROBLEMS | TYPES_OF_NUMBERS | PROGRAMS | FILES
 
 
 def specials(branch):
@@ -156,3 +173,29 @@ def test_program(kind, number):
     (one, cost), (other, same_cost) = program.run(*arguments), again.run(*arguments)
     assert (again.size, cost) == (program.size, same_cost)
     assert_alike(one, other, 0, 0)
+
+
+@of_numbers
+def test_damage(kind, number):
+    """A cached file with a flipped bit, cut, extended or of another function is refused, and written anew."""
+    rng = generator(kind, number)
+    with tempfile.TemporaryDirectory() as place, separate_cache(Path(place) / "cache") as folder:
+        require_right(kind.values())
+        path = own_files(folder)[kind.suffix]
+        whole = path.read_bytes()
+        assert read(path) == whole[DIGEST:]
+        bits = {0, 8 * DIGEST, 8 * len(whole) - 1, *rng.integers(0, 8 * len(whole), 50).tolist()}
+        kind.values(other_waves)
+        (other,) = [one for one in path.parent.iterdir() if one.suffix == kind.suffix and one != path]
+        version = path.parent.with_name("0" * 32) / path.name
+        version.parent.mkdir()
+        version.write_bytes(whole)
+        assert read(other) is not None and read(version) is None
+        damaged = [flipped(whole, bit) for bit in bits]
+        damaged += [b"", whole[: rng.integers(len(whole))], whole[:-1], whole + b"\n", other.read_bytes()]
+        for content in damaged:
+            path.write_bytes(content)
+            assert read(path) is None
+        path.write_bytes(damaged[rng.integers(len(damaged))])
+        require_right(kind.values())
+        assert read(path) is not None
