@@ -18,7 +18,6 @@ from continuation.branch_segment import SpecialIndex
 from continuation.linear_solver import solve
 from continuation.point_rows import first_rows, insert_row, row_at
 from continuation.problem import SystemConstants, equilibria, fixed_points, make_problem
-from tests.test_trace import KNOTS as KNOTS_SYSTEM
 from tests.test_trace import close
 
 CIRCLE, PITCHFORK, TWICE, CUSP = (
@@ -31,7 +30,6 @@ CIRCLE, PITCHFORK, TWICE, CUSP = (
     )
 )
 HENON = make_problem(fixed_points(lambda u, p, b: jnp.stack([p["p"] - u[0] ** 2 + b * u[1], u[0]])), ("p",))
-KNOTS = make_problem(KNOTS_SYSTEM, ("p",))
 LIMITS = {"max_step": 0.1, "tolerance": 1e-10, "lower": -3.0, "upper": 3.0}
 
 
@@ -123,9 +121,6 @@ def test_directions_at_crossings():
     assert close(
         abs(branch_point_tangents.less_aligned_tangent(fork, np.array([0.1, 1.0]), scale)), [1 / scale[0], 0], 1e-14
     )
-    crossing, wide = np.array([3, 3, 27 * np.exp(-3)]), np.append(scale, 3.0)
-    both = branch_point_tangents.branch_tangents(KNOTS, crossing, wide, given())
-    assert same_tangents(both, [[1, 1, -18 * np.exp(-3)], [1, -1, 0]], wide)
     with pytest.raises(ValueError, match="no branches cross"):
         branch_point_tangents.branch_tangents(CIRCLE, zero, scale, given(0.0))
 

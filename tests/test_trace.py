@@ -18,16 +18,6 @@ from continuation.shooting import periodic_orbits, settled
 
 from .properties.continued import flown, spiral
 
-ROWS = np.array([[1.0, 0.4], [-0.3, 2.0]])
-
-
-def two_knots(u, p, args):
-    """u'' + p exp(u) = 0, u(0) = u(1) = 0, by differences at 1/3 and 2/3; mixed, so that no slopes are symmetric.
-
-    With equal knots p = 9 u exp(-u), which turns at u = 1; at u = 3 the eigenvalue of (1, -1), 9 u - 27, is zero.
-    """
-    return ROWS @ (9 * (u[::-1] - 2 * u) + p["p"] * jnp.exp(u))
-
 
 def bratu(u, p, args):
     """u'' + p exp(u) = 0, u = 0 at both ends, by central differences with as many knots within as u has."""
@@ -54,8 +44,6 @@ RIPPLE = co.equilibria(lambda u, p, args: u - 0.03 * jnp.sin(20 * p["p"]))
 BEND = co.equilibria(lambda u, p, args: u - p["p"] + p["p"] ** 3)
 CUSP = co.equilibria(lambda u, p, args: p["h"] + p["r"] * u - u**3)
 PITCHFORK = co.equilibria(lambda u, p, args: p["p"] * u - u**3 + p["e"])
-TRANSCRITICAL = co.equilibria(lambda u, p, args: p["p"] * u - u * u)
-KNOTS = co.equilibria(two_knots)
 ENDING = co.equilibria(lambda u, p, args: u - jnp.sqrt(1 - p["p"]))
 BROKEN = co.equilibria(lambda u, p, args: u - jnp.where(p["p"] < 0.5, p["p"], jnp.nan))
 DIAGONAL = co.fixed_points(lambda u, p, other: jnp.stack([p["p"] * u[0], other * u[1]]))
@@ -153,24 +141,6 @@ def test_a_crossing_where_a_branch_turns_is_no_fold_as_well():
         assert close(met(found), [[0, 0]], 1e-12)
 
 
-KNOT = [1.0, 1.0, -18.0 * np.exp(-3.0)]  # p e^u = 9 u at u = 3
-
-
-@pytest.mark.parametrize(
-    ("system", "u", "at", "along"),
-    [
-        (PITCHFORK, [0.0], {"p": -1.0, "e": 0.0}, [0.0, 1.0]),
-        (PITCHFORK, [1.2], {"p": 1.44, "e": 0.0}, [1.0, 0.0]),
-        (TRANSCRITICAL, [-1.0], {"p": -1.0}, [1.0, 1.0]),
-        (KNOTS, [0.2, 0.2], {"p": 1.8 * np.exp(-0.2)}, KNOT),
-    ],
-)
-def test_the_tangent_at_a_crossing_is_that_of_the_branch_which_comes_there(system, u, at, along):
-    (point,) = co.trace(system, u, at, "p", (-2.0, 4.0)).points("BP")
-    assert close(abs(point.tangent @ along) / np.linalg.norm(along), 1.0, 1e-15)
-    assert close(np.linalg.norm(point.tangent), 1.0, 1e-15)
-
-
 @pytest.mark.parametrize(("e", "largest"), [(0.1, 0.1), (0.01, 0.1), (1e-4, 0.01), (-0.1, 0.1)])
 def test_a_broken_pitchfork_has_a_fold_and_no_crossing(e, largest):
     sign = np.sign(e)
@@ -184,18 +154,6 @@ def test_a_broken_pitchfork_has_a_fold_and_no_crossing(e, largest):
     found = co.trace(PITCHFORK, [e], {"p": e * e - 1, "e": e}, "p", (-2.0, 1.5), largest_step=largest)
     assert kinds(found) == []
     assert sign * found.u[-1, 0] > np.sqrt(1.5)
-
-
-def test_two_unknowns_turn_and_cross():
-    found = co.trace(KNOTS, [0.2, 0.2], {"p": 1.8 * np.exp(-0.2)}, "p", (0.3, 4.0))
-    assert kinds(found) == ["SN", "BP"]
-    assert close(met(found), [[1, 1, 9 / np.e], [3, 3, 27 * np.exp(-3)]], 1e-13)
-    for side in co.switch(found.points("BP")[0]):
-        (left, right), p = side.u.T, side.p["p"]
-        assert abs(left - right)[-1] > 1
-        assert close(p * np.exp(left), 9 * (2 * left - right), 1e-11)
-        assert close(p * np.exp(right), 9 * (2 * right - left), 1e-11)
-        assert "BP" not in kinds(side)  # the crossing that it begins in is not met again
 
 
 def test_delayed_logistic():

@@ -72,6 +72,10 @@ def test_branch(kind, number):
     assert_specials(case, branch, case.specials)
     assert sorted(case.bounds.index(value) for value in branch.p["m"][[0, -1]]) == case.ends
     assert all("reached its bound" in reason for reason in branch.reasons)
+    for special in specials(branch):
+        points = np.column_stack([branch.u, branch.p["m"]])[[special.place - 1, special.place + 1]]
+        secant = (points[1] - points[0]) / np.linalg.norm(points[1] - points[0])
+        assert abs(np.linalg.norm(special.tangent) - 1.0) < 1e-12 and abs(special.tangent @ secant) > 0.97
     expected = np.array(case.eigenvalues(w, p))
     for point, values in enumerate(branch.eigenvalues):
         polynomial = np.poly(expected[:, point])
