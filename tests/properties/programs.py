@@ -178,12 +178,12 @@ class RandomProgram:
 
     def draw(self, rng):
         """Return a function and its arguments."""
-        steps = rng.choice(len(STEPS), 5)
+        steps, constant = rng.choice(len(STEPS), 5), rng.normal(size=(3, self.size))
 
         def function(x, k, table):
-            parts = []
+            parts, offset = [], jnp.asarray(constant).at[k[0]].get(mode="clip")
             for step in steps:
-                x = STEPS[step](x, k, table) / (1.0 + 0.1 * jnp.abs(x))
+                x = STEPS[step](x, k, table) / (1.0 + 0.1 * jnp.abs(x)) + offset
                 parts.append(x[0])
             return {"x": x, "parts": (tuple(parts), None), "order": x > x[::-1], "whole": (8.0 * x).astype(np.int32)}
 
