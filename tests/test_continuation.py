@@ -17,7 +17,7 @@ from continuation import (
 from continuation.branch_segment import SpecialIndex
 from continuation.linear_solver import solve
 from continuation.point_rows import first_rows, insert_row, row_at
-from continuation.problem import SystemConstants, equilibria, fixed_points, make_problem
+from continuation.problem import SystemConstants, equilibria, make_problem
 from tests.test_trace import close
 
 CIRCLE, PITCHFORK, TWICE, CUSP = (
@@ -29,7 +29,6 @@ CIRCLE, PITCHFORK, TWICE, CUSP = (
         lambda u, p, a: p["p"] + a * u - u**3,
     )
 )
-HENON = make_problem(fixed_points(lambda u, p, b: jnp.stack([p["p"] - u[0] ** 2 + b * u[1], u[0]])), ("p",))
 LIMITS = {"max_step": 0.1, "tolerance": 1e-10, "lower": -3.0, "upper": 3.0}
 
 
@@ -169,23 +168,6 @@ def test_branches_together_are_as_one_by_one():
                 assert np.shape(found) == np.shape(expected) and close(found, expected, 1e-12)
 
 
-def test_a_point_with_one_number_given():
-    control = control_of(2, scale=np.array([4.0, 0.2]), tolerance=1e-3)  # of steps alone
-    for index, value, true in (
-        (0, 0.6, [0.6, 0.8]),
-        (1, 0.6, [0.8, 0.6]),
-        (0, 0.0, [0, 1]),
-        (-1, -0.28, [0.96, -0.28]),
-    ):
-        found = event_search.solve_with_fixed_entry(CIRCLE, np.array([0.7, 0.7]), index, value, control, given(1.0))
-        assert found.converged
-        assert found.z[index] == value
-        assert close(found.z, true, 1e-15)
-    assert not event_search.solve_with_fixed_entry(CIRCLE, np.array([0.7, 0.7]), 0, 1.1, control, given(1.0)).accepted
-    found = event_search.solve_with_fixed_entry(HENON, np.array([0.3, 0.4, 0.0]), 2, 0.3675, control_of(3), given(0.3))
-    assert close(found.z, [0.35, 0.35, 0.3675], 1e-15)
-
-
 def test_lengths_are_weighted():
     scale, z = np.array([3.0, 0.5]), np.array([0.6, 0.8])
     control = control_of(2, max_step=0.1, scale=scale)
@@ -266,11 +248,6 @@ def test_a_step_is_kept_only_where_newton_s_method_ended():
     points, _ = next(event_search.track_chunks(TWICE, place, control_of(2), given()))
     assert len(points.z) > 5
     assert abs(points.z[:, 0] - points.z[:, 1] ** 2).max() < 1e-9
-
-
-def test_no_crossing_is_located_off_the_branch():
-    found = augmented_systems.locate_branch_point(PITCHFORK, np.array([0.01, 0.02]), given(1e-3))
-    assert found.z is None or found.residual > 1e-4
 
 
 def test_a_zero_out_of_reach_is_not_looked_for():
