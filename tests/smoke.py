@@ -21,11 +21,9 @@ TEST_SECONDS = 8.0
 # The smallest case of each verification script; FOLDER is a temporary one.
 SCRIPTS = {
     "alone": (),
-    "arguments": ("5",),
     "attractors": ("1", "FOLDER"),
     "basins": ("100",),
     "branch": ("specials", "1"),
-    "cache": ("2",),
     "cascade": ("1", "50"),
     "codim2": ("tangent", "1"),
     "compositions": ("1", "FOLDER"),
@@ -61,7 +59,6 @@ SCRIPTS = {
     "status": ("lanes", "10"),
     "stores": ("kill", "1"),
     "tiers": ("maps", "10"),
-    "trace": ("1",),
 }
 
 
