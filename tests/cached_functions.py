@@ -1,5 +1,6 @@
-"""Functions whose modules and programs tests keep in a cache folder."""
+"""Functions whose modules and programs tests keep in a cache folder, and damage to its files."""
 
+from contextlib import contextmanager
 from typing import NamedTuple
 
 import jax
@@ -7,9 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from continuation import numpy_evaluation
-from continuation.persistent_jit import persistent_jit
+from continuation.persistent_jit import FOLDER, persistent_jit
 
 GIVEN = np.linspace(0.1, 2.0, 5)
+TRUE = np.sin(GIVEN), GIVEN * np.exp(-GIVEN)
 
 
 class Waves(NamedTuple):
@@ -28,14 +30,42 @@ def other_waves(x):
 
 
 def evaluated(function=waves):
-    """A function's values by its program, as a new process has them."""
+    """Return a function's values by its program, as a new process computes them."""
     return [np.asarray(each) for each in persistent_jit(function, numpy_first=True)(GIVEN)]
 
 
 def compiled(function=waves):
-    """The same by its module."""
+    """Return the same by its module."""
     before, numpy_evaluation.MAX_EVALUATIONS = numpy_evaluation.MAX_EVALUATIONS, 0
     try:
         return evaluated(function)
     finally:
         numpy_evaluation.MAX_EVALUATIONS = before
+
+
+def require_right(values):
+    for computed, true in zip(values, TRUE, strict=True):
+        np.testing.assert_allclose(computed, true, rtol=1e-14)
+
+
+@contextmanager
+def separate_cache(folder):
+    """Let JAX keep its compile cache in a new folder."""
+    before = jax.config.jax_compilation_cache_dir
+    folder.mkdir(mode=0o700)
+    jax.config.update("jax_compilation_cache_dir", str(folder))
+    try:
+        yield folder
+    finally:
+        jax.config.update("jax_compilation_cache_dir", before)
+
+
+def own_files(cache):
+    """Return the files of the package's own, by the ends of their names."""
+    return {path.suffix: path for path in sorted(cache.glob(f"{FOLDER}/*/*"))}
+
+
+def flipped(content, place):
+    """Return bytes with one bit flipped, counted from the first byte's lowest."""
+    byte, bit = divmod(place, 8)
+    return content[:byte] + bytes([content[byte] ^ 1 << bit]) + content[byte + 1 :]

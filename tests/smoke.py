@@ -20,10 +20,8 @@ TEST_SECONDS = 8.0
 
 # The smallest case of each verification script; FOLDER is a temporary one.
 SCRIPTS = {
-    "arguments": ("5",),
     "attractors": ("1", "FOLDER"),
     "basins": ("100",),
-    "cache": ("2",),
     "codim2": ("tangent", "1"),
     "compositions": ("1", "FOLDER"),
     "cuda": None,  # needs a graphics card: imported alone
@@ -51,7 +49,6 @@ SCRIPTS = {
     "status": ("lanes", "10"),
     "stores": ("kill", "1"),
     "tiers": ("maps", "10"),
-    "trace": ("1",),
 }
 
 

@@ -1,38 +1,43 @@
-"""Cached files are executed: those that are damaged, of another origin or open to strangers are never used."""
+"""Modules and programs kept in JAX's cache folder: what is read has the same numbers, and is not traced again; files
+that are damaged, of another origin or open to other users are never used."""
 
+import ctypes
 import errno
 import os
 import random
+import resource
 import shutil
 import stat
+import subprocess
+import sys
 import warnings
+from pathlib import Path
 from types import SimpleNamespace
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import jaxvibro as jv
 from continuation import jaxpr_to_python, numpy_evaluation, persistent_jit, trusted_cache_file
 from continuation.trusted_cache_file import distrust_from_status, reason_for_distrust
+from jaxvibro.compiled.lane_arithmetic import COMPILER_OPTIONS
+from jaxvibro.maps.strobe import _two_tier_strobe
 
-from .cached_functions import GIVEN, compiled, evaluated, other_waves
-from .flipped_bits import flipped
+from .cached_functions import compiled, evaluated, flipped, own_files, require_right, separate_cache
 
-TRUE = np.sin(GIVEN), GIVEN * np.exp(-GIVEN)
+ROOT = Path(__file__).parents[1]
+NOBODY = 65534
 
 
 @pytest.fixture
 def cache(tmp_path, monkeypatch):
-    """jax's compile cache in a folder of its own; what was warned of before is warned of again."""
+    """JAX's compile cache in a folder of its own; repeated warnings are repeated here."""
     monkeypatch.setattr(persistent_jit, "_own_packages", {*persistent_jit._own_packages})
     monkeypatch.setattr(trusted_cache_file, "_warned", set())
-    before = jax.config.jax_compilation_cache_dir
-    folder = tmp_path / "cache"
-    folder.mkdir(mode=0o700)
-    jax.config.update("jax_compilation_cache_dir", str(folder))
-    yield folder
-    jax.config.update("jax_compilation_cache_dir", before)
+    with separate_cache(tmp_path / "cache") as folder:
+        yield folder
 
 
 @pytest.fixture
@@ -53,40 +58,9 @@ def status_of(mode, owner, group=0):
     return os.stat_result((mode, 0, 0, 0, owner, group, 0, 0, 0, 0))
 
 
-def kept(cache):
-    """The files of our own, by the ends of their names."""
-    return {one.suffix: one for one in cache.glob(f"{persistent_jit.FOLDER}/*/*")}
-
-
-def require_right(found):
-    for one, true in zip(found, TRUE, strict=True):
-        np.testing.assert_allclose(one, true, rtol=1e-14)
-
-
-def test_a_flipped_bit_is_never_used(cache, traces):
-    """A small draw of `python -m tests.cache_proof 1000`."""
-    require_right(evaluated())
-    require_right(compiled())
-    assert traces == ["program", "module"]
-    rng = random.Random(58)
-    for suffix, path in kept(cache).items():
-        whole = path.read_bytes()
-        assert trusted_cache_file.read(path) == whole[trusted_cache_file.DIGEST :]
-        for place in {0, 8 * trusted_cache_file.DIGEST, 8 * len(whole) - 1, *rng.sample(range(8 * len(whole)), 60)}:
-            path.write_bytes(flipped(whole, place))
-            assert trusted_cache_file.read(path) is None, (suffix, place)
-        for damaged in (b"", whole[:20], whole[:-1], whole + b"\n"):
-            path.write_bytes(damaged)
-            assert trusted_cache_file.read(path) is None
-        traces.clear()
-        require_right(evaluated() if suffix else compiled())
-        assert traces == (["program"] if suffix else ["module"])
-        assert path.read_bytes()[: trusted_cache_file.DIGEST] == whole[: trusted_cache_file.DIGEST]  # written anew
-
-
 def test_a_line_that_is_inserted_is_not_executed(cache, tmp_path):
     first, mark = evaluated(), tmp_path / "ran"
-    path = kept(cache)[".code"]
+    path = own_files(cache)[".code"]
     content = path.read_bytes()
     line = f"open({str(mark)!r}, 'w').close()\n"
     code = jaxpr_to_python.compile_program_text(f"{line}size, run = 1, None")
@@ -96,20 +70,6 @@ def test_a_line_that_is_inserted_is_not_executed(cache, tmp_path):
         for one, again in zip(first, evaluated(), strict=True):
             np.testing.assert_array_equal(one, again)
     assert not mark.exists()
-
-
-def test_a_file_of_another_function_or_version_is_not_used(cache, traces):
-    evaluated()
-    mine = kept(cache)[".code"]
-    evaluated(other_waves)
-    (others,) = set(cache.glob("modules/*/*.code")) - {mine}
-    assert trusted_cache_file.read(others) is not None
-    shutil.copyfile(others, mine)
-    assert trusted_cache_file.read(mine) is None
-    require_right(evaluated())
-    version = mine.parent.with_name("0" * 32)
-    shutil.copytree(mine.parent, version)
-    assert trusted_cache_file.read(mine) is not None and trusted_cache_file.read(version / mine.name) is None
 
 
 def test_a_folder_of_somebody_else_is_not_used(cache, traces, monkeypatch):
@@ -129,7 +89,7 @@ def test_a_folder_of_somebody_else_is_not_used(cache, traces, monkeypatch):
     assert traces == ["program"] * 3
     assert f"belongs to another user, number {theirs}" in persistent_jit.reason_without_cache()
     assert {one: one.read_bytes() for one in cache.rglob("*") if one.is_file()} == files
-    assert trusted_cache_file.read(kept(cache)[".code"]) is None
+    assert trusted_cache_file.read(own_files(cache)[".code"]) is None
     with pytest.raises(jv.ArgumentError, match="jax_compilation_cache_dir: must be a folder that no other user"):
         jv.warm()
 
@@ -151,7 +111,7 @@ MODES = [
 def test_a_folder_that_others_can_write_to_is_not_used(cache, traces, monkeypatch, mode, reason, below):
     monkeypatch.setattr(trusted_cache_file, "_is_private_group", lambda group: False)
     evaluated()
-    folder = kept(cache)[".code"].parents[2 - below]
+    folder = own_files(cache)[".code"].parents[2 - below]
     folder.chmod(mode)
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always")
@@ -210,7 +170,7 @@ def test_what_cannot_be_examined_is_not_trusted(tmp_path):
 
 def test_a_file_that_others_can_write_to_is_not_used(cache, traces):
     evaluated()
-    path = kept(cache)[".code"]
+    path = own_files(cache)[".code"]
     for mode in (0o606, 0o666):
         path.chmod(mode)
         assert trusted_cache_file.read(path) is None
@@ -239,7 +199,7 @@ def test_a_disk_that_is_full_or_read_only_is_done_without(cache, traces, monkeyp
     require_right(evaluated())
     require_right(compiled())
     assert traces == ["program", "module"]
-    assert list(kept(cache)) == [".code"]
+    assert list(own_files(cache)) == [".code"]
 
 
 def test_a_write_that_ends_half_way_leaves_nothing(tmp_path, monkeypatch):
@@ -254,3 +214,232 @@ def test_a_write_that_ends_half_way_leaves_nothing(tmp_path, monkeypatch):
     assert list(tmp_path.iterdir()) == []
     trusted_cache_file.write(path, b"x" * 5000)
     assert trusted_cache_file.read(path) == b"x" * 5000
+
+
+# A package of its own, in processes of its own, so that its source can change.
+TOY = """
+from typing import NamedTuple
+import jax, jax.numpy as jnp, numpy as np
+from continuation.persistent_jit import persistent_jit
+traced = []
+
+class Pair(NamedTuple):
+    sine: jax.Array
+    rest: tuple
+
+def twice(x):
+    return 2.0 * x
+
+@persistent_jit(static_argnames="how")
+def waves(x, how):
+    traced.append(1)
+    return Pair(jnp.sin(x), (how(x), None))
+
+@persistent_jit(numpy_first=True)
+def squares(x):
+    traced.append(1)
+    return x * x
+"""
+CALL = """
+import sys, numpy as np, jax, toy
+own, x = sys.argv[1] == "own", np.linspace(0.0, 1.0, 5)
+for k in range(2):
+    pair = toy.waves(x, how=(lambda x: 2.0 * x) if own else toy.twice)
+assert isinstance(pair, toy.Pair) and pair.rest[1] is None
+numbers = [np.asarray(each).tobytes().hex() for each in (pair.sine, pair.rest[0], toy.squares(x))]
+print(len(toy.traced), *numbers)
+"""
+
+
+@pytest.fixture
+def toy(tmp_path):
+    """Runs the toy in a process of its own: how often its bodies were traced, and its numbers."""
+    (tmp_path / "toy.py").write_text(TOY)
+    folder = tmp_path / "cache"
+    folder.mkdir(mode=0o700)
+
+    def run(how="ours", cached=True, **more):
+        paths = os.pathsep.join([str(tmp_path), str(ROOT), os.environ.get("PYTHONPATH", "")])
+        given = os.environ | {"PYTHONPATH": paths, "JAX_ENABLE_X64": "1", "JAX_PLATFORMS": "cpu"}
+        given.pop("JAX_COMPILATION_CACHE_DIR", None)
+        given["PYTHONDONTWRITEBYTECODE"] = "1"  # a source of the same length and second would be taken for the old one
+        if cached:
+            given["JAX_COMPILATION_CACHE_DIR"] = str(folder)
+        command = [sys.executable, "-c", CALL, how]
+        done = subprocess.run(command, env=given, capture_output=True, text=True, check=True, **more)
+        count, *numbers = done.stdout.split()
+        return int(count), numbers, done.stderr
+
+    run.source, run.folder = tmp_path / "toy.py", folder
+    return run
+
+
+def test_later_processes_do_not_trace_until_the_source_changes(toy):
+    first, second, without = toy(), toy(), toy(cached=False)
+    assert (first[0], second[0], without[0]) == (2, 0, 2)
+    assert first[1] == second[1] == without[1]
+    assert toy("own")[0] == 2  # functions of users are not kept: each is another; the squares are
+    files = own_files(toy.folder)
+    assert sorted(files) == ["", ".code"]
+    for path in files.values():
+        assert path.stat().st_mode & 0o077 == 0 and path.parent.stat().st_mode & 0o077 == 0
+    for k in range(persistent_jit.MAX_GENERATIONS):
+        toy.source.write_text(TOY.replace("2.0 * x", f"{3 + k}.0 * x"))
+        count, numbers, _ = toy()
+        assert count == 2
+        assert np.allclose(np.frombuffer(bytes.fromhex(numbers[1])), (3.0 + k) * np.linspace(0.0, 1.0, 5))
+    modules = [path for path in toy.folder.glob(f"{persistent_jit.FOLDER}/*/*") if path.suffix == ""]
+    assert len(modules) == persistent_jit.MAX_GENERATIONS
+
+
+def flip_bits(folder, rng):
+    """Flip a bit in each file of our own."""
+    for path in own_files(folder).values():
+        whole = path.read_bytes()
+        path.write_bytes(flipped(whole, rng.randrange(8 * len(whole))))
+
+
+def rename_version(folder, rng):
+    """Put valid files of another version into the folder of this one."""
+    for path in own_files(folder).values():
+        other = path.parent.with_name("0" * 32) / path.name
+        other.parent.mkdir(mode=0o700, exist_ok=True)
+        trusted_cache_file.write(other, trusted_cache_file.read(path))
+        shutil.copyfile(other, path)
+
+
+def open_to_everyone(folder, rng):
+    folder.chmod(0o777)
+
+
+def give_away(folder, rng):
+    for path in (folder, *folder.rglob("*")):
+        os.chown(path, NOBODY, NOBODY)
+
+
+def make_read_only(folder, rng):
+    """Take away the program, which cannot be written again."""
+    own_files(folder)[".code"].unlink()
+    for path in (folder, *folder.rglob("*")):
+        path.chmod(0o555 if path.is_dir() else 0o444)
+
+
+def remove_all(folder, rng):
+    shutil.rmtree(folder)
+
+
+def obey_modes():
+    """Take from a process of root's the right to do what the modes of files forbid."""
+    for capability in (1, 2, 3):  # CAP_DAC_OVERRIDE, CAP_DAC_READ_SEARCH, CAP_FOWNER
+        ctypes.CDLL(None).prctl(24, capability, 0, 0, 0)  # PR_CAPBSET_DROP
+
+
+def limit_files():
+    """Let a process write files of up to a kilobyte, as on a full disk."""
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))
+
+
+# change of the folder: (what a process may do, how many functions it traces, whether it warns)
+CHANGES = {
+    flip_bits: (None, 2, False),
+    rename_version: (None, 2, False),
+    open_to_everyone: (None, 2, True),
+    give_away: (None, 2, True),
+    make_read_only: (obey_modes, 1, False),
+    remove_all: (limit_files, 2, False),
+}
+
+
+def test_a_process_whose_cache_was_changed_has_the_same_numbers(toy, tmp_path):
+    _, numbers, _ = toy()
+    shutil.copytree(toy.folder, tmp_path / "filled")
+    for change, (before_run, traced, warns) in CHANGES.items():
+        if change is give_away and os.geteuid():
+            continue  # needs root
+        shutil.rmtree(toy.folder)
+        shutil.copytree(tmp_path / "filled", toy.folder)
+        change(toy.folder, random.Random(58))
+        count, again, said = toy(preexec_fn=before_run)
+        assert (count, again) == (traced, numbers), change
+        assert said.count("neither kept in this cache folder") == warns, change
+
+
+@pytest.mark.parametrize("fails", [False, True])
+def test_the_strobe_has_the_same_bits_by_its_module(cache, fails):
+    """Also without the module, where the folder cannot be made."""
+    if fails:
+        (cache / persistent_jit.FOLDER).write_text("a file in its place")
+    scene = jv.make_scene(amplitude=2.0, frequency=2.1, damping=0.05, restitution=0.7, walls=(-1.0, 1.0))
+    state, slots = jv.State(*(jnp.asarray(each, float) for each in (0.9, -1.1, 0.0, 0.0))), 5 + fails
+    computed = _two_tier_strobe(scene, state, 1, slots, False)
+    assert len(own_files(cache)) == (0 if fails else 1)
+    plain = jax.jit(_two_tier_strobe.__wrapped__, static_argnums=(2, 3, 4), compiler_options=COMPILER_OPTIONS)(
+        scene, state, 1, slots, False
+    )
+    for one, two in zip(jax.tree.leaves(computed), jax.tree.leaves(plain), strict=True):
+        np.testing.assert_array_equal(one, two)
+
+
+def test_a_module_is_passed_over_under_transformations(cache):
+    """It has no derivative and no lanes: the function itself is called."""
+
+    @persistent_jit.persistent_jit(numpy_first=True)
+    def cubes(x):
+        return x**3
+
+    assert np.allclose(jax.vmap(cubes)(jnp.array([1.0, 2.0])), [1.0, 8.0], rtol=1e-15)
+    assert np.allclose([jax.grad(cubes)(2.0), jax.jacrev(cubes)(2.0), jax.jit(cubes)(2.0)], [12.0, 12.0, 8.0])
+    assert not own_files(cache)  # a function made here is known to this process alone
+
+
+WARMED = """
+import numpy as np, jaxvibro as jv
+from continuation.numpy_evaluation import NumpyEvaluator
+traced, plain = [], NumpyEvaluator.trace_function
+NumpyEvaluator.trace_function = lambda self, args: traced.append(self.function.__name__) or plain(self, args)
+scene = jv.make_scene(2.0, 2.1, 0.05, 0.7, (-1.0, 1.0))
+state, _ = jv.strobe(scene, jv.State(0.9, -1.1))
+branch = jv.follow(jv.find_orbit(scene, state), "amplitude", (0.0, 6.0))
+jv.switch(branch.points("SB")[0])
+jv.locus(branch.points("SN")[0], ("amplitude", "frequency"), dict(amplitude=(0.0, 9.0), frequency=(1.8, 2.4)))
+jv.find_attractors(scene)
+print(*traced)
+print(branch.table(), np.asarray(branch.multipliers).tobytes().hex())
+"""
+
+
+def fresh(*words, **environment):
+    plain = {name: value for name, value in os.environ.items() if not name.startswith("JAX_")}
+    done = subprocess.run(
+        [sys.executable, *map(str, words)], cwd=ROOT, env=plain | environment, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_after_jaxvibro_warm_a_process_traces_nothing(tmp_path):
+    """And it has the numbers of a process without a cache; so has one whose cache is damaged."""
+    told = fresh("-m", "jaxvibro", "warm", XDG_CACHE_HOME=str(tmp_path)).splitlines()
+    assert [line.split()[0] for line in told[:4]] == ["strobe", "find_orbit", "follow", "switch"]
+    settings = dict(line.removeprefix("export ").split("=") for line in told if line.startswith("export "))
+    folder = Path(settings["JAX_COMPILATION_CACHE_DIR"])
+    assert folder.is_relative_to(tmp_path)
+    functions, *table = fresh("-c", WARMED, **settings).splitlines()
+    assert functions == ""
+    functions, *plain = fresh("-c", WARMED, JAX_ENABLE_X64="1").splitlines()
+    assert len(functions.split()) > 5 and plain == table
+    rng = random.Random(58)
+    for path in folder.glob(f"{persistent_jit.FOLDER}/*/*"):
+        whole = path.read_bytes()
+        path.write_bytes(flipped(whole, rng.randrange(8 * len(whole))))
+    functions, *damaged = fresh("-c", WARMED, **settings).splitlines()
+    assert len(functions.split()) > 5 and damaged == table
+
+
+def test_warm_refuses_what_it_cannot_do(cache):
+    with pytest.raises(jv.ArgumentError):
+        jv.warm(jv.make_scene(np.array([2.0, 3.0]), 2.1, 0.05, 0.7, (-1.0, 1.0)))
+    assert numpy_evaluation.MAX_EVALUATIONS > 0
+    jax.config.update("jax_compilation_cache_dir", None)
+    with pytest.raises(jv.ArgumentError, match="jax_compilation_cache_dir: must be set"):
+        jv.warm()

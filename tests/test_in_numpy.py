@@ -1,4 +1,6 @@
-"""What is evaluated in NumPy is what is compiled: each rule, each function that is so tried, and what comes of them."""
+"""Functions evaluated in NumPy, their stored programs, and packed calls; random functions are in the properties."""
+
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -6,10 +8,14 @@ import numpy as np
 import pytest
 from jax import lax
 
+import continuation as co
 import jaxvibro as jv
 from continuation import numpy_evaluation, persistent_jit
-from continuation.jaxpr_to_python import build_program
+from continuation.jaxpr_to_python import build_program, compile_program_text, load_program
 from continuation.numpy_evaluation import NumpyEvaluator
+from continuation.numpy_gather_scatter import NoRuleError
+from continuation.packed_call import ArrayLayout, PackedCall
+from continuation.python_literals import literal_text
 from jaxvibro.flight.wall_positions import wall_states
 
 rng = np.random.default_rng(0)
@@ -17,82 +23,23 @@ ROW, OTHER = rng.normal(size=(2, 6))
 TABLE, CUBE = rng.normal(size=(6, 4)), rng.normal(size=(3, 6, 4))
 PLACES, FAR = np.array([4, 0, 2, 2]), np.array([[5, 1], [-9, 3], [2, 40]])
 SQUARE = rng.normal(size=(4, 4))
-YES = ROW > 0
-
-
-def halved(x):
-    return lax.while_loop(lambda c: c[0] > 1e-3, lambda c: (0.5 * c[0], c[1] + 1), (jnp.abs(x), 0))
-
-
-def summed(reverse):
-    def run(x, y):
-        return lax.scan(lambda c, row: (c + row[0] * row[1], c * row[1]), 0.5, (x, y), reverse=reverse)
-
-    return run
 
 
 def chosen(k, x):
     return lax.switch(k, [jnp.sin, jnp.cos, lambda x: 2.0 * x], x)
 
 
-def sorted_by(x, y):
-    return lax.sort((jnp.round(x), y, jnp.arange(6)), num_keys=2)
-
-
+# structures that the random programs of the properties lack
 CASES = {
-    "arithmetic": (
-        lambda x, y: ((x + y) * x - y / x, -x, x**3, x**-2, x**0, jnp.abs(x) ** y, x // y, x % y),
-        ROW,
-        OTHER,
-    ),
-    "functions": (lambda x: [f(jnp.abs(x)) for f in (jnp.exp, jnp.log, jnp.sin, jnp.sqrt, jnp.exp2, jnp.expm1)], ROW),
-    "hyperbolic": (lambda x: [f(x) for f in (jnp.sinh, jnp.cosh, jnp.tanh, jnp.cos, jnp.sign, lax.rsqrt)], abs(ROW)),
-    "rounding": (lambda x: [f(3.0 * x) for f in (jnp.floor, jnp.ceil, jnp.round, lax.round)], ROW),
-    "angles": (lambda x, y: (jnp.arctan2(x, y), jnp.log1p(jnp.abs(x)), jnp.tan(x), jnp.square(x)), ROW, OTHER),
-    "order": (lambda x, y: (x > y, x <= y, jnp.maximum(x, y), jnp.minimum(x, y), jnp.clip(x, -0.3, y)), ROW, OTHER),
-    "neighbours": (lambda x, y: (jnp.nextafter(x, y), jnp.isfinite(x / 0.0)), ROW, OTHER),
-    "logic": (lambda a, x: (a & (x > 0), a | (x > 0.5), ~a, a ^ (x > 0), ~jnp.arange(3)), YES, OTHER),
-    "whole numbers": (lambda k: (k // 2, -k // 3, k % 3, k * k, lax.div(-k, 3), k.astype(jnp.float32)), PLACES),
-    "bits": (
-        lambda x, y: [
-            lax.bitcast_convert_type(lax.bitcast_convert_type(each, whole) & ~whole(255), x.dtype)
-            for each in (x, y[0], x[None] * y[:, None])
-            for whole in [jnp.int64 if x.dtype == jnp.float64 else jnp.int32]
-        ],
-        ROW,
-        OTHER,
-    ),
     "where": (
         lambda a, x, y: (jnp.where(a, x, y), jnp.where(a[0], x, y), lax.select_n(PLACES[:1] % 3, *[x[:1]] * 3)),
-        YES,
+        ROW > 0,
         ROW,
         OTHER,
     ),
     "shapes": (lambda x: (x.reshape(4, 6), x[2:5:2, ::-1], x.T, x[:, None], jnp.squeeze(x[:1]), x.ravel()[3]), TABLE),
-    "joined": (
-        lambda x, y: (jnp.concatenate([x, y]), jnp.stack([x, y], 1), jnp.tile(x, 3), jnp.split(x, 3)),
-        ROW,
-        OTHER,
-    ),
-    "padded": (lambda x: (jnp.pad(x, 2), lax.pad(x, x[0], [(1, 2, 3)])), ROW),
-    "sums": (
-        lambda x: (x.sum(), x.prod(1), x.max(0), x.min(), (x > 0).all(0), (x > 0).any(), x.argmax(1), x.argmin(0)),
-        TABLE,
-    ),
-    "running": (lambda x: (jnp.cumsum(x, 0), jnp.cumprod(x, 1), lax.cumsum(x, 0, reverse=True)), TABLE),
-    "products": (
-        lambda x, y, c: (x @ y, x.T @ x, jnp.einsum("kij,ij->k", c, x), jnp.einsum("kij,lij->kl", c, c), c @ y),
-        TABLE,
-        SQUARE,
-        CUBE,
-    ),
     "lanes of products": (lambda c: jax.vmap(lambda x: x.T @ x)(c), CUBE),
     "one taken": (lambda x, k: (x[k], x[:, k % 4], x[k, k % 4], x[k[0]], x[k[0], k[1]]), TABLE, PLACES),
-    "beyond": (
-        lambda x, k: (x.at[k].get(mode="fill"), x.at[k].get(mode="clip"), x.at[k].get(mode="fill", fill_value=3.0)),
-        ROW,
-        FAR,
-    ),
     "lanes taken": (
         lambda x, k: (jax.vmap(lambda x, k: x[k])(x, k), jnp.take_along_axis(x, k[:, None], 1)),
         CUBE[:, :, 0],
@@ -102,34 +49,6 @@ CASES = {
         lambda x, k: (x.at[k].set(2.0), x.at[1:3].add(x[:2]), x.at[:, k].multiply(3.0), x.at[k[1], 2].set(0.5)),
         TABLE[:, :],
         PLACES[1:2],
-    ),
-    "put beyond": (lambda x, k: (x.at[k].set(1.5, mode="drop"), x.at[k].add(1.5, mode="clip")), ROW, FAR),
-    "lanes put": (lambda x, k: jax.vmap(lambda x, k: x.at[k].add(1.0))(x, k), CUBE[:, :, 0], PLACES[:3]),
-    "windows": (
-        lambda x, k: (lax.dynamic_slice_in_dim(x, k[0], 4), lax.dynamic_update_slice_in_dim(x, x[:2], k[0], 0)),
-        TABLE,
-        PLACES,
-    ),
-    "lanes of windows": (lambda x, k: jax.vmap(lambda x, k: lax.dynamic_slice_in_dim(x, k, 4))(x, k), CUBE, PLACES[:3]),
-    "loop": (halved, ROW[0]),
-    "lanes of a loop": (jax.vmap(halved), 10.0 * ROW),
-    "counted": (lambda x: lax.fori_loop(0, 5, lambda k, c: c.at[k].set(c[k - 1] + k), x), ROW),
-    "scan": (summed(False), ROW, OTHER),
-    "scan back": (summed(True), ROW, OTHER),
-    "lanes of a scan": (jax.vmap(summed(False)), TABLE, TABLE),
-    "branches": (lambda k, x: chosen(k[0], x), PLACES, ROW),
-    "lanes of branches": (jax.vmap(chosen), PLACES, SQUARE),
-    "sort": (sorted_by, ROW, OTHER),
-    "slopes": (jax.jacfwd(lambda x: jnp.sum(jnp.where(x > 0, jnp.sin(x), x**2)) * x), ROW),
-    "slopes back": (jax.grad(lambda x: jnp.sum(jnp.sort(x)[PLACES] ** 3) + jnp.max(x)), ROW),
-    "few": (
-        lambda x: ((x @ x.T).sum(), x.prod(), x.max(1), x.min(), x.argmax(), jnp.cumsum(x, 1), x.T[::-1], x[:1] @ x.T),
-        ROW.reshape(2, 3),
-    ),
-    "few taken": (
-        lambda x, k: (x[k], x[k[:1]], x.at[k].set(2.0), x[jnp.array([5, 0])], lax.dynamic_slice_in_dim(x, k[0], 2)),
-        ROW,
-        PLACES,
     ),
     "one of two": (
         lambda x, y, k, far: (
@@ -145,21 +64,6 @@ CASES = {
         PLACES,
         FAR,
     ),
-    "few beyond": (lambda x: (x.at[jnp.array([7, 1])].get(mode="fill"), x.at[jnp.array([7, 1])].get(mode="clip")), ROW),
-    "what is no number": (
-        lambda x, y: (
-            [f(x) for f in (jnp.sqrt, jnp.log, jnp.exp, jnp.sin, jnp.cos, jnp.sign, jnp.isfinite, lax.rsqrt)],
-            [f(x, y) for f in (jnp.maximum, jnp.minimum, lax.div, jnp.less, jnp.equal)],
-            [x**-3, x.max(), x.min(), jnp.where(x > y, x, y), jnp.clip(x, -1.0, y), x[0] * y],
-        ),
-        np.array([np.nan, np.inf, -np.inf, 0.0, -2.0, 1.0, 800.0]),
-        np.array([1.0, np.nan, 0.0, 0.0, 0.0, np.inf, -0.0]),
-    ),
-    "whole numbers beyond": (
-        lambda k: (k + k, k * k, -k, k - 7, (k + k) > 0, k.astype(jnp.int64) + k, k.astype(bool), k * 1.5),
-        np.array([2**31 - 1, -(2**31), 5], np.int32),
-    ),
-    "changed about": (lambda x: lax.fori_loop(0, 7, lambda _, c: (c[1], c[0] + c[2], c[2]), (x[0], x[1], 0.5)), ROW),
     "what no turn needs": (
         lambda x: lax.fori_loop(0, 9, lambda k, c: (c[0] * x[1], c[1] + c[0], k), (x[0], 0.0, 0))[1],
         ROW,
@@ -188,7 +92,7 @@ CASES = {
 
 @pytest.mark.parametrize("name", CASES)
 @pytest.mark.parametrize("kind", [np.float64, np.float32])
-def test_every_rule_gives_what_the_compiler_gives(name, kind):
+def test_structures_give_what_the_compiler_gives(name, kind):
     function, *given = CASES[name]
     given = [np.asarray(each, kind) if np.asarray(each).dtype.kind == "f" else each for each in given]
     tried = NumpyEvaluator(function, (), {})
@@ -245,47 +149,187 @@ def test_what_was_evaluated_is_compiled_when_there_is_time(monkeypatch):
     np.testing.assert_allclose(before[0][0], -1.0 + 0.2 * np.cos(2.5), rtol=1e-14)
 
 
-def told(scene, start):
-    """What the README asks of a scene, as text and as numbers."""
+def constant(text):
+    """The value of a literal in a program that is read."""
+    return load_program(compile_program_text(f"size = 1\ndef run():\n    return [{text}], 1")).run()[0][0]
+
+
+def test_a_program_without_text_is_run_but_not_stored(monkeypatch):
+    class Odd(int):
+        pass
+
+    with pytest.raises(NoRuleError):
+        literal_text((1, Odd(2)))
+    with pytest.raises(NoRuleError):
+        literal_text(np.array([1j]))
+
+    def refused(value):
+        raise NoRuleError(value)
+
+    monkeypatch.setattr("continuation.jaxpr_to_python.literal_text", refused)
+    program = build_program(jax.jit(lambda x: jnp.asarray(TABLE).T @ x).trace(ROW).jaxpr)
+    assert program.text is None
+    np.testing.assert_allclose(program.run(ROW)[0][0], TABLE.T @ ROW, rtol=1e-14)
+
+
+@pytest.mark.parametrize(
+    "value",
+    (
+        np.array([[0.1, -0.0], [np.inf, 5e-324]]),
+        np.zeros((0, 3), np.int32),
+        np.float32(0.1),
+        np.array([True, False]),
+        (1, (None, "a'b"), 2.5),
+        lax.GatherDimensionNumbers((0,), (1,), (0,), (), ()),
+        lax.GatherScatterMode.CLIP,
+        np.dtype(bool),
+    ),
+)
+def test_a_literal_is_its_value(value):
+    found = constant(literal_text(value))
+    assert type(found) is type(value)
+    if isinstance(value, np.ndarray | np.generic):
+        assert found.dtype == value.dtype and found.shape == value.shape and found.tobytes() == value.tobytes()
+    else:
+        assert found == value
+
+
+def test_nan_is_written():
+    assert np.isnan(constant(literal_text(np.array([np.nan]))))
+
+
+def test_the_same_rule_is_named_once():
+    def twice(x):
+        return jnp.concatenate([lax.slice(x, (1,), (20,)), lax.slice(x * 2.0, (1,), (20,))])
+
+    text = build_program(jax.jit(twice).trace(np.arange(30.0)).jaxpr).text
+    assert text.count("rules['slice']") == 1
+
+
+MIXED = [
+    rng.normal(size=(3, 2)),
+    np.float64(0.25),
+    np.int32(7),
+    np.arange(4),
+    np.zeros((0, 3)),
+    np.array([True, False]),
+    np.float32(1.5),
+    rng.normal(size=5),
+    jnp.linspace(0.0, 1.0, 3),
+]
+
+
+def test_arrays_come_back_from_their_rows():
+    layout = ArrayLayout(MIXED)
+    rows = layout.rows(MIXED)
+    assert sorted(row.dtype.name for row in rows) == ["bool", "float32", "float64", "int32", "int64"]
+    for found in (layout.arrays(rows), layout.unpack_traced_arrays([jnp.asarray(row) for row in rows])):
+        for one, given in zip(found, MIXED, strict=True):
+            assert one.shape == np.shape(given) and one.dtype == given.dtype
+            np.testing.assert_array_equal(one, given)
+    for one, other in zip(layout.pack_traced_rows([jnp.asarray(each) for each in MIXED]), rows, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def everything(table, share, count, places, none, mask, single, row, more, weak):
+    return {"sum": table.sum() * share + count, "rest": (places[mask.sum()] * weak, none, ~mask, None)}, row[::-1], more
+
+
+def test_results_are_those_of_jit():
+    given = [*MIXED, 3]
+    found, expected = PackedCall(everything, given, {})(given), jax.jit(everything)(*given)
+    assert jax.tree.structure(found) == jax.tree.structure(expected)
+    for one, other in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
+        assert isinstance(one, np.ndarray) and (one.shape, one.dtype) == (other.shape, other.dtype)
+        np.testing.assert_array_equal(one, other)
+
+
+class Pair(NamedTuple):
+    first: np.ndarray
+    second: np.ndarray
+
+
+@persistent_jit.persistent_jit(static_argnums=1, numpy_first=True)
+def turned(pair, times, by):
+    return Pair(jnp.roll(pair.second, times), by * pair.first)
+
+
+@pytest.mark.parametrize("patience", [np.inf, 0])
+def test_calls_of_other_kinds_are_told_apart(patience, monkeypatch):
+    """Of another length, type, static argument or form; with a number of the host's own; and under transformations."""
+    monkeypatch.setattr(numpy_evaluation, "MAX_EVALUATIONS", patience)
+    for size, kind in ((3, float), (5, float), (3, np.float32), (3, np.int32)):
+        one, two = np.arange(size).astype(kind), np.ones(size, kind)
+        for times in (1, 2):
+            for by in (2, np.int32(2), np.array([2] * size, np.int32)):
+                found = turned(Pair(one, two + one), times, by)
+                np.testing.assert_array_equal(found.first, np.roll(two + one, times))
+                np.testing.assert_array_equal(found.second, 2 * one)
+                assert found.second.dtype == jnp.asarray(by * jnp.asarray(one)).dtype
+    slope = jax.grad(lambda x: turned(Pair(x * np.ones(3), np.ones(3)), 1, 2.0).second.sum())(1.0)
+    assert slope == 6.0
+
+
+def test_complex_constants_are_divided():
+    a, b = np.array([1.0 + 2.0j, 0.5j]), np.array([2.0 - 1.0j, 1.0 + 1.0j])
+
+    def move(u, p, args):
+        return 0.5 * u + 0.1 * jnp.sin(p["a"] * u) + (jnp.asarray(a) / jnp.asarray(b)).real
+
+    branch = co.trace(co.fixed_points(move), [0.1, 0.5], {"a": 0.3}, "a", (0.0, 1.0))
+    ends = branch.u[np.argmin(branch.p["a"])]
+    np.testing.assert_allclose(ends, 2.0 * (a / b).real, atol=1e-9)  # at a = 0 u = u / 2 + c
+
+
+def test_a_complex_number_may_be_an_argument():
+    system = co.fixed_points(lambda u, p, args: 0.5 * u + p["a"] * (args / (1.0 + 1.0j)).real)
+    branch = co.trace(system, 0.4, {"a": 0.4}, "a", (0.0, 1.0), args=np.complex128(1.0 + 0.0j))
+    np.testing.assert_allclose(branch.u[:, 0], branch.p["a"], atol=1e-9)
+    again = co.trace(system, 0.4, {"a": 0.4}, "a", (0.0, 1.0), args=1.0 + 0.0j)
+    np.testing.assert_array_equal(again.u, branch.u)
+    with pytest.raises(co.ContinuationError, match="args: must be numbers and arrays"):
+        co.trace(system, 0.4, {"a": 0.4}, "a", (0.0, 1.0), args="x")
+
+
+def study(scene, start):
+    """Return what the README computes of a scene, as text and as numbers."""
     orbit = jv.find_orbit(scene, start)
     branch = jv.follow(orbit, "amplitude", (0.05 * float(scene.amplitude), 2.0 * float(scene.amplitude)))
-    sn = branch.points("SN")[0]
-    locus = jv.locus(sn, ("amplitude", "frequency"), {"amplitude": (0.1, 9.0), "frequency": (1.8, 2.4)})
-    special = [(one.kind, one.orbit.label) for one in branch.special]
-    numbers = [np.ravel([one.value, one.orbit.state.x, one.orbit.state.v]) for one in branch.special]
-    return branch.table(), special, np.array(numbers), str(locus)
-
-
-@pytest.mark.parametrize("walls", [(-1.0, 1.0), (-0.8, 1.1)])
-def test_both_ways_come_to_the_same_points_and_text(walls, monkeypatch):
-    scene, start = jv.make_scene(2.0, 2.1, 0.05, 0.7, walls), jv.State(0.69, 1.8)
-    ruled = []
-    traced = NumpyEvaluator.trace_function
-    monkeypatch.setattr(
-        NumpyEvaluator, "trace_function", lambda self, args: ruled.append(traced(self, args)) or ruled[-1]
+    locus = jv.locus(
+        branch.points("SN")[0], ("amplitude", "frequency"), {"amplitude": (0.1, 9.0), "frequency": (1.8, 2.4)}
     )
-    found = []
-    for patience in (np.inf, 0):
-        monkeypatch.setattr(numpy_evaluation, "MAX_EVALUATIONS", patience)
-        found.append(told(scene, start))
-    assert all(each is not None for each in ruled)
-    (table, special, numbers, locus), (other_table, other_special, others, other_locus) = found
-    assert table == other_table and special == other_special and locus == other_locus
-    assert "SN" in dict(special)
-    np.testing.assert_allclose(numbers, others, rtol=1e-13, atol=1e-13)
+    special = [(one.kind, one.orbit.label) for one in branch.special]
+    numbers = [(one.value, one.orbit.state.x, one.orbit.state.v) for one in branch.special]
+    return (branch.table(), special, str(locus)), np.ravel(numbers)
 
 
-@pytest.mark.parametrize("restitution, start", [(0.0, (0.9, -1.1)), (0.7, (0.0, 0.1))])
-def test_orbits_by_their_state_are_the_same_both_ways(restitution, start, monkeypatch):
-    """One whose impact leaves no speed, and one that meets no wall."""
-    scene = jv.make_scene(2.0, 2.1, 0.2, restitution, (-1.0 if restitution else -0.1, None))
-    found = []
-    for patience in (np.inf, 0):
-        monkeypatch.setattr(numpy_evaluation, "MAX_EVALUATIONS", patience)
-        found.append(jv.find_orbit(scene, jv.State(*start)))
-    one, other = found
-    assert one.unknowns == other.unknowns == "state" and one.rests == other.rests
-    assert one.itinerary == other.itinerary and one.label == other.label
-    numbers = [[each.state.x, each.state.v, each.least_clearance, *each.multipliers] for each in found]
-    np.testing.assert_allclose(*numbers, rtol=1e-12, atol=1e-12)
-    np.testing.assert_allclose(one.impacts.time, other.impacts.time, rtol=1e-12, atol=1e-12)
+def state_of_orbit(scene, start):
+    """Return an orbit that is found by its state: one whose impact leaves no speed, or one that meets no wall."""
+    orbit = jv.find_orbit(scene, start)
+    assert orbit.unknowns == "state"
+    numbers = [orbit.state.x, orbit.state.v, orbit.least_clearance, *orbit.multipliers, *orbit.impacts.time]
+    return (orbit.rests, orbit.itinerary, orbit.label), np.array(numbers)
+
+
+@pytest.mark.parametrize(
+    ("compute", "restitution", "walls", "start"),
+    [
+        (study, 0.7, (-0.8, 1.1), (0.69, 1.8)),
+        (state_of_orbit, 0.0, (-0.1, None), (0.9, -1.1)),
+        (state_of_orbit, 0.7, (-1.0, None), (0.0, 0.1)),
+    ],
+    ids=["study", "no speed", "no wall"],
+)
+def test_results_in_numpy_are_those_of_the_compiled_functions(compute, restitution, walls, start, monkeypatch):
+    programs, trace = [], NumpyEvaluator.trace_function
+    monkeypatch.setattr(
+        NumpyEvaluator, "trace_function", lambda self, args: programs.append(trace(self, args)) or programs[-1]
+    )
+    scene, results = jv.make_scene(2.0, 2.1, 0.05 if compute is study else 0.2, restitution, walls), []
+    for evaluations in (np.inf, 0):
+        monkeypatch.setattr(numpy_evaluation, "MAX_EVALUATIONS", evaluations)
+        results.append(compute(scene, jv.State(*start)))
+    assert all(program is not None for program in programs)
+    (said, numbers), (expected, others) = results
+    assert said == expected
+    np.testing.assert_allclose(numbers, others, rtol=1e-12, atol=1e-12)

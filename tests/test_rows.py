@@ -2,15 +2,13 @@
 
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import jaxvibro as jv
-from continuation import augmented_systems, continuation_loop, point_rows
+from continuation import continuation_loop, point_rows
 from continuation.arclength import Point
 from continuation.continuation_loop import EventDetector
-from continuation.problem import SystemConstants, equilibria, make_problem
 from jaxvibro.branches.branch import scene_at_value
 
 rng = np.random.default_rng(11)
@@ -77,25 +75,6 @@ def test_what_is_known_is_asked_of_new_points_alone(kept, new):
         np.testing.assert_array_equal(one, other)
     for one, other in zip(view, held, strict=True):
         np.testing.assert_array_equal(one, other)
-
-
-def curved(u, p, args):
-    x, y = u
-    return jnp.stack([x * x * y - 3.0 * p["p"] * x, y**3 + x * y * p["p"] ** 2])
-
-
-def test_bends_are_second_derivatives():
-    problem, given = make_problem(equilibria(curved), ("p",)), SystemConstants({}, None)
-    for _ in range(5):
-        (x, y, p), left = rng.normal(size=3), rng.normal(size=2)
-        first = np.array([[2 * y, 2 * x, -3.0], [2 * x, 0.0, 0.0], [-3.0, 0.0, 0.0]])
-        second = np.array([[0.0, p * p, 2 * y * p], [p * p, 6 * y, 2 * x * p], [2 * y * p, 2 * x * p, 2 * x * y]])
-        form, rights = left[0] * first + left[1] * second, list(rng.normal(size=(2, 3)))
-        for some in (rights, rights[:1]):
-            found = augmented_systems.bilinear_gradients(problem, np.array([x, y, p]), given, left, some)
-            assert len(found) == len(some)
-            for one, right in zip(found, some, strict=True):
-                np.testing.assert_allclose(one, form @ right, rtol=1e-9, atol=1e-9)
 
 
 def test_the_scene_on_a_branch_is_the_one_with_another_value():
