@@ -5,12 +5,11 @@ import math
 import numpy as np
 import pytest
 from flint import arb, arb_mat, ctx
-from mpmath import mp
 
 from tests import truths
 from tests.kinds import KINDS, LANES
 from tests.properties.motions import take
-from tests.reference import ball, orbit, plain, soft
+from tests.reference import ball, soft
 from tests.reference.scene import Motion, Scene, Soft, Wall
 from tests.reference.search import Discard
 from tests.reference.spring import Press, way_out
@@ -58,23 +57,6 @@ def test_contact_against_a_matrix_exponential(damping, side):
             assert abs(got[k] - expected[k, 0]) < 1e-60
 
 
-def test_strobe_against_taylor_steps():
-    compared = 0
-    for start, record in draws("soft_and_rigid", range(4)):
-        if largest_rate(start[0]) / start[0].omega > 5 or record.norm > 1e6:
-            continue
-        with mp.workdps(34):
-            x, v, impacts = plain.strobe(*start)
-            assert [side for _, side, _ in impacts] == record.sides
-            expected = [x, v] + [value for time, _, speed in impacts for value in (time, speed)]
-            pairs = zip(record.times, record.speeds, strict=True)
-            computed = [record.x, record.v, *(each for pair in pairs for each in pair)]
-            error = max(abs(a - mp.mpf(b.mid().str(60, radius=False))) for a, b in zip(expected, computed, strict=True))
-        assert error < 1e-28 * record.scale * (1 + record.norm)
-        compared += 1
-    assert compared > 4
-
-
 @pytest.mark.parametrize("stiffness", [3.0, 1e4, 1e10])
 @pytest.mark.parametrize("share", [0.0, 0.11, 0.6])
 def test_half_a_swing_is_known(stiffness, share):
@@ -92,24 +74,11 @@ def test_half_a_swing_is_known(stiffness, share):
         assert abs(end[0] - record.x) < 1e-38 and abs(end[1] - record.v) < 1e-38
 
 
-@pytest.mark.parametrize("share", [0.0, 0.11, 0.5])
-def test_the_stiff_limit_is_the_rigid_wall(share):
-    left = math.exp(-math.pi * share / math.sqrt(1 - share**2))
-    rigid = Scene(0.05, 2.1, 2.0, Wall(-1.0, left), Wall(1.0, left))
-    true, errors = orbit.strobe(rigid, 0.1, 1.3), []
-    for stiffness in (1e8, 1e10, 1e12, 1e14):
-        wall = Soft(1.0, stiffness, share * math.sqrt(1 + stiffness))
-        record = soft.strobe(rigid._replace(left=wall._replace(position=-1.0), right=wall), 0.1, 1.3)
-        assert record.sides == true.sides and record.count >= 2
-        errors.append(max(abs(float(record.x - true.x)), abs(float(record.v - true.v))))
-    assert errors[0] < 1e-2
-    assert np.allclose(np.divide(errors[:-1], errors[1:]), 10, rtol=0.05)
-
-
 def test_jacobian_against_differences():
-    stiff, step = 0, arb(10) ** -32
+    stiff = 0
     for (scene, x, v, phase), record in draws("soft_moving", range(2)):
         with ctx.workprec(400):
+            step = arb(10) ** -32
             for column, (dx, dv) in enumerate(((step, 0), (0, step))):
                 ahead, behind = (
                     soft.strobe(scene, arb(x) + sign * dx, arb(v) + sign * dv, phase, precision=400) for sign in (1, -1)

@@ -1,12 +1,10 @@
 """Properties of flights between soft walls, under user-defined forces and under drives of several terms."""
 
 from dataclasses import replace
-from functools import cache
 
 import jax
 import mpmath
 import numpy as np
-import pytest
 
 import jaxvibro as jv
 from jaxvibro.maps.strobe_inverse import strobe_backward
@@ -22,6 +20,7 @@ from .motions import NEAR, SLOTS, assert_alike, assert_close, assert_same, decid
 GRID_POINTS = 200  # samples of a period, for the force of a wall
 SHIFT = 0.375  # a constant force
 STIFF = 1e8
+NAMES = "amplitude", "frequency"
 
 
 def _forced(n, name, numbers):
@@ -242,7 +241,7 @@ def test_sum_of_exponents(kind, number):
     """The sum of the Lyapunov exponents follows from the damping, the time within soft walls and the impacts."""
     scene, state = kind.draw_single(number)
     found = jv.spectrum(scene, "amplitude", [scene.amplitude], state, error=0.05)
-    expected = -4.0 * np.pi * scene.damping / scene.frequency
+    expected = -4.0 * np.pi * damping_of(scene) / scene.frequency
     for column, side in enumerate(("left", "right")):
         wall = scene.walls.get(side)
         if wall is not None and wall.soft:
@@ -252,9 +251,9 @@ def test_sum_of_exponents(kind, number):
     assert abs(float(found.exponent[0].sum()) - expected) < 1e-8
 
 
-@cache
-def branches_of_spring(kind, number):
-    """Return two branches along the amplitude, under the spring and under the same spring as a force."""
+@of_numbers
+def test_branch_of_a_spring(kind, number):
+    """Orbits, special points, their gradients and loci are the same for a spring as a user-defined force."""
     for seed in range(20 * number, 20 * number + 20):
         scene, state = kind.draw_single(seed)
         exact, forced = as_force(scene)
@@ -263,31 +262,24 @@ def branches_of_spring(kind, number):
         except jv.OrbitError:
             continue
         if orbit.periods == 1 and 1 <= int(orbit.impacts.count) <= 2:
-            other = jv.find_orbit(forced, orbit.state, 1, settle=0)
-            bounds = 0.9 * scene.amplitude, 1.1 * scene.amplitude
-            return jv.follow(orbit, "amplitude", bounds), jv.follow(other, "amplitude", bounds)
-    return None
-
-
-@of_numbers
-def test_branch_of_a_spring(kind, number):
-    """Orbits, multipliers, special points and their gradients are the same for a spring as a user-defined force."""
-    branches = branches_of_spring(kind, number)
-    assert branches is not None
-    exact, forced = branches
-    assert [point.kind for point in exact.special] == [point.kind for point in forced.special]
-    assert exact.segments[0].label == forced.segments[0].label
-    places = [int(np.argmin(abs(branch.values - branch.values.mean()))) for branch in branches]
-    orbit = exact.orbit(places[0])
-    other = jv.find_orbit(forced.scene.replace(amplitude=orbit.scene.amplitude), orbit.state, 1, settle=0)
-    assert abs(orbit.state.x - other.state.x) + abs(orbit.state.v - other.state.v) < 1e-9
+            break
+    other = jv.find_orbit(forced, orbit.state, 1, settle=0)
+    assert other.label == orbit.label and abs(orbit.state.x - other.state.x) < 1e-9
     assert abs(orbit.multipliers - other.multipliers).max() < 1e-8 * (1.0 + abs(orbit.multipliers).max())
-    for point, same in zip(exact.special, forced.special, strict=True):
+    bounds = {name: (0.6 * float(getattr(scene, name)), 1.5 * float(getattr(scene, name))) for name in NAMES}
+    branches = [jv.follow(each, "amplitude", bounds["amplitude"]) for each in (orbit, other)]
+    special = [[point for point in branch.special if point.kind in ("SN", "PD", "GR")] for branch in branches]
+    assert [point.kind for point in special[0]] == [point.kind for point in special[1]]
+    for point, same in zip(*special, strict=True):
         assert abs(point.value - same.value) < 1e-9
-    points = [point for point in zip(exact.special, forced.special, strict=True) if point[0].kind in ("SN", "PD", "GR")]
-    for point, same in points[:1]:
-        slope, other = (float(jv.sensitivity(each, ["frequency"])[0]) for each in (point, same))
-        assert slope == pytest.approx(other, abs=1e-8 * (1.0 + abs(slope)))
+    for pair in list(zip(*special, strict=True))[:1]:
+        slope, other = (float(jv.sensitivity(point, ["frequency"])[0]) for point in pair)
+        gradient, same = (float(jax.grad(jv.located(point))(point.scene).frequency) for point in pair)
+        assert max(abs(each - slope) for each in (other, gradient, same)) < 1e-7 * (1.0 + abs(slope))
+        first, second = (jv.locus(point, NAMES, bounds) for point in pair)
+        assert [point.kind for point in first.special] == [point.kind for point in second.special]
+        for point, same in zip(first.special, second.special, strict=True):
+            assert np.allclose(list(point.values.values()), list(same.values.values()), rtol=0, atol=1e-7)
 
 
 @of_numbers
