@@ -114,11 +114,14 @@ def test_starts_and_scales_know_every_term():
     assert abs(initial_box(scene)[2] - 3 * sum(paces)) < 1e-12
 
 
-def test_only_odd_harmonics_are_mirrored():
+def test_scenes_with_odd_forces_and_harmonics_are_symmetric():
     assert is_symmetric(driven((0.5, 3, 0.2), (0.1, 1, 0.3)))
     assert not is_symmetric(driven((0.5, 0, 0.0)))
     assert not is_symmetric(jv.make_scene(2.0, OMEGA, GAMMA, R, (-1.0, 1.0), drive=[(0.5, 2, 0.0)]))
     assert stays_symmetric(driven(), "drive.0.amplitude") and not stays_symmetric(driven(), "drive.1.amplitude")
+    for powers, symmetric in (({"c3": 0.4}, True), ({"c2": 0.3}, False)):
+        force = jv.Force("polynomial", {"c1": 1.0, "damping": 0.1, **powers})
+        assert is_symmetric(jv.make_scene(2.0, OMEGA, restitution=R, walls=(-1.0, 1.0), force=force)) == symmetric
     part = symmetrise_scene(driven(*TERMS))
     assert is_symmetric(part) and [float(term.amplitude) for term in part.drive] == [0.5, 0.0, -0.375]
 
