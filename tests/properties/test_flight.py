@@ -42,8 +42,8 @@ def van_der_pol(n):
 
 
 def constant_force(n):
-    """A drive with a constant force and a second term of the first harmonic."""
-    drive = ((n["first"], 3, n["second"]), (4.0 * n["second"] - 2.0, 0, 0.0), (n["first"], 1, 0.5))
+    """A drive with a constant force, a third harmonic and a second term of the first one."""
+    drive = ((10.0 * n["first"], 3, 6.0 * n["second"]), (8.0 * n["second"] - 4.0, 0, 0.0), (n["first"], 1, 0.5))
     return kinds._spring(n, kinds._rigid(n, "left"), kinds._rigid(n, "right"), drive)
 
 
@@ -58,7 +58,7 @@ OWN_KINDS = KINDS | {
         Kind("pendulum", pendulum, truths.series, 1e-12, exact=False),
         Kind("stribeck", stribeck, truths.series, 1e-12, exact=False),
         Kind("van_der_pol", van_der_pol, truths.series, 1e-12, exact=False),
-        Kind("constant_force", constant_force, truths.closed_form),
+        Kind("constant_force", constant_force, truths.closed_form, 2e-15),
         Kind("soft_terms", soft_terms, truths.closed_form),
     )
 }
