@@ -30,7 +30,6 @@ def soft(position, stiffness, damping, motion=None):
 
 LEFT = soft(-0.5, 40.0, 0.3)
 PAIRS = {
-    "one": tuple((wall, None) for wall in LEFT),
     "soft and rigid": tuple((wall, jv.Wall(0.8, 0.7)) for wall in LEFT),
     "two": tuple(zip(soft(0.0, 40.0, 0.3, jv.Motion(0.05, 0.3, 2)), soft(0.6, 30.0, 0.2), strict=True)),
     "law": ((LEFT[0], None), (jv.Wall(-0.5, law=jv.Push(linear, {"k": 40.0, "c": 0.3})), None)),
