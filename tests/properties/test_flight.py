@@ -156,9 +156,11 @@ def test_inverse(kind, scene, state):
     def gives_back(wall):
         if wall.law is not None:
             return wall
-        return replace(wall, damping=0.3 * wall.damping) if wall.soft else replace(wall, restitution=0.8)
+        if wall.soft:
+            return replace(wall, damping=0.3 * wall.damping)
+        return replace(wall, restitution=0.5 + 0.5 * wall.restitution)
 
-    scene = rebuild(scene, lambda wall: gives_back(wall), damping=0.3 * damping_of(scene))
+    scene = rebuild(scene, gives_back, damping=0.3 * damping_of(scene))
     before, back = jax.device_get(BACK(scene, state))
     good = np.asarray(back.status) < Status.CAP
     start = jv.State(np.where(good, before.x, 0.0), np.where(good, before.v, 0.0), state.phase)
@@ -215,7 +217,7 @@ def test_stiff_limit(kind, scene, state):
     scene = rebuild(scene, lambda wall: replace(wall, restitution=0.1 + 0.9 * wall.restitution))
     end, impacts = strobe(scene, state)
     keep, bound = decided(kind, scene, state, end, impacts)
-    keep &= bound < 1e-7
+    keep &= (bound < 1e-7) & (impacts.least_speed > 0.3)
     near, nearer = (strobe(jv.soften(scene, stiffness), state) for stiffness in (STIFF, 100.0 * STIFF))
     assert_same((near[1].side[keep], impacts.side[keep]), (nearer[1].side[keep], impacts.side[keep]))
     for name in ("x", "v"):
@@ -228,7 +230,7 @@ def test_single_precision(kind, scene, state):
     """In single precision the motion is the same up to its rounding."""
     end, impacts = strobe(scene, state)
     keep, bound = decided(replace(kind, tolerance=1e-8), scene, state, end, impacts)
-    keep &= (bound < 1e-3) & (impacts.least_speed > 0.1) & (impacts.least_clearance > 1e-2)
+    keep &= (bound < 1e-2) & (impacts.least_speed > 0.1) & (impacts.least_clearance > 1e-2)
     small = jax.tree.map(lambda leaf: np.asarray(leaf, np.float32), (scene, state))
     coarse, others = strobe(*small)
     assert coarse.x.dtype == coarse.contact.dtype == others.time.dtype == np.float32
