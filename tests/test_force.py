@@ -172,18 +172,6 @@ def test_derivatives_are_differences_of_series_by_hand(force):
             assert max(abs(a - b) for a, b in zip(found[:, k], true, strict=True)) < 1e-10 * abs(found).max()
 
 
-def test_second_derivatives_are_those_of_the_spring():
-    def hessian(scene, name):
-        def end(args):
-            moved = scene.replace(**{name: args[2]})
-            return jv.strobe(moved, jv.State(args[0], args[1]))[0].x
-
-        return np.asarray(jax.hessian(end)(np.array([0.3, 0.4, DAMPING])))
-
-    exact, found = hessian(linear(), "damping"), hessian(linear_as_own(), "force.damping")
-    assert np.allclose(found, exact, rtol=0, atol=1e-10 * abs(exact).max())
-
-
 # ---- orbits and branches -----------------------------------------------------------------------------------------
 
 
