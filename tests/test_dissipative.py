@@ -1,5 +1,4 @@
-"""Whether areas are proved never to grow: intervals against many digits, forces against samples; what a branch finds
-where there is no proof."""
+"""Proofs that areas never grow: intervals against many digits, forces against samples, and branches without a proof."""
 
 import jax
 import jax.numpy as jnp
@@ -11,7 +10,7 @@ from mpmath import mp, mpf
 
 import jaxvibro as jv
 from jaxvibro.scene.area_growth_proof import areas_never_grow
-from jaxvibro.scene.interval_arithmetic import ENTIRE, OPERATION_RULES, Interval, divide, multiply
+from jaxvibro.scene.interval_arithmetic import OPERATION_RULES, Interval
 
 from .reference import own_force
 
@@ -76,9 +75,10 @@ def test_each_operation_stays_in_its_interval(name):
 @pytest.mark.parametrize("power", [-3, -2, 0, 1, 2, 3, 5])
 def test_whole_powers_stay_in_their_intervals(power):
     low, high = np.array([-2.0, -1.5, 0.0, 0.3, -1.0]), np.array([-0.1, 0.7, 0.0, 2.0, 1.0])
+    given = Interval(low, high)
     for found in (
-        OPERATION_RULES["integer_pow"](Interval(low, high), y=power),
-        OPERATION_RULES["pow"](Interval(low, high), Interval(power, power)),
+        OPERATION_RULES["integer_pow"](given, y=power),
+        OPERATION_RULES["pow"](given, Interval(power, power)),
     ):
         for share in (0.0, 0.3, 0.9, 1.0):
             for lane, at in enumerate(np.clip(low + (high - low) * share, low, high)):
@@ -87,16 +87,16 @@ def test_whole_powers_stay_in_their_intervals(power):
                     assert mpf(lowest) <= mpf(at) ** power <= mpf(highest)
 
 
-def test_intervals_without_bound_give_what_is_true_of_all_numbers():
-    assert multiply(Interval(0.0, np.inf), Interval(-1.0, np.inf)) == (-np.inf, np.inf)
-    assert multiply(ENTIRE, Interval(0.0, 0.0)) == (0.0, 0.0)
-    assert divide(Interval(1.0, 1.0), Interval(1.0, np.inf)) == (0.0, 1.0)
-    assert divide(Interval(1.0, 1.0), Interval(-1.0, 1.0)) == (-np.inf, np.inf)
-    assert OPERATION_RULES["exp"](ENTIRE) == (0.0, np.inf) and OPERATION_RULES["tanh"](ENTIRE) == (-1.0, 1.0)
-    assert OPERATION_RULES["exp"](Interval(900.0, 901.0)).lower < np.inf  # no real number is as large as infinity
-    assert OPERATION_RULES["mul"](Interval(1e-300, 1.0), Interval(1e-300, 1.0)).lower <= 1e-300 * 1e-300 == 0.0
-    assert OPERATION_RULES["exp"](Interval(-901.0, -900.0)).upper > 0.0
-    assert OPERATION_RULES["atan"](ENTIRE).upper > mp.pi / 2 and OPERATION_RULES["sin"](ENTIRE) == (-1.0, 1.0)
+def test_intervals_without_bound():
+    entire, rules = Interval(-np.inf, np.inf), OPERATION_RULES
+    assert rules["mul"](Interval(0.0, np.inf), Interval(-1.0, np.inf)) == (-np.inf, np.inf)
+    assert rules["mul"](entire, Interval(0.0, 0.0)) == (0.0, 0.0)
+    assert rules["div"](Interval(1.0, 1.0), Interval(-1.0, 1.0)) == (-np.inf, np.inf)
+    assert rules["exp"](entire) == (0.0, np.inf) and rules["tanh"](entire) == (-1.0, 1.0)
+    assert rules["exp"](Interval(900.0, 901.0)).lower < np.inf  # no real number is as large as infinity
+    assert rules["mul"](Interval(1e-300, 1.0), Interval(1e-300, 1.0)).lower <= 1e-300 * 1e-300 == 0.0
+    assert rules["exp"](Interval(-901.0, -900.0)).upper > 0.0
+    assert rules["atan"](entire).upper > mp.pi / 2 and rules["sin"](entire) == (-1.0, 1.0)
 
 
 def _squared(u):
@@ -125,24 +125,24 @@ NOT_PROVED = {
 
 
 @pytest.mark.parametrize("name", [*PROVED, *NOT_PROVED])
-def test_a_force_is_proved_to_feed_nothing_or_it_is_not(name):
+def test_forces_with_and_without_a_proof(name):
     function, walls = (PROVED | NOT_PROVED)[name]
     assert scene(function, {"c": 0.1}, walls).dissipative is (True if name in PROVED else None)
 
 
-def test_what_is_known_of_spring_and_named_forces():
+def test_the_spring_and_the_predefined_forces():
     assert jv.make_scene(1.0, 2.0, 0.05, 0.7, WALLS).dissipative is True
     assert jv.make_scene(1.0, 2.0, 0.0, 1.0, (-1.0, jv.Wall(1.0, stiffness=9.0, damping=0.1))).dissipative is True
     for name, numbers in (("duffing", {"cubic": 0.5}), ("pendulum", {}), ("polynomial", {"c0": 0.1, "c3": 1.0})):
-        for damping, told in ((0.05, True), (0.0, True), (-1e-9, None)):
-            assert scene(name, numbers | {"damping": damping}).dissipative is told
+        for damping, expected in ((0.05, True), (0.0, True), (-1e-9, None)):
+            assert scene(name, numbers | {"damping": damping}).dissipative is expected
     assert scene("stribeck", STRIBECK).dissipative is None
     assert scene("stribeck", STRIBECK | {"high": 0.1}).dissipative is True
 
 
-def test_the_walls_decide_what_van_der_pol_feeds():
+def test_the_walls_decide_for_van_der_pol():
     moving = jv.Wall(1.3, motion=jv.Motion(0.4)), 3.0
-    for gain, walls, told in (
+    for gain, walls, expected in (
         (0.3, WALLS, None),
         (-0.3, WALLS, True),
         (-0.3, (-1.0, np.nextafter(1.0, 2.0)), None),
@@ -151,10 +151,10 @@ def test_the_walls_decide_what_van_der_pol_feeds():
         (0.3, (1.3, 3.0), True),
         (0.3, moving, None),
     ):
-        assert scene("van_der_pol", {"gain": gain}, walls).dissipative is told
+        assert scene("van_der_pol", {"gain": gain}, walls).dissipative is expected
 
 
-def test_one_answer_holds_for_all_scenes_of_a_batch():
+def test_a_batch_has_one_answer():
     gains, left, right = np.array([-0.3, 0.3]), np.array([-1.0, 1.1]), np.array([1.0, 2.0])
     assert scene("van_der_pol", {"gain": gains}, (left, right)).dissipative is True
     assert scene("van_der_pol", {"gain": gains[::-1]}, (left, right)).dissipative is None
@@ -162,17 +162,15 @@ def test_one_answer_holds_for_all_scenes_of_a_batch():
     assert jax.jit(lambda d: scene("pendulum", {"damping": d}).dissipative is None)(0.1)
 
 
-def test_between_two_scenes_all_are_asked():
+def test_a_proof_along_a_branch_holds_between_its_ends():
     force = jv.Force(lambda t, x, v, p: -x - (p["k"] ** 2 - 0.01) * v, {"k": 1.0})
-    ends = [
-        jv.make_scene(1.0, 2.0, restitution=0.7, walls=WALLS, force=force).replace(**{"force.k": k})
-        for k in (-1.0, 1.0)
-    ]
-    assert [one.dissipative for one in ends] == [True, True] and areas_never_grow(*ends) is None
-    assert areas_never_grow(ends[1], ends[1].replace(**{"force.k": 0.2})) is True
+    scene = jv.make_scene(1.0, 2.0, restitution=0.7, walls=WALLS, force=force)
+    negative = scene.replace(**{"force.k": -1.0})
+    assert scene.dissipative is True and negative.dissipative is True and areas_never_grow(negative, scene) is None
+    assert areas_never_grow(scene, scene.replace(**{"force.k": 0.2})) is True
 
 
-def test_what_is_proved_is_true_of_samples():
+def test_proofs_hold_for_samples():
     """Random polynomials of x and v: where the proof says so, the derivative is nowhere positive."""
     rng, proved, grows = np.random.default_rng(5), 0, 0
     x, v = rng.uniform(-1, 1, 4000), rng.standard_cauchy(4000)
@@ -183,10 +181,10 @@ def test_what_is_proved_is_true_of_samples():
     numbers = {name: rng.uniform(-0.4, 1.0, 60) for name in "abcde"}
     for k in range(60):
         a, b, c, d, e = (numbers[name][k] for name in "abcde")
-        told = scene(force, dict(zip("abcde", (a, b, c, d, e), strict=True))).dissipative
+        expected = scene(force, dict(zip("abcde", (a, b, c, d, e), strict=True))).dissipative
         most = (-(a + b * x + c * x * x) - 3 * d * v * v - e / np.cosh(np.minimum(abs(v), 300.0)) ** 2).max()
-        assert most <= 0 or told is None
-        proved, grows = proved + (told is True), grows + (most > 0)
+        assert most <= 0 or expected is None
+        proved, grows = proved + (expected is True), grows + (most > 0)
     assert proved > 8 and proved + grows > 55  # there is hardly one of which nothing is known
 
 
@@ -211,7 +209,7 @@ def test_a_neutral_saddle_is_no_neimark_sacker_point():
         assert abs(a * d - b * c - 1) < 1e-9 and abs(a + d - np.sum(point.multipliers).real) < 1e-9
 
 
-def test_areas_that_stay_as_they_are_have_no_special_points_of_rounding():
+def test_conserved_areas_have_no_special_points_of_rounding():
     """A motion that is its own image in reversed time has the determinant 1, whatever the force feeds and takes."""
     force = jv.Force(lambda t, x, v, p: -x - p["c"] * x * v, {"c": 0.2})
     own = jv.make_scene(0.3, 2.1, restitution=1.0, walls=(-2.0, 2.0), force=force)

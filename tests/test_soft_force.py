@@ -1,30 +1,31 @@
-"""Soft walls beside forces of one's own, with laws of their own: against closed forms, the spring, series by hand."""
+"""Soft walls with user-defined forces and contact laws: closed forms, the spring as a force, series by hand.
+
+`tests/properties/test_flight.py` compares flights and branches with those of the spring.
+"""
 
 import jax
 import jax.numpy as jnp
+import mpmath
 import numpy as np
 import pytest
 from scipy.optimize import brentq
 from scipy.special import gamma
 
 import jaxvibro as jv
-from tests import soft_force_proof
+from jaxvibro.flight.flight_coefficients import flow_coefficients
+from jaxvibro.orbits.force_law_contact_map import depth_since_entry
+from tests.reference import soft_force_points as reference
+
+FORCE = jv.Force("polynomial", {"c1": 1.0, "damping": 0.05})
+HERTZ = jv.Push("hertz", {"stiffness": 40.0})
 
 
 def nothing(t, x, v, p):
     return 0.0 * x
 
 
-def spring(t, x, v, p):
-    return -x - 2.0 * p["damping"] * v
-
-
-def told(*given, **more):
-    return jax.tree.map(np.asarray, jv.strobe(*given, **more))
-
-
 def leaving(speed, dissipation):
-    """With what speed Hunt and Crossley's wall is left: w dw / (1 + c w) = -k y^1.5 dy has the same integral there."""
+    """Return the exit speed of a Hunt-Crossley wall: w dw / (1 + c w) = -k y^1.5 dy has the same integral there."""
 
     def integral(w):
         return w / dissipation - np.log1p(dissipation * w) / dissipation**2
@@ -34,7 +35,7 @@ def leaving(speed, dissipation):
 
 def test_one_contact_without_other_forces():
     """Hertz: nothing is lost, the contact takes 2 depth / speed sqrt(pi) gamma(7/5) / gamma(9/10), depth = (5 speed^2 /
-    (4 stiffness))^(2/5), and is deepest after half of that. Hunt and Crossley: what is lost."""
+    (4 stiffness))^(2/5), and is deepest after half of that. Hunt and Crossley: the loss."""
     stiffness, speed = np.array([1.0, 50.0, 1e4, 1e7]), np.array([1.0, 0.3, 2.0, 1e-3])
     depth = (1.25 * speed**2 / stiffness) ** 0.4
     takes = 2.0 * depth / speed * np.sqrt(np.pi) * gamma(1.4) / gamma(0.9)
@@ -48,7 +49,7 @@ def test_one_contact_without_other_forces():
     scene = jv.make_scene(0.0, 2.0 * np.pi / span, restitution=0.5, walls=walls, force=jv.Force(nothing))
     way = np.repeat([-1.0, -1.0, 1.0], 4)
     start = jv.State(way * (5.0 - 0.1 * np.tile(speed, 3)), way * np.tile(speed, 3))
-    end, hits = told(scene, start)
+    end, hits = jax.device_get(jv.strobe(scene, start))
     assert (hits.count == 1).all() and (hits.status == 0).all()
     assert abs(hits.time[:, 0] - 0.1).max() < 1e-11 and (hits.side[:, 0] == way).all()
     deepest, out, lossy = (slice(4 * k, 4 * k + 4) for k in range(3))
@@ -60,105 +61,121 @@ def test_one_contact_without_other_forces():
     assert abs(-end.v[lossy] / expected - 1.0).max() < 1e-11
 
 
-def as_spring(count, moving, seed=0):
-    """(scenes under spring and damper, the same as forces of one's own, states): soft walls at any place, of which the
-    right one moves where the left one stands still, or both."""
-    rng = np.random.default_rng(seed)
-    left = rng.uniform(-2.0, 0.5, count)
-    right = left + rng.uniform(0.3, 3.0, count)
-    stiffness = 10.0 ** rng.uniform(0.0, 4.0, (2, count))
-    own, damping = rng.uniform(0.0, 1.0, (2, count)) * np.sqrt(stiffness), rng.uniform(0.0, 1.0, count)
-    swing = 0.15 * rng.uniform(0.0, 1.0, count) * (right - left)
-    motions = (jv.Motion(swing, rng.uniform(0, 6, count), 2) if moving else None), jv.Motion(swing, 0.4)
-    numbers = rng.uniform(0.0, 5.0, count), rng.uniform(0.4, 6.0, count)
-
-    def walls(more):
-        given = zip((left, right), stiffness, own, motions, strict=True)
-        return tuple(jv.Wall(place, stiffness=k, damping=c + more, motion=move) for place, k, c, move in given)
-
-    exact = jv.make_scene(*numbers, damping, 0.5, walls(damping))
-    found = jv.make_scene(*numbers, restitution=0.5, walls=walls(0.0), force=jv.Force(spring, {"damping": damping}))
-    return exact, found, jv.State(rng.uniform(left, right), rng.normal(size=count), rng.uniform(0, 6, count))
-
-
-def test_a_spring_as_a_force_between_soft_walls():
-    exact, found, state = as_spring(120, False)
-    (end, hits), (other, others) = (told(scene, state, slots=32) for scene in (exact, found))
-    assert (hits.count == others.count).all() and hits.count.sum() > 100 and (end.contact == other.contact).all()
-    size = np.maximum(abs(end.x), abs(end.v)) + 5.0
-    sure = hits.status == 0
-    assert sure.mean() > 0.9
-    assert (np.maximum(abs(end.x - other.x), abs(end.v - other.v)) / size)[sure].max() < 1e-11
-    hit = hits.side != 0
-    assert (abs(hits.time[hit] - others.time[hit]) * hits.speed[hit]).max() < 1e-11
-
-
 def mixed(moving=True):
-    """A scene of two laws: a Hertz wall that moves, and a linear one."""
+    """Return a scene of two laws: a Hertz wall, which may move, and a linear one."""
     motion = jv.Motion(0.1, 0.3, 2) if moving else None
-    walls = jv.Wall(-0.6, law=jv.Push("hertz", {"stiffness": 40.0}), motion=motion), jv.Wall(0.7, None, 60.0, 0.8)
+    walls = jv.Wall(-0.6, law=HERTZ, motion=motion), jv.Wall(0.7, None, 60.0, 0.8)
     force = jv.Force("duffing", {"cubic": 0.6, "damping": 0.05})
     return jv.make_scene(1.7, 1.9, restitution=0.5, walls=walls, force=force)
 
 
-STARTS = jv.State(np.array([0.1, -0.3, 0.5, -0.7, 0.9, 0.2]), np.array([1.0, -2.0, 0.4, 0.3, -0.8, -3.0]))
+def test_derivatives_by_the_amplitude_and_the_stiffness_of_a_law():
+    scene, names, values = mixed(), ("amplitude", "left.law.stiffness"), (1.7, 40.0)
+
+    def end(*given):
+        state, _ = jv.strobe(scene.replace(**dict(zip(names, given, strict=True))), jv.State(0.1, -2.0))
+        return jnp.stack([state.x, state.v])
+
+    computed = np.stack(jax.jit(jax.jacfwd(end, (0, 1)))(*values))
+    step, ends = 1e-3, jax.jit(jax.vmap(end))
+    for row, size in enumerate(values):
+        shifts = step * size * np.array([1.0, -1.0, 2.0, -2.0, 3.0, -3.0])
+        given = [np.full(6, value) + (shifts if k == row else 0.0) for k, value in enumerate(values)]
+        one, two, three = (pair[0] - pair[1] for pair in np.asarray(ends(*given)).reshape(3, 2, 2))
+        expected = (0.75 * one - 0.15 * two + three / 60.0) / (step * size)
+        assert abs(computed[row] - expected).max() < 1e-7 * (1.0 + abs(expected).max())
 
 
-def differences(scene, step=2e-4):
-    """d(x, v at the end) / d(x, v, amplitude, left.law.stiffness) by differences of eighth order."""
-    weights = (4.0 / 5.0, -1.0 / 5.0, 4.0 / 105.0, -1.0 / 280.0)
-    columns = []
-    for name, size in (("x", 1.0), ("v", 1.0), ("amplitude", 1.0), ("left.law.stiffness", 40.0)):
-        total = 0.0
-        for k, weight in enumerate(weights, 1):
-            ends = []
-            for sign in (1.0, -1.0):
-                move = sign * k * step * size
-                state = jv.State(STARTS.x + move * (name == "x"), STARTS.v + move * (name == "v"))
-                own = scene if name in "xv" else scene.replace(**{name: scene.parameter(name) + move})
-                end, _ = told(own, state)
-                ends.append(np.stack([end.x, end.v], -1))
-            total = total + weight * (ends[0] - ends[1]) / (step * size)
-        columns.append(total)
-    return np.stack(columns, -1)
+def test_the_slope_of_the_depth_at_an_entry():
+    """There the root of the depth has no slope in time."""
+    speed = 0.7
+    wall = jv.Wall(0.5, law=jv.Push("hertz", {"stiffness": 50.0}))
+    frame = flow_coefficients(
+        jv.make_scene(
+            1.0, 2.0, restitution=0.7, walls=(None, wall), force=jv.Force("duffing", {"cubic": 0.5, "damping": 0.05})
+        )
+    )
+    given = jnp.ones(1, bool), jnp.ones(1), jnp.cos(jnp.array([0.3])), jnp.sin(jnp.array([0.3])), jnp.array([speed])
+
+    def at(since):
+        return jnp.stack(depth_since_entry(frame, *given, since))[:, 0]
+
+    value, slope = jax.jvp(at, (jnp.zeros(1),), (jnp.ones(1),))
+    pull = -0.5 - 0.5 * 0.5**3 - 0.1 * speed + np.cos(0.3)
+    assert value == pytest.approx([0.0, speed], abs=1e-15) and slope == pytest.approx([speed, pull], abs=1e-12)
 
 
-def test_derivatives_of_laws():
-    scene = mixed()
-    expected = differences(scene)
+def pair(numbers, damping, *walls):
+    """Return the same scene under spring and damper, and under them as a force; walls: (position, stiffness, damping).
 
-    def end(x, v, amplitude, stiffness):
-        own = scene.replace(amplitude=amplitude, **{"left.law.stiffness": stiffness})
-        found, _ = jv.strobe(own, jv.State(x, v))
-        return jnp.stack([found.x, found.v])
-
-    row = jax.jit(jax.vmap(lambda *given: jnp.stack(jax.jacfwd(end, (0, 1, 2, 3))(*given), -1), (0, 0, None, None)))
-    found = np.asarray(row(STARTS.x, STARTS.v, 1.7, 40.0))
-    size = 1.0 + abs(expected).max(axis=(1, 2))
-    assert (abs(found - expected).max(axis=(1, 2)) / size).max() < 1e-8
-    matrix = np.asarray(jv.monodromy(scene, STARTS))
-    assert (abs(matrix - found[:, :, :2]).max(axis=(1, 2)) / size).max() < 1e-11
+    Their damping adds to that of the flight.
+    """
+    soft = [[wall and jv.Wall(wall[0], None, wall[1], wall[2] + more) for wall in walls] for more in (damping, 0.0)]
+    force = jv.Force("polynomial", {"c1": 1.0, "damping": damping})
+    return jv.make_scene(*numbers, damping, walls=soft[0]), jv.make_scene(*numbers, walls=soft[1], force=force)
 
 
-def test_orbits_of_a_spring_between_soft_walls():
-    walls = [(None, jv.Wall(1.0, stiffness=10.0, damping=damping)) for damping in (0.15, 0.1)]
-    exact = jv.make_scene(1.5, 1.3, 0.05, 0.7, walls[0])
-    found = jv.make_scene(1.5, 1.3, restitution=0.7, walls=walls[1], force=jv.Force(spring, {"damping": 0.05}))
-    state, _ = jv.strobe(exact, jv.State(1.5, 1.0), periods=300)
-    orbit, other = (jv.find_orbit(scene, state) for scene in (exact, found))
-    assert orbit.label == other.label == "P101"
-    assert abs(orbit.state.x - other.state.x) < 1e-12 and abs(orbit.state.v - other.state.v) < 1e-12
-    assert abs(orbit.multipliers - other.multipliers).max() < 1e-11
+def test_gradients_of_solved_orbits():
+    """In reverse mode: the loops of a contact go forward alone."""
+    rows = []
+    for scene in pair((1.5, 1.3), 0.05, None, (1.0, 10.0, 0.1)):
+
+        def solved(scene):
+            orbits = jv.solve_orbits(scene, jv.State(1.534, 5.03), ("R",))
+            row = jnp.stack([*orbits.times, *orbits.speeds, orbits.multipliers[0].real, orbits.multipliers[0].imag])
+            return row, (row, orbits.status)
+
+        gradient, (value, status) = jax.jit(jax.jacrev(solved, has_aux=True))(scene)
+        assert status == 0
+        names = "amplitude", "right.position", "right.stiffness", "right.damping"
+        rows.append(np.stack([value, *(np.asarray(gradient.parameter(name)) for name in names)]))
+    assert abs(rows[0]).max() > 1.0 and abs(np.subtract(*rows)).max() < 1e-12
 
 
-@pytest.mark.parametrize("law", ["hertz", "hunt_crossley"])
-def test_laws_against_series_by_hand(law):
-    ((seen, wrong, worst),) = soft_force_proof.compared(law, 25, (1e-12,), 30)
-    assert seen >= 20 and wrong == 0 and worst < 1.0
+def test_orbits_from_many_starts():
+    pairs = pair((4.0, 2.6), 0.03, (-0.8, 20.0, 0.3), (0.9, 30.0, 0.4))
+    exact, found = (jv.find_orbits(scene, 1, 60) for scene in pairs)
+    assert len(exact) >= 1 and [orbit.label for orbit in exact] == [orbit.label for orbit in found]
+    for orbit, other in zip(exact, found, strict=True):
+        assert abs(other.state.x - orbit.state.x) + abs(other.state.v - orbit.state.v) < 1e-11
 
 
-FORCE = jv.Force("polynomial", {"c1": 1.0, "damping": 0.05})
-HERTZ = jv.Push("hertz", {"stiffness": 40.0})
+def test_symmetry_breaking_and_period_doubling():
+    scenes = pair((2.0, 2.1), 0.05, (-1.0, 100.0, 0.5), (1.0, 100.0, 0.5))
+    whole = [jv.follow(jv.find_orbit(scene, jv.State(0.9, -1.1)), "amplitude", (1.0, 9.0)) for scene in scenes]
+    tilted = [jv.switch(branch.points("SB")[0])[0] for branch in whole]
+    doubled = [jv.switch(branch.points("PD")[0])[0] for branch in tilted]
+    assert [point.kind for point in doubled[0].special] == ["EP", "GR", "PD", "EP"]
+    for exact, found in (whole, tilted, doubled):
+        assert [point.kind for point in exact.special] == [point.kind for point in found.special]
+        assert np.allclose([p.value for p in exact.special], [p.value for p in found.special], rtol=0, atol=1e-11)
+    assert abs(np.subtract(*(np.asarray(jv.peaks(branch)) for branch in tilted))).max() < 1e-9
+
+
+def test_a_fold_between_hertz_walls_in_many_digits():
+    """Its orbit, frequency, multipliers and gradient."""
+    force = jv.Force("duffing", {"cubic": 0.5, "damping": 0.05})
+    walls = tuple(jv.Wall(place, law=HERTZ) for place in (-0.9, 0.8))
+    scene = jv.make_scene(1.0, 2.0, restitution=0.5, walls=walls, force=force)
+    (fold,) = jv.follow(jv.find_orbit(scene, jv.State(0.0, 0.0)), "frequency", (0.8, 4.0)).points("SN")
+    own = jax.grad(jv.located(fold))(fold.scene)
+    names = {"amplitude": "amplitude", "cubic": "force.cubic", "damping": "force.damping", "right": "right.position"}
+    orbit = fold.orbit
+    with mpmath.workdps(reference.DIGITS):
+        given = {"amplitude": 1.0, "cubic": 0.5, "damping": 0.05, "stiffness": 40.0, "left": -0.9, "right": 0.8}
+        given = {name: mpmath.mpf(value) for name, value in given.items()}
+        exact = reference.solved("hertz", 1, given, (float(orbit.state.x), float(orbit.state.v), fold.value))
+        for value, other, near in zip(
+            (orbit.state.x, orbit.state.v, fold.value), exact, (1e-12, 1e-12, 1e-14), strict=True
+        ):
+            assert abs(float(value) - other) < near
+        (a, _), (_, d) = reference.matrix("hertz", given, *exact)
+        assert abs(orbit.multipliers[1] - float(a + d - 1)) < 1e-7
+        true = reference.gradient("hertz", 1, given, exact, [*names, "stiffness"])
+    for name, mine in names.items():
+        assert abs(float(own.parameter(mine)) - true[name]) < 1e-8
+    stiffness = sum(float(own.parameter(f"{side}.law.stiffness")) for side in ("left", "right"))
+    assert abs(stiffness - true["stiffness"]) < 1e-10
 
 
 @pytest.mark.parametrize(
@@ -175,7 +192,7 @@ HERTZ = jv.Push("hertz", {"stiffness": 40.0})
         (jv.Wall(1.0, law=jv.Push(lambda d, r, p: p["none"])), FORCE, "right.law: cannot be traced by JAX"),
     ],
 )
-def test_what_is_no_law_is_refused(wall, force, rule):
+def test_invalid_laws_are_refused(wall, force, rule):
     with pytest.raises(jv.SceneError, match=rule):
         jv.make_scene(1.0, 2.0, None if force else 0.1, 0.5, (None, wall), force=force)
 

@@ -90,7 +90,7 @@ def resting(scene, x, v, phase, periods=1):
     return Truth(*place, None, None, None, None, 1e2 * scale)
 
 
-FORCES = {"duffing": own_force.duffing, "polynomial": own_force.falling}
+FORCES = own_force.FORCES | {"polynomial": own_force.falling}
 
 
 def series(scene, x, v, phase, periods=1):
