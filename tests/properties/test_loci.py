@@ -36,39 +36,40 @@ def test_points(kind, number):
         assert locus.data["residual"].max() <= 1e3 * kind.tolerance * size
         assert locus.data["least_clearance"].min() >= -1e-8 * size
         for place in {1, len(locus) // 2, len(locus) - 2}:
-            scene, spot = locus.located(place)
+            (scene, spot), orbit = locus.located(place), locus.orbit(place)
             if locus.kind == "GR":
-                compared += touches_wall(scene, spot)
+                compared += touches_wall(scene, orbit.state, spot)
             else:
-                compared += closes(kind, scene, spot, -1.0 if locus.kind == "PD" else 1.0)
+                compared += closes(kind, scene, orbit, -1.0 if locus.kind == "PD" else 1.0)
     assert compared >= 1
 
 
-def closes(kind, scene, spot, multiplier):
+def closes(kind, scene, orbit, multiplier):
     """Check the multiplier of an orbit by the reference; return whether it decides the motion."""
-    if kind.name == "contact_law" and spot.periods > 1:
+    x, v = float(orbit.state.x), float(orbit.state.v)
+    if kind.name == "contact_law" and orbit.periods > 1:
         return False
     try:
-        truth = kind.truth(scene, spot.x, spot.v, 0.0, spot.periods)
+        truth = kind.truth(scene, x, v, float(orbit.state.phase), orbit.periods)
     except Discard:
         return False
-    norm = np.linalg.norm(truth.matrix)
-    assert max(abs(float(truth.x) - spot.x), abs(float(truth.v) - spot.v)) < 1e3 * kind.tolerance * truth.allowed
+    assert max(abs(float(truth.x) - x), abs(float(truth.v) - v)) < 1e3 * kind.tolerance * truth.allowed
+    norm, slowest = np.linalg.norm(truth.matrix), min(float(speed) for speed in truth.speeds)
     closing = 1.0 - multiplier * np.trace(truth.matrix) + np.linalg.det(truth.matrix)
-    assert abs(closing) < 1e4 * kind.tolerance * (1.0 + norm) ** 2 * (1.0 + 1.0 / min(spot.speeds))
+    assert abs(closing) < 1e4 * kind.tolerance * (1.0 + norm) ** 2 * (1.0 + 1.0 / slowest)
     return True
 
 
-def touches_wall(scene, spot):
+def touches_wall(scene, state, spot):
     """Check that the orbit is at rest relative to a wall at its first touch; return whether it has one."""
     touches = np.flatnonzero(spot.speeds < SLOW)
     if not len(touches):
         return False
     time, side = float(spot.times[touches[0]]), int(spot.sides[touches[0]] > 0)
-    state, _ = jv.sample(scene, jv.State(spot.x, spot.v), np.array([time]))
+    seen, _ = jv.sample(scene, state, np.array([time]))
     ends = [wall_ends(scene, float(scene.frequency) * (time + late))[side] for late in (-1e-5, 0.0, 1e-5)]
-    assert abs(state.x[0] - ends[1]) < 1e-8
-    assert abs(state.v[0] - (ends[2] - ends[0]) / 2e-5) < 1e-5
+    assert abs(seen.x[0] - ends[1]) < 1e-8
+    assert abs(seen.v[0] - (ends[2] - ends[0]) / 2e-5) < 1e-5
     return True
 
 
@@ -87,10 +88,12 @@ def test_reference(kind, number):
 @of_numbers
 def test_other_end(kind, number):
     """A locus from a special point near its other end, with the parameters exchanged, is the same curve."""
+    compared = 0
     for name, locus in find_loci(kind.name, number).items():
         point = point_near_end(locus)
         if point is None:
             continue
+        compared += 1
         other = jv.locus(point, locus.names[::-1], locus.bounds, first_step=0.1, largest_step=0.5)
         ends, others = (curve.values[[0, -1]] for curve in (locus, other))
         others = others[:, ::-1]
@@ -101,6 +104,7 @@ def test_other_end(kind, number):
         assert known == found
         extent = np.ptp(locus.values, axis=0)
         assert farthest(locus.values / extent, other.values[:, ::-1] / extent) < 0.05
+    assert compared >= 1
 
 
 def point_near_end(locus):
