@@ -16,7 +16,7 @@ from jaxvibro.loci import loci_of_branches
 from jaxvibro.studies import scene_file_studies
 from jaxvibro.studies.schema import SweepTable
 from jaxvibro.surveys import fractions as shares
-from tests.test_place import asked
+from tests.test_margin import asked
 
 START = jv.State(0.3, 0.1)
 
