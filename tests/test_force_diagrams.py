@@ -5,9 +5,9 @@ import pytest
 
 import jaxvibro as jv
 
-from .basins_proof import bisected, distance
 from .force_attractors import Run
 from .force_specials import ball_errors, bounced, duffing
+from .plane_curves import bisected, distance
 from .test_explore import is_on
 
 TEETH, DRAG, BOUNCE = 0.5, 0.1, 0.6  # of the gear pair

@@ -7,8 +7,8 @@ import pytest
 import jaxvibro as jv
 from jaxvibro.maps.strobe_inverse import require_reversible, strobe_backward
 from jaxvibro.problem.end import End
-from tests.basins_proof import bisected, distance
 from tests.graze_within_proof import branch_of, drawn, held, within
+from tests.plane_curves import bisected, distance
 from tests.reference.soft_lanes import Lanes, Wall, exponents
 
 GAMMA = 0.045
