@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 
 import jaxvibro as jv
+from continuation import computation_limits
+from jaxvibro.design import place
 from jaxvibro.loci.loci_of_branches import follow_loci
 from jaxvibro.studies.scene_file_studies import _run_sweep
 from jaxvibro.studies.schema import SweepTable
@@ -157,12 +159,27 @@ def fold():
     return jv.follow(orbit, "amplitude", (0.0, 6.0)).points("SN")[0]
 
 
-@pytest.mark.parametrize(("seconds", "fraction"), [(0.5, "0"), (2.5, "0.25")])  # of steps of 1, 0.5 and 0.25
-def test_a_placement_stops_between_steps(fold, ticking, seconds, fraction):
+def test_a_placement_without_time_stays_at_the_scene(fold, ticking):
     ticking()
-    part = jv.place(fold, None, fold.value + 0.1, {"damping": 0.05}, max_seconds=seconds)
-    assert not part.met and (part.distance == 0.0) == (fraction == "0")
-    assert part.why == f"the path to the targets ends after {fraction} of its length: max_seconds reached"
+    part = jv.place(fold, None, fold.value + 0.1, {"damping": 0.05}, max_seconds=0.5)
+    assert not part.met and part.distance == 0.0
+    assert part.why == "the path to the targets ends after 0 of its length: max_seconds reached"
+
+
+def test_a_placement_stops_between_steps():
+    """One free parameter, whose change is the value, up to 0.4: steps of 1, 0.5 and 0.25."""
+
+    def sloped(places):
+        return places.copy(), np.ones((len(places), 1, 1))
+
+    read, none = iter(range(100)), np.zeros(1)
+    late = computation_limits.Limits(deadline=2.5, read_clock=lambda: float(next(read)))
+    bounds = none - np.inf, none + 0.4
+    problem = place._PlacementProblem(("damping",), none + 1.0, none, *bounds, sloped, lambda change: [])
+    last, _, virtual = place._follow_path_to_targets(problem, np.ones(1), late)
+    assert last.is_time_expired and last.fraction == 0.25 and not virtual
+    reason = place._failure_reason(last.fraction, virtual, (), last.is_time_expired)
+    assert reason == "the path to the targets ends after 0.25 of its length: max_seconds reached"
 
 
 def test_loci_of_a_family_stop_in_time(fold, ticking):
