@@ -1,7 +1,8 @@
-"""Basins: labels against states run on alone, the mirrored picture, entropy and dimension of known pictures."""
+"""Basins and manifolds: trapping regions, mirrored pictures, boundaries, entropy and dimension of known pictures."""
 
 from functools import cache
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -9,86 +10,61 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
 import jaxvibro as jv
-from jaxvibro import plot
 from jaxvibro.attractors import basin_boundaries, trapping_region
-from jaxvibro.flight.wall_positions import wall_states
+from jaxvibro.attractors.local_manifold import compute_local_manifold, iterate_map
+from jaxvibro.attractors.manifold import _assemble_side
+from jaxvibro.attractors.manifold_growth import ManifoldLevel, ManifoldPointRules
+from jaxvibro.compiled.lane_arithmetic import COMPILER_OPTIONS
+from jaxvibro.maps.strobe_inverse import strobe_backward
 from jaxvibro.plot.basins import PALE_COLOURS
+
+from .plane_curves import bisected, distance, points_of
 
 FIG5 = {"amplitude": 4.65, "frequency": 2.1, "damping": 0.05, "restitution": 0.7, "walls": (-1.0, 1.0)}
 SCENES = {
     "figure 5": FIG5,
     "one wall": FIG5 | {"amplitude": 2.0, "walls": (None, 1.0)},
-    "uneven walls": FIG5 | {"amplitude": 3.0, "walls": (-1.5, 1.0)},
     "moving wall": FIG5 | {"amplitude": 3.0, "walls": (-1.0, jv.Wall(1.0, motion=jv.Motion(0.2, 0.5, 2)))},
     "a restitution each": FIG5 | {"amplitude": 3.0, "walls": (jv.Wall(-1.0, 0.5), jv.Wall(1.0, 0.9))},
-    "a plastic wall": FIG5 | {"amplitude": 1.0, "walls": (jv.Wall(-1.0, 0.0), 1.0)},
 }
+BACK = jax.jit(lambda scene, state: strobe_backward(scene, state, 16), compiler_options=COMPILER_OPTIONS)
 
 
 @cache
-def known(name):
-    scene = jv.make_scene(**SCENES[name])
+def known(amplitude=4.65):
+    scene = jv.make_scene(**FIG5 | {"amplitude": amplitude})
     return scene, jv.find_attractors(scene, starts=200)
 
 
-def nearest(data, z):
-    """(place of the attractor with the nearest point, distance to it) of states (lanes, 2)."""
-    points = np.stack([data["point_x"].values, data["point_v"].values], -1)
-    apart = abs(z[:, None, None] - points).max(axis=-1)
-    apart = np.where(np.isnan(apart), np.inf, apart).min(axis=-1)
-    return apart.argmin(axis=1), apart.min(axis=1)
-
-
-QUICK = (("figure 5", 0.0),)
-OTHERS = [pytest.param(name, 4.0, marks=pytest.mark.long) for name in ("moving wall", "uneven walls")]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("name", "phase"), [*QUICK, *OTHERS])
-def test_labels_are_those_of_states_run_on_alone(name, phase):
-    scene, attractors = known(name)
-    x, v = np.linspace(-1.4, 1.2, 27), np.linspace(-3.1, 3.0, 17)
-    data = jv.basins(scene, x, v, phase, attractors)
-    (left, _), (right, _) = wall_states(scene, phase)
-    beyond = (x < left) | (x > right)
-    label = data["label"].values
-    np.testing.assert_array_equal(label == -2, np.broadcast_to(beyond, label.shape))
-    across, up = (each[label != -2] for each in np.meshgrid(x, v))
-    end, _ = jv.strobe(scene, jv.State(across, up, phase), 3000, 0)
-    place, apart = nearest(data, np.stack([end.x, end.v], -1))
-    assert apart.max() < 1e-9
-    np.testing.assert_array_equal(label[label != -2], place)
-    shares = np.bincount(place, minlength=len(attractors)) / place.size
-    np.testing.assert_allclose(data["fraction"], shares, atol=1e-15)
-
-
-def test_the_mirrored_picture_half_a_period_later_has_the_twins_swapped():
-    scene, attractors = known("figure 5")
-    x, v = np.linspace(-1.0, 1.0, 41), np.linspace(-3.0, 3.0, 41)
-    before, after = (jv.basins(scene, x, v, phase, attractors) for phase in (0.0, np.pi))
-    twins = before["mirror_of"].values
+def test_a_mirrored_grid_half_a_period_later_has_the_twins_swapped():
+    scene, attractors = known()
+    x, v, counts = np.linspace(-1.0, 1.0, 41), np.linspace(-3.0, 3.0, 41), []
+    before = jv.basins(scene, x, v, 0.0, attractors, progress=counts.append)
+    assert counts == sorted(counts) and counts[-1] == 41 * 41
+    after, twins = jv.basins(scene, x, v, np.pi, attractors), before["mirror_of"].values
     assert sorted(twins) == [0, 1, 2, 3] and (twins != np.arange(4)).all()
     np.testing.assert_array_equal(after["label"].values[::-1, ::-1], twins[before["label"].values])
     np.testing.assert_allclose(after["point_x"].values[twins], -before["point_x"].values, atol=1e-12)
 
 
-def test_a_chaotic_attractor_takes_the_starts_that_stay_on_it():
-    scene = jv.make_scene(5.24, 2.1, 0.05, 0.7, (-1.0, 1.0))
-    attractors = jv.find_attractors(scene, starts=100)
+def test_starts_on_a_chaotic_attractor_have_its_label():
+    scene, attractors = known(5.24)
     data = jv.basins(scene, np.linspace(-1.0, 1.0, 12), np.linspace(-3.0, 3.0, 12), 1.0, attractors, 600)
     assert set(data["kind"].values) == {"periodic", "chaotic"}
     label = data["label"].values
     across, up = (each[label >= 0] for each in np.meshgrid(data["x"], data["v"]))
     assert (label >= 0).mean() > 0.95  # a twin with few starts may not be among the attractors
-    end, _ = jv.strobe(scene, jv.State(across, up, 1.0), 3000, 0)
-    place, apart = nearest(data, np.stack([end.x, end.v], -1))
-    np.testing.assert_array_equal(place, label[label >= 0])
-    assert apart[data["kind"].values[place] == "periodic"].max(initial=0.0) < 1e-9
-    assert apart.max() < 0.2
+    end, _ = jv.strobe(scene, jv.State(across, up, 1.0), 1000, 0)
+    points = np.stack([data["point_x"].values, data["point_v"].values], -1)
+    apart = abs(np.stack([end.x, end.v], -1)[:, None, None] - points).max(axis=-1)
+    apart = np.where(np.isnan(apart), np.inf, apart).min(axis=-1)
+    np.testing.assert_array_equal(apart.argmin(axis=1), label[label >= 0])
+    periodic = data["kind"].values[label[label >= 0]] == "periodic"
+    assert apart.min(axis=1)[periodic].max(initial=0.0) < 1e-9 and apart.min(axis=1).max() < 0.2
 
 
-def test_what_has_no_trap_is_not_certain():
-    scene, attractors = known("figure 5")
+def test_starts_without_a_trapping_region_are_not_certain():
+    scene, attractors = known()
     data = jv.basins(scene, np.linspace(-1.0, 1.0, 9), np.linspace(-3.0, 3.0, 9), 0.0, attractors[:1], patience=40)
     label = data["label"].values
     assert set(np.unique(label)) == {-1, 0}
@@ -99,88 +75,83 @@ def test_what_has_no_trap_is_not_certain():
     assert trapping_region.find_trapping_ellipses(elastic, point, orbit.state.phase, 3.0) is None
 
 
-def test_no_state_of_a_trap_leaves_it():
-    scene, attractors = known("figure 5")
+def test_no_state_leaves_a_trapping_region():
+    scene, attractors = known()
     rng = np.random.default_rng(0)
     for one in attractors:
-        found = trapping_region.find_trapping_ellipses(scene, one.points, 0.0, 6.0)
+        region = trapping_region.find_trapping_ellipses(scene, one.points, 0.0, 6.0)
         disc = rng.normal(size=(500, 2))
         disc *= (rng.random(500) ** 0.5 / np.hypot(*disc.T))[:, None]
-        z = one.points[0] + np.linalg.solve(found.ellipse_matrices[0], disc.T).T
+        z = one.points[0] + np.linalg.solve(region.ellipse_matrices[0], disc.T).T
         z = z[abs(z[:, 0]) <= 1.0]
-        assert found.contains(z).all()
+        assert region.contains(z).all()
         end, _ = jv.strobe(scene, jv.State(*z.T), one.periods, 0)
-        after = (np.stack([end.x, end.v], -1) - one.points[0]) @ found.ellipse_matrices[0].T
+        after = (np.stack([end.x, end.v], -1) - one.points[0]) @ region.ellipse_matrices[0].T
         assert np.hypot(*after.T).max() < 1.0
 
 
 def test_single_precision_has_basins():
-    scene = jv.make_scene(**FIG5, dtype=jnp.float32)
-    data = jv.basins(scene, np.linspace(-0.9, 0.9, 9), np.linspace(-3.0, 3.0, 9))
-    double = jv.basins(known("figure 5")[0], np.linspace(-0.9, 0.9, 9), np.linspace(-3.0, 3.0, 9))
-
-    def points(data):
+    axes, points = (np.linspace(-0.9, 0.9, 9), np.linspace(-3.0, 3.0, 9)), []
+    single = jv.make_scene(**FIG5, dtype=jnp.float32)
+    for data in (jv.basins(single, *axes), jv.basins(known()[0], *axes, 0.0, known()[1])):
         where = data["label"].values
-        return np.stack([data[name].values[:, 0][where] for name in ("point_x", "point_v")], -1)
-
-    assert (data["label"].values >= 0).all()
-    assert (abs(points(data) - points(double)).max(axis=-1) < 1e-3).mean() > 0.97
+        assert (where >= 0).all()
+        points.append(np.stack([data[name].values[:, 0][where] for name in ("point_x", "point_v")], -1))
+    assert (abs(points[0] - points[1]).max(axis=-1) < 1e-3).mean() > 0.97
 
 
 @pytest.mark.parametrize(
-    ("key", "given"),
+    ("call", "key", "value"),
     [
-        ("x", {"x": [0.0]}),
-        ("x", {"x": [1.0, 0.0]}),
-        ("v", {"v": [[0.0, 1.0]]}),
-        ("v", {"v": [0.0, np.nan]}),
-        ("phase", {"phase": [0.0, 1.0]}),
-        ("patience", {"patience": 0}),
+        (jv.basins, "x", [0.0]),
+        (jv.basins, "x", [1.0, 0.0]),
+        (jv.basins, "v", [[0.0, 1.0]]),
+        (jv.basins, "v", [0.0, np.nan]),
+        (jv.basins, "phase", [0.0, 1.0]),
+        (jv.basins, "patience", 0),
+        (jv.manifold, "kind", "centre"),
+        (jv.manifold, "orbit", None),
+        (jv.manifold, "length", 0.0),
+        (jv.manifold, "spacing", np.nan),
+        (jv.manifold, "most", 1),
     ],
 )
-def test_what_cannot_be_is_refused(key, given):
-    scene, attractors = known("figure 5")
+def test_invalid_arguments_are_refused(call, key, value):
+    usual = {"scene": jv.make_scene(**FIG5), "x": [0.0, 1.0], "v": [0.0, 1.0], "attractors": ()}
+    if call is jv.manifold:
+        usual = {"orbit": saddle(), "kind": "stable"}
     with pytest.raises(jv.ArgumentError) as caught:
-        jv.basins(**{"scene": scene, "x": [0.0, 1.0], "v": [0.0, 1.0], "attractors": attractors} | given)
+        call(**usual | {key: value})
     assert caught.value.key == key
 
 
-def test_progress_counts_starts():
-    scene, attractors = known("figure 5")
-    counts = []
-    jv.basins(scene, np.linspace(-1.0, 1.0, 9), np.linspace(-3.0, 3.0, 9), 0.0, attractors, progress=counts.append)
-    assert counts == sorted(counts) and counts[-1] == 81
-
-
 def test_entropy_of_known_pictures():
+    entropies = basin_boundaries.basin_entropies
     halves = np.repeat([[0, 1]], 50, axis=1).T @ np.ones((1, 100), int)
     board = np.indices((100, 100)).sum(axis=0) % 2
-    assert basin_boundaries.basin_entropies(board, 2) == pytest.approx((np.log(2), np.log(2)))
-    assert basin_boundaries.basin_entropies(halves, 5) == (0.0, 0.0)  # the boundary lies between boxes
-    whole, edge = basin_boundaries.basin_entropies(np.roll(halves, 2, axis=0), 5)
+    assert entropies(board, 2) == pytest.approx((np.log(2), np.log(2)))
+    assert entropies(halves, 5) == (0.0, 0.0)  # the boundary lies between boxes
     part = -(0.4 * np.log(0.4) + 0.6 * np.log(0.6))
-    assert (whole, edge) == pytest.approx((part * 2 / 20, part))
-    thirds = np.arange(90 * 90).reshape(90, 90) % 3
-    assert basin_boundaries.basin_entropies(thirds, 3) == pytest.approx((np.log(3), np.log(3)))
-    assert basin_boundaries.basin_entropies(np.where(board == 1, -1, 0), 2) == (0.0, 0.0)
-    assert np.isnan(basin_boundaries.basin_entropies(board[:3, :3])).all()
+    assert entropies(np.roll(halves, 2, axis=0), 5) == pytest.approx((part * 2 / 20, part))
+    assert entropies(np.arange(90 * 90).reshape(90, 90) % 3, 3) == pytest.approx((np.log(3), np.log(3)))
+    assert entropies(np.where(board == 1, -1, 0), 2) == (0.0, 0.0)
+    for few in (board[:3, :3], board[:3], board[:, :3]):  # no whole box
+        assert np.isnan(entropies(few)).all()
 
 
 def test_dimension_of_known_pictures():
+    dimension = basin_boundaries.boundary_dimension
     rows, columns = np.indices((1025, 1025))
-    straight = basin_boundaries.boundary_dimension((columns > 400).astype(int))
+    halves = (columns > 400).astype(int)
+    straight = dimension(halves)
     assert (straight.value, straight.error) == pytest.approx((1.0, 0.0), abs=1e-12)
     np.testing.assert_allclose(straight.mixed_fractions, straight.box_sides / 1024)
-    slanted = basin_boundaries.boundary_dimension((columns > 0.37 * rows + 100.3).astype(int))
-    assert slanted.value == pytest.approx(1.0, abs=0.01)
-    circle = basin_boundaries.boundary_dimension(((rows - 500) ** 2 + (columns - 510) ** 2 < 300**2).astype(int))
+    assert dimension((columns > 0.37 * rows + 100.3).astype(int)).value == pytest.approx(1.0, abs=0.01)
+    circle = dimension(((rows - 500) ** 2 + (columns - 510) ** 2 < 300**2).astype(int))
     assert circle.value == pytest.approx(1.0, abs=max(0.02, 2 * circle.error))
-    riddled = basin_boundaries.boundary_dimension(np.random.default_rng(0).integers(0, 2, (1025, 1025)))
-    assert riddled.value > 1.9
-    assert np.isnan(basin_boundaries.boundary_dimension(np.zeros((65, 65), int))[:2]).all()
-    assert basin_boundaries.boundary_dimension(np.where(columns == 400, -1, (columns > 400).astype(int)))[
-        0
-    ] == pytest.approx(1.0, abs=0.1)
+    assert dimension(np.random.default_rng(0).integers(0, 2, (1025, 1025))).value > 1.9
+    assert np.isnan(dimension(np.zeros((65, 65), int))[:2]).all()
+    assert dimension(np.where(columns == 400, -1, halves)).value == pytest.approx(1.0, abs=0.1)
 
 
 def test_dimension_of_a_cantor_set_of_boundaries():
@@ -189,21 +160,146 @@ def test_dimension_of_a_cantor_set_of_boundaries():
         third = np.arange(3**levels) // 3 ** (levels - 1 - level) % 3
         new = (third == 1) & (parity == 0)
         parity[new] = 1 + level % 2
-    found = basin_boundaries.boundary_dimension(np.tile(np.where(parity == 0, 3, parity), (2049, 1)))
-    assert found.value == pytest.approx(1.0 + np.log(2) / np.log(3), abs=0.06)
-    assert abs(found.value - 1.0 - np.log(2) / np.log(3)) < 3 * found.error
+    cantor = basin_boundaries.boundary_dimension(np.tile(np.where(parity == 0, 3, parity), (2049, 1)))
+    true = 1.0 + np.log(2) / np.log(3)
+    assert cantor.value == pytest.approx(true, abs=0.06) and abs(cantor.value - true) < 3 * cantor.error
 
 
-def test_a_picture_of_basins_tells_all_attractors_apart():
-    scene, attractors = known("figure 5")
+def test_a_picture_of_basins_distinguishes_all_attractors():
+    scene, attractors = known()
     data = jv.basins(scene, np.linspace(-1.2, 1.0, 23), np.linspace(-3.0, 3.0, 21), 0.0, attractors)
     ax = Figure().subplots()
-    assert plot.basins(data, ax) is ax
+    assert jv.plot.basins(data, ax) is ax
     marks = [line for line in ax.lines if line.get_gid() == "attractor"]
     assert [line.get_marker() for line in marks] == ["<", ">", "^", "v"]
     assert len({line.get_color() for line in marks}) == 4
-    told = [text.get_text() for text in ax.get_legend().get_texts()]
-    assert told[-1] == "beyond a wall" and told[0].startswith("P111: ")
+    texts = [text.get_text() for text in ax.get_legend().get_texts()]
+    assert texts[-1] == "beyond a wall" and texts[0].startswith("P111: ")
     assert "X" in ax.get_xlabel() and "omega_0" in ax.get_ylabel()
     greys = [np.dot(to_rgb(colour), (0.299, 0.587, 0.114)) for colour in PALE_COLOURS]
     assert (np.diff(greys) < -0.05).all()
+
+
+@cache
+def saddle(label="P111", amplitude=4.65, sign=1.0):
+    """Return the orbit with this label whose larger multiplier is beyond 1, or below -1."""
+    orbits = jv.find_orbits(jv.make_scene(**FIG5 | {"amplitude": amplitude}), 1, 64)
+    return next(one for one in orbits if one.label == label and sign * one.multipliers[0].real > 1)
+
+
+@cache
+def curve(kind, length=6.0):
+    return jv.manifold(saddle(), kind, length, 0.0, 0.01, 0.02)
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_the_inverse_map_leads_back(name):
+    scene, rng, phase = jv.make_scene(**SCENES[name]), np.random.default_rng(0), 0.0 if name == "figure 5" else 1.3
+    given = np.stack([rng.uniform(-0.95, 0.75, 500), rng.uniform(-3.0, 3.0, 500)])
+    before, impacts = jax.device_get(BACK(scene, jv.State(*given, np.full(500, phase), np.zeros(500))))
+    good = (np.asarray(impacts.status) < 2) & (abs(before.v) < 1e3)  # the rest got faster at every impact, without end
+    assert good.sum() > 150
+    start = jv.State(*(each[good] for each in (before.x, before.v, before.phase)))
+    assert (start.phase == phase).all()
+    end, _ = jv.strobe(scene, start, 1, 0)
+    error = abs(np.stack([end.x, end.v]) - given[:, good]).max(axis=0)
+    stretch = abs(np.asarray(jv.monodromy(scene, start, 1, 1024))).max(axis=(1, 2))
+    assert (error <= 1e-12 * np.maximum(1.0, stretch * np.maximum(1.0, abs(start.v)))).all()
+
+
+@pytest.mark.parametrize("kind", ["stable", "unstable"])
+def test_a_manifold_begins_along_the_eigenvector_and_its_local_part_maps_into_itself(kind):
+    orbit, data = saddle(), curve(kind)
+    point = np.array([orbit.state.x, orbit.state.v], float)
+    values, vectors = np.linalg.eig(np.asarray(jv.monodromy(orbit.scene, jv.State(*point))))
+    place = np.argmin(abs(values)) if kind == "stable" else np.argmax(abs(values))
+    assert data.attrs["multiplier"] == pytest.approx(values[place], rel=1e-9)
+    z = points_of(data) - point
+    for side in (-1, 1):
+        near = (data["side"].values == side) & (data["arc"].values > 0) & (data["arc"].values < 1e-4)
+        across = z[near] @ np.array([-vectors[1, place], vectors[0, place]])
+        assert near.sum() > 5 and abs(across).max() < 1e-7
+    ways = [z[data["side"].values == side][3] @ vectors[:, place] for side in (-1, 1)]
+    assert ways[0] * ways[1] < 0
+    back, rate = kind == "stable", values[place] if kind == "unstable" else 1.0 / values[place]
+    local = compute_local_manifold(orbit.scene, point, vectors[:, place], rate, 1, 0.0, back, 1.0)
+    along = local.radius * np.linspace(-1.0, 1.0, 101)
+    z, _, good = iterate_map(orbit.scene, local.points_at(local.preimage_coordinate(along)), 0.0, 1, back)
+    assert good.all() and local.radius > 0.05 and abs(z - local.points_at(along)).max() < 1e-12
+    assert local.preimage_coordinate(1e-4) == pytest.approx(1e-4 / rate, rel=1e-3)
+
+
+def test_basins_meet_at_a_stable_manifold():
+    for first, second in (((-0.9, 1.0), (-0.9, 2.0)), ((0.5, 1.0), (0.5, 2.0)), ((0.3, -1.8), (0.3, -2.4))):
+        assert distance(curve("stable"), bisected(*known(), first, second)[None])[0] < 1e-8
+
+
+def test_pieces_follow_the_rules_and_give_the_reasons_for_their_ends():
+    data = curve("stable", 12.0)
+    z, piece = points_of(data), data["piece"].values
+    began, ended = data["began"].values, data["ended"].values
+    inside = np.diff(piece) == 0
+    assert np.hypot(*np.diff(z, axis=0).T)[inside & (abs(z[1:, 1]) < 6.0)].max() <= 0.01
+    assert set(began) | set(ended) <= {"saddle", "section", "grazing", "fast", "resolution", "length"}
+    assert list(began).count("saddle") == 2 and "grazing" in ended
+    first = np.searchsorted(piece, np.arange(len(began)))
+    for k in np.flatnonzero(ended[:-1] == "section"):
+        (x, v), (after, w) = z[first[k + 1] - 1], z[first[k + 1]]
+        assert abs(x) == pytest.approx(1.0, abs=1e-6) and after == pytest.approx(x, abs=1e-6)
+        fast, slow = sorted((v, w), key=abs, reverse=True)
+        assert slow == pytest.approx(-0.7 * fast, abs=1e-5)
+    for k in np.flatnonzero(ended[:-1] == "grazing"):
+        assert (z[first[k + 1]] == z[first[k + 1] - 1]).all()
+    arcs = [data["arc"].values[data["side"].values == side].max() for side in (-1, 1)]
+    assert max(arcs) == pytest.approx(12.0, abs=0.2)
+    ax = Figure().subplots()
+    assert jv.plot.manifold(data, ax) is ax
+    (line,) = [line for line in ax.lines if line.get_gid() == "manifold"]
+    assert np.isnan(line.get_xdata()).sum() == data.sizes["piece_end"] - 1
+    assert line.get_label() == "stable manifold of P111"
+    (cross,) = [line for line in ax.lines if line.get_gid() == "saddle"]
+    assert cross.get_xdata() == pytest.approx(saddle().state.x)
+    assert "X" in ax.get_xlabel() and "omega_0" in ax.get_ylabel()
+
+
+@pytest.mark.parametrize(("position", "counts"), [(0.0, (0, 1, 0, 1)), (0.7, (1, 0, 1, 0, 1, 0)), (-1.5, (0, 1))])
+def test_one_impact_at_the_phase_breaks_a_curve_once(position, counts):
+    """At an impact at the phase of the section, rounding may make the numbers of impacts of neighbours alternate."""
+    scene = jv.make_scene(**FIG5 | {"walls": (position - 2.0, position)})
+    counts = np.array([*[counts[0]] * 4, *counts, *[counts[-1]] * 4])
+    x = position - np.abs(np.r_[np.linspace(0.04, 0.01, 4), np.zeros(len(counts) - 8), np.linspace(0.01, 0.04, 4)])
+    z = np.stack([x, np.where(counts == 0, 1.0, -0.7) + x - position], -1)
+    level = ManifoldLevel(np.linspace(0.0, 1.0, len(x)), z, counts, np.full(len(x), True))
+    rules = ManifoldPointRules(0.02, 0.1, 1e-5, 3.0, 6.0, 1.0, 1000)
+    branch = _assemble_side(scene, 0.0, z[0], [level], "length", 1.0, rules)
+    assert list(branch["began"]) == ["saddle", "section"] and list(branch["ended"]) == ["section", "length"]
+    assert branch["z"][branch["piece"] == 0][-1] == pytest.approx([position, z[0, 1] + 0.04], abs=1e-12)
+    assert branch["z"][branch["piece"] == 1][0] == pytest.approx([position, z[-1, 1] + 0.04], abs=1e-12)
+
+
+def test_an_unstable_manifold_ends_on_attractors():
+    data = curve("unstable")
+    last = points_of(data)[np.append(np.flatnonzero(np.diff(data["side"].values)), -1)]
+    assert list(data["ended"].values[data["ended"].values != "section"]) == ["attractor", "attractor"]
+    assert max(min(abs(z - one.points[0]).max() for one in known()[1]) for z in last) < 1e-4
+
+
+def test_a_saddle_that_flips_has_two_sides_too():
+    orbit = saddle("P112", 4.85, -1.0)
+    data = jv.manifold(orbit, "unstable", 0.3, 0.0, 0.002, 0.005)
+    some = np.flatnonzero(data["image"].values > 0)[::11]
+    z, _, _ = iterate_map(orbit.scene, points_of(data)[some], 0.0, 1, True)
+    assert distance(data, z).max() < 1e-8
+    other = data.isel(point=data["side"].values != data["side"].values[some[0]])
+    assert distance(other, z[:1])[0] < 1e-8
+
+
+def test_no_saddle_and_irreversible_motions_are_refused():
+    stable = jv.find_orbit(saddle().scene, jv.State(0.6, -1.3))
+    with pytest.raises(jv.ArgumentError, match="saddle"):
+        jv.manifold(stable, "unstable")
+    for changes, key in (({"left.restitution": 0.0}, "left.restitution"), ({"damping": 1.0}, "damping")):
+        orbit = type(stable)(**(vars(saddle()) | {"scene": saddle().scene.replace(**changes)}))
+        with pytest.raises(jv.ArgumentError) as caught:
+            jv.manifold(orbit, "stable")
+        assert caught.value.key == key

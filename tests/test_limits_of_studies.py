@@ -8,14 +8,10 @@ import pytest
 
 import jaxvibro as jv
 from continuation import computation_limits
-from jaxvibro.attractors import sweep_study
-from jaxvibro.branches import diagrams_study, isolas
-from jaxvibro.branches.diagram import Diagram
 from jaxvibro.design import place
-from jaxvibro.loci import loci_of_branches
-from jaxvibro.studies import scene_file_studies
+from jaxvibro.loci.loci_of_branches import follow_loci
+from jaxvibro.studies.scene_file_studies import _run_sweep
 from jaxvibro.studies.schema import SweepTable
-from jaxvibro.surveys import fractions as shares
 from tests.test_margin import asked
 
 START = jv.State(0.3, 0.1)
@@ -27,11 +23,11 @@ def scene(**changes):
 
 @pytest.fixture
 def ticking(monkeypatch):
-    """Makes the clock be a second later each time that it is read, from now on."""
+    """Return a function that makes the clock a second later each time that it is read, from then on."""
 
     def start():
         read = iter(range(1_000_000))
-        monkeypatch.setattr(computation_limits, "clock", lambda: float(next(read)))
+        monkeypatch.setattr("continuation.computation_limits.clock", lambda: float(next(read)))
 
     return start
 
@@ -44,7 +40,7 @@ def test_a_sweep_stops_between_chunks(tmp_path, ticking, monkeypatch):
     done = part["status"].values >= 0
     assert done.sum() == 32 and done[:32].all() and part.attrs["stopped"] == "max_seconds reached: 32 of 40 values done"
     assert np.array_equal(part["x"].values[:32], whole["x"].values[:32]) and np.isnan(part["x"].values[32:]).all()
-    monkeypatch.setattr(sweep_study, "BLOCK_WIDTH", 1)  # lanes of a chunk
+    monkeypatch.setattr("jaxvibro.attractors.sweep_study.BLOCK_WIDTH", 1)  # lanes of a chunk
     lanes = scene(damping=np.array([0.04, 0.05, 0.06]))
     store = jv.Store(tmp_path / "sweep.zarr", jv.LocalEngine(workers=1))
     ticking()
@@ -76,7 +72,9 @@ def test_a_spectrum_stops_between_values(tmp_path, ticking):
 
 
 def test_fractions_stop_between_values(ticking, monkeypatch):
-    monkeypatch.setattr(shares, "_compute_shock_size", lambda *given: 0.5)  # `least_shock` has its own test
+    monkeypatch.setattr(
+        "jaxvibro.surveys.fractions._compute_shock_size", lambda *given: 0.5
+    )  # `least_shock` has its own test
     values = [4.6, 4.65, 4.7]
     whole = jv.fractions(scene(), "amplitude", values[:2], 2, settle=100, shocks=8)
     ticking()
@@ -94,7 +92,7 @@ def test_fractions_stop_between_values(ticking, monkeypatch):
     assert np.isnan(part["least_shock"].values[1]).all()
 
 
-def test_the_least_shock_so_far_is_given(ticking):
+def test_the_least_shock_of_the_phases_that_are_done(ticking):
     attractors = jv.find_attractors(scene(), starts=60)
     few = {"shocks": 64, "phase": [0.0, 1.0]}
     whole = jv.least_shock(scene(), attractors, **few)
@@ -123,11 +121,11 @@ def test_starts_that_have_not_settled_in_time_are_unresolved(ticking):
 def empty(reason, amplitude=1.0):
     """A diagram without branches."""
     settings = {"max_period": 1, "seed": 0, "largest_step": 0.1}
-    return Diagram("frequency", (1.0, 2.0), scene(amplitude=amplitude), (), (), True, reason, settings)
+    return jv.Diagram("frequency", (1.0, 2.0), scene(amplitude=amplitude), (), (), True, reason, settings)
 
 
-def test_isolas_are_looked_for_an_order_of_walls_at_a_time(ticking, monkeypatch):
-    monkeypatch.setattr(isolas, "_solve_wall_order", lambda *given: ())
+def test_isolas_stop_between_orders_of_walls(ticking, monkeypatch):
+    monkeypatch.setattr("jaxvibro.branches.isolas._solve_wall_order", lambda *given: ())
     counts = []
     whole = jv.find_isolas(empty("all"), 1, 3, progress=counts.append)
     assert whole == () and whole.stopped == "" and counts[-1] == 9
@@ -137,8 +135,9 @@ def test_isolas_are_looked_for_an_order_of_walls_at_a_time(ticking, monkeypatch)
 
 
 def test_diagrams_in_a_store_stop_between_values(tmp_path, ticking, monkeypatch):
-    monkeypatch.setattr(diagrams_study, "seed_orbits_of_requests", lambda tasks: [()])
-    monkeypatch.setattr(diagrams_study, "run_exploration", lambda task, some: empty("all", float(task.scene.amplitude)))
+    monkeypatch.setattr("jaxvibro.branches.diagrams_study.seed_orbits_of_requests", lambda tasks: [()])
+    explored = "jaxvibro.branches.diagrams_study.run_exploration"
+    monkeypatch.setattr(explored, lambda task, some: empty("all", float(task.scene.amplitude)))
     task = scene(), "frequency", (1.0, 2.0), "amplitude", [1.0, 2.0, 3.0]
     store = jv.Store(tmp_path / "diagrams", jv.LocalEngine(workers=1))
     ticking()
@@ -155,34 +154,36 @@ def test_diagrams_in_a_store_stop_between_values(tmp_path, ticking, monkeypatch)
         jv.diagrams(*task, store=store, max_points=50)
 
 
-def test_a_placement_ends_where_its_time_is_over():
-    read = iter(range(100))
-    late = computation_limits.Limits(deadline=2.5, read_clock=lambda: float(next(read)))
-    last, _, virtual = place._follow_path_to_targets(asked(lambda change: False, 0.4), np.ones(1), late)
-    assert last.is_time_expired and last.fraction == 0.25 and not virtual  # of steps of 1, 0.5 and 0.25
-    assert (
-        place._failure_reason(last.fraction, virtual, (), last.is_time_expired)
-        == "the path to the targets ends after 0.25 of its length: max_seconds reached"
-    )
-
-
 @pytest.fixture(scope="module")
 def fold():
     orbit = jv.find_orbit(scene(amplitude=2.0), jv.State(0.9, -1.1))
     return jv.follow(orbit, "amplitude", (0.0, 6.0)).points("SN")[0]
 
 
-def test_the_first_place_is_the_scene_itself(fold, ticking):
+def test_a_placement_without_time_stays_at_the_scene(fold, ticking):
     ticking()
     part = jv.place(fold, None, fold.value + 0.1, {"damping": 0.05}, max_seconds=0.5)
-    assert (
-        not part.met
-        and part.why == "the path to the targets ends after 0 of its length: max_seconds reached"
-        and part.distance == 0.0
-    )
+    assert not part.met and part.distance == 0.0
+    assert part.why == "the path to the targets ends after 0 of its length: max_seconds reached"
 
 
-def test_loci_of_a_family_end_where_the_time_is_over(fold, ticking):
+def test_a_placement_stops_between_steps():
+    """One free parameter, whose change is the value, up to 0.4: steps of 1, 0.5 and 0.25."""
+
+    def sloped(places):
+        return places.copy(), np.ones((len(places), 1, 1))
+
+    read, none = iter(range(100)), np.zeros(1)
+    late = computation_limits.Limits(deadline=2.5, read_clock=lambda: float(next(read)))
+    bounds = none - np.inf, none + 0.4
+    problem = place._PlacementProblem(("damping",), none + 1.0, none, *bounds, sloped, lambda change: [])
+    last, _, virtual = place._follow_path_to_targets(problem, np.ones(1), late)
+    assert last.is_time_expired and last.fraction == 0.25 and not virtual
+    reason = place._failure_reason(last.fraction, virtual, (), last.is_time_expired)
+    assert reason == "the path to the targets ends after 0.25 of its length: max_seconds reached"
+
+
+def test_loci_of_a_family_stop_in_time(fold, ticking):
     task = fold, ("amplitude", "frequency"), {"amplitude": (0.0, 8.0), "frequency": (1.8, 2.4)}, "damping"
     is_refused(lambda **more: jv.family(*task, [0.05, 0.06], **more))
     whole = jv.family(*task, [0.05, 0.06])
@@ -199,7 +200,7 @@ def test_loci_of_a_family_end_where_the_time_is_over(fold, ticking):
     assert part[1] is None or part[1].reasons == part[0].reasons
 
 
-def test_rays_boundaries_and_points_near_an_orbit_are_as_many_as_time_is_for(ticking):
+def test_search_and_margin_stop_between_rays(ticking):
     one_wall = jv.make_scene(1.5, 1.7, 0.12, 0.6, (None, 0.8))
     free, bounds = {"amplitude": 0.5, "frequency": 0.2}, {"amplitude": (0.9, 1.9), "frequency": (1.5, 1.9)}
     task = one_wall, "GR", free, bounds, 60, 1
@@ -222,7 +223,7 @@ def test_rays_boundaries_and_points_near_an_orbit_are_as_many_as_time_is_for(tic
     assert len(part.points + part.others) <= 1
 
 
-def test_windows_of_period_adding_are_as_many_as_time_is_for(ticking):
+def test_period_adding_stops_between_windows(ticking):
     orbit = jv.find_orbit(jv.make_scene(6.0, 2.1, 1.2, 0.7, (None, 1.0)), jv.State(0.0, 0.0))
     (grazing,) = jv.follow(orbit, "amplitude", (6.0, 6.2), stop="GR").points("GR")
     is_refused(lambda **more: jv.period_adding(grazing, **more))
@@ -233,7 +234,7 @@ def test_windows_of_period_adding_are_as_many_as_time_is_for(ticking):
     assert whole.stopped == "" and len(whole.windows) == 3 and part.windows[0].found == whole.windows[0].found
 
 
-def test_a_manifold_ends_where_its_time_is_over(ticking):
+def test_a_manifold_stops_between_images(ticking):
     found = jv.find_orbits(scene(), 1, 64)
     saddle = next(one for one in found if one.label == "P111" and one.multipliers[0].real > 1)
     whole = jv.manifold(saddle, "unstable", 6.0, 0.0)
@@ -247,7 +248,7 @@ def test_a_manifold_ends_where_its_time_is_over(ticking):
     assert set(part["ended"].values.tolist()) >= {"max_seconds"}
 
 
-def test_times_that_cannot_be_are_refused():
+def test_invalid_times_are_refused():
     attractors, orbit = (), jv.find_orbit(jv.make_scene(1.5, 1.7, 0.12, 0.6, (None, 0.8)), jv.State(0.1, 0.2))
     calls = (
         lambda **more: jv.sweep(scene(), "amplitude", [1.0], START, **more),
@@ -272,25 +273,26 @@ def is_refused(call):
         call(max_seconds=-1.0)
 
 
-def test_a_sweep_in_a_scene_file_gives_the_values_that_are_done(ticking):
+def test_a_sweep_of_a_scene_file_stops_between_chunks(ticking):
     leg = {"name": "up", "from": 4.5, "to": 4.9, "start": {"x": 0.3, "v": 0.1}}
     table = {"parameter": "amplitude", "count": 40, "settle": 3, "keep": 2, "legs": [leg], "max_seconds": 1.5}
     ticking()
-    swept = scene_file_studies._run_sweep(scene(), msgspec.convert(table, SweepTable), False)
+    swept = _run_sweep(scene(), msgspec.convert(table, SweepTable), False)
     assert swept.sizes["step"] == 32 and swept.attrs["stopped"] == "max_seconds reached: 32 of 40 values done"
     for bad in (0, -1.0, np.nan, np.inf, "9", True):
         with pytest.raises(msgspec.ValidationError, match=r"max_seconds"):
             msgspec.convert(table | {"max_seconds": bad}, SweepTable)
 
 
-def test_loci_that_are_left_are_told(ticking, monkeypatch):
+def test_loci_that_are_not_done_are_listed(ticking, monkeypatch):
     points = [SimpleNamespace(kind="SN", scene=scene(amplitude=each)) for each in (1.0, 2.0, 3.0)]
     given = []
-    monkeypatch.setattr(loci_of_branches, "locus", lambda one, *rest, **more: given.append(more["max_seconds"]) or one)
-    monkeypatch.setattr(loci_of_branches, "passes_through_special", lambda *both: False)
+    home = "jaxvibro.loci.loci_of_branches"
+    monkeypatch.setattr(f"{home}.locus", lambda one, *rest, **more: given.append(more["max_seconds"]) or one)
+    monkeypatch.setattr(f"{home}.passes_through_special", lambda *both: False)
     task = [SimpleNamespace(special=points)], ("amplitude", "damping"), {"amplitude": (0.0, 9.0), "damping": (0.0, 1.0)}
     ticking()
-    found, refused = loci_of_branches.follow_loci(*task, max_seconds=3.5)
+    found, refused = follow_loci(*task, max_seconds=3.5)
     assert list(found) == points[:2] and refused == ((points[2], "max_seconds reached"),) and given == [1.5, 1e-9]
-    found, refused = loci_of_branches.follow_loci(*task)
+    found, refused = follow_loci(*task)
     assert list(found) == points and refused == () and given[2:] == [None] * 3

@@ -1,6 +1,4 @@
-"""Maps over parameters: each cell against a single run of it, by other routes; the same however it is cut."""
-
-from dataclasses import replace
+"""Maps over parameters: labels, carried motions, full size, pictures, `jaxvibro run` of a [map] and `jaxvibro show`."""
 
 import numpy as np
 import pytest
@@ -8,180 +6,110 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 import jaxvibro as jv
-from jaxvibro.output import label_codes
-from jaxvibro.output.label_codes import CHAOTIC, UNDECIDED, code_of, label_code_from_counts, label_of, period_of
+from jaxvibro.output.label_codes import CODE_RULE, UNDECIDED, code_of, label_code_from_counts, label_of, period_of
 from jaxvibro.plot.map import label_colour
+from jaxvibro.studies.command import main
 
-REST = jv.State(0.0, 0.0)
+from .scene_files import SCENE
 
-
-def walls(distance=1.0):
-    return jv.Wall(-distance), jv.Wall(distance)
-
-
-def figure_4():
-    return jv.make_scene(4.65, 2.1, 0.05, 0.7, walls())
-
-
-def single(scene, state=REST):
-    """(label's code, exponent, error) of one cell by `spectrum`: copies of the motion, impacts counted, of a motion
-    that rests without them."""
-    found = jv.spectrum(scene, "amplitude", [float(scene.amplitude)], state, error=1e-2, most=2**17)
-    n, rate, error = int(found["periods"][0]), float(found["exponent"][0, 0]), float(found["error"][0, 0])
-    if n:
-        hits = found["impacts_on"].values[0] * (found["rests"].values[0] == 0)
-        return int(label_code_from_counts(n, *np.rint(n * hits).astype(int))), rate, error
-    return (CHAOTIC if rate - 3.0 * error > 0.01 else UNDECIDED), rate, error
+FILE = f"""{SCENE}
+[map]
+parameters = ["amplitude", "frequency"]
+bounds = {{amplitude = [1.0, 6.0], frequency = [2.2, 3.4]}}
+count = [3, 4]
+"""
 
 
-def agree(found, cells):
-    """Holds every cell of a map against a single run of its scene; how many labels there are."""
-    seen = set()
-    for place, scene in cells.items():
-        mine, rate, error = (found[name].values[place] for name in ("label", "exponent", "exponent_error"))
-        code, known, unsure = single(scene)
-        if UNDECIDED not in (mine, code):
-            if code % label_codes.PERIODS_FACTOR == 0 and np.isneginf(known):
-                mine = label_codes.PERIODS_FACTOR * period_of(mine)
-            assert label_of(mine) == label_of(code), place
-            apart = abs(rate - known) if np.isfinite(known) or np.isfinite(rate) else 0.0
-            assert apart <= (1e-7 if code != CHAOTIC else 5.0 * (error + unsure)), place
-            seen.add(int(mine))
-    return len(seen)
+def figure_4(**changes):
+    return jv.make_scene(4.65, 2.1, 0.05, 0.7, (jv.Wall(-1.0), jv.Wall(1.0))).replace(**changes)
 
 
 def test_codes_and_labels():
     for label in ("P100", "P111", "P8-8-16", "P1-0-inf", "P32-998-0", "chaotic", "undecided", "not done"):
         assert label_of(code_of(label)) == label
     assert label_code_from_counts(3, 2, 998) == code_of("P3-2-998")
-    np.testing.assert_array_equal(period_of(np.array([code_of("P464"), CHAOTIC, UNDECIDED, -1])), [4, 0, 0, 0])
-    assert code_of("unresolved") == UNDECIDED
+    codes = np.array([code_of("P464"), code_of("chaotic"), UNDECIDED, -1])
+    np.testing.assert_array_equal(period_of(codes), [4, 0, 0, 0])
+    assert code_of("unresolved") == UNDECIDED and CODE_RULE.startswith("1000000 n")
 
 
-def test_cells_are_what_single_runs_find():
-    scene, amplitude, frequency = figure_4(), np.linspace(2.0, 6.0, 4), np.array([1.6, 2.0, 2.3, 3.5])
-    found = jv.map_parameters(scene, {"amplitude": amplitude, "frequency": frequency})
-    assert found["label"].dims == ("amplitude", "frequency")
-    cells = {
-        (i, j): scene.replace(amplitude=a, frequency=w)
-        for i, a in enumerate(amplitude)
-        for j, w in enumerate(frequency)
-    }
-    assert agree(found, cells) >= 4
-    assert found.attrs["damping"] == 0.05 and "amplitude" not in found.attrs
-    told = dict(zip(found["label"].attrs["flag_values"], found["label"].attrs["flag_meanings"].split(), strict=True))
-    assert told[code_of("P100")] == "P100" and set(told) == set(np.unique(found["label"]))
-    assert (found["status"] == 0).all()
-
-
-def scenes(seed):
-    """Random scenes: one wall or two, anywhere, each with its own R, moving or soft; damping past critical too."""
-    rng = np.random.default_rng(seed)
-    kinds = rng.permutation(["one", "two", "moving", "soft", "damped", "mixed"])
-    for kind in kinds:
-        left = jv.Wall(-rng.uniform(0.5, 1.5), rng.uniform(0.3, 0.9))
-        right = jv.Wall(rng.uniform(0.5, 1.5), rng.uniform(0.3, 0.9))
-        if kind in ("moving", "mixed"):
-            right = replace(right, motion=jv.Motion(rng.uniform(0.05, 0.3), rng.uniform(0, 6)))
-        if kind in ("soft", "mixed"):
-            left = jv.Wall(left.position, stiffness=rng.uniform(20, 500), damping=rng.uniform(0.1, 1.0))
-        damping = rng.uniform(1.1, 2.0) if kind == "damped" else rng.uniform(0.02, 0.3)
-        pair = (None, right) if kind == "one" else (left, right)
-        yield jv.make_scene(rng.uniform(1, 5), rng.uniform(1, 3), damping, 0.7, pair)
-
-
-def test_cells_of_random_scenes_are_what_single_runs_find():
-    seen = 0
-    for scene in scenes(25):
-        amplitude = np.sort(np.random.default_rng(1).uniform(0.5, 6.0, 4))
-        found = jv.map_parameters(scene, {"amplitude": amplitude})
-        seen += agree(found, {(k,): scene.replace(amplitude=a) for k, a in enumerate(amplitude)})
-    assert seen >= 8
+def test_labels_and_attributes_of_a_map():
+    grid = {"amplitude": np.linspace(2.0, 6.0, 4), "frequency": np.array([1.6, 2.0, 2.3, 3.5])}
+    data = jv.map_parameters(figure_4(), grid)
+    assert data["label"].dims == ("amplitude", "frequency") and len(np.unique(data["label"])) >= 4
+    assert data.attrs["damping"] == 0.05 and "amplitude" not in data.attrs
+    attributes = data["label"].attrs
+    meanings = dict(zip(attributes["flag_values"], attributes["flag_meanings"].split(), strict=True))
+    assert meanings[code_of("P100")] == "P100" and set(meanings) == set(np.unique(data["label"]))
+    assert (data["status"] == 0).all()
 
 
 def test_complete_chatter_has_its_label():
     scene = jv.make_scene(1.0, 0.2, 0.05, 0.6, (None, jv.Wall(0.2)))
-    found = jv.map_parameters(scene, {"frequency": [0.2, 0.22]}, quantities=("label", "period"))
-    known = [jv.find_attractors(scene.replace(frequency=w), 20)[0].label for w in (0.2, 0.22)]
-    assert [label_of(int(code)) for code in found["label"]] == known == ["P1-0-inf"] * 2
-    assert found["period"].values.tolist() == [1, 1]
+    data = jv.map_parameters(scene, {"frequency": [0.2, 0.22]}, quantities=("label", "period"))
+    expected = [jv.find_attractors(scene.replace(frequency=w), 24)[0].label for w in (0.2, 0.22)]
+    assert [label_of(int(code)) for code in data["label"]] == expected == ["P1-0-inf"] * 2
+    assert data["period"].values.tolist() == [1, 1]
 
 
-def test_any_cut_gives_the_same_bits():
-    grid = {"frequency": np.linspace(1.6, 3.0, 7), "amplitude": np.linspace(4.0, 6.0, 5)}
-    one = jv.map_parameters(figure_4(), grid, quantities=("exponent", "state"))
-    for chunk in (1, 3, 12):
-        other = jv.map_parameters(figure_4(), grid, quantities=("exponent", "state"), chunk=chunk)
-        xr.testing.assert_identical(other, one)
+def test_a_carried_motion_shows_hysteresis():
+    grid = {"damping": [0.03, 0.05], "amplitude": np.linspace(3.0, 6.0, 13)}
+    data = jv.map_parameters(figure_4(frequency=2.8), grid, along="amplitude", quantities=("label",))
+    assert data["label"].dims == ("damping", "amplitude", "way")
+    assert (data["label"].sel(way=1) != data["label"].sel(way=-1)).any()
+    first = jv.map_parameters(figure_4(frequency=2.8), {**grid, "damping": [0.03]}, along="amplitude")
+    np.testing.assert_array_equal(first["label"].values[0], data["label"].values[0])
 
 
-def test_a_carried_motion_is_the_sweeps():
-    scene, values = figure_4().replace(frequency=2.8), np.linspace(3.0, 6.0, 13)
-    grid = {"damping": [0.03, 0.05], "amplitude": values}
-    found = jv.map_parameters(scene, grid, along="amplitude", quantities=("label", "state"))
-    assert found["label"].dims == ("damping", "amplitude", "way")
-    apart = 0
-    for row, damping in enumerate(grid["damping"]):
-        for way in (1, -1):
-            mine = found.isel(damping=row).sel(way=way)
-            swept = jv.sweep(scene.replace(damping=damping), "amplitude", values[::way], REST, 400, 64)
-            last = swept["x"].values[::way, -1]
-            single_period = period_of(mine["label"].values) == 1
-            np.testing.assert_allclose(mine["x"].values[single_period], last[single_period], rtol=0, atol=1e-6)
-            apart += single_period.sum()
-    assert apart > 40
-    assert (found["label"].sel(way=1) != found["label"].sel(way=-1)).any()  # hysteresis
-    first = jv.map_parameters(scene, {"amplitude": values, "damping": [0.03]}, along="amplitude")
-    np.testing.assert_array_equal(first["label"].values[:, 0], found["label"].values[0])
-
-
-def test_random_starts_are_those_of_find_attractors():
-    scene = figure_4()
-    grid = {"amplitude": [4.65, 5.0]}
+def test_attractors_and_loads_of_random_starts():
     asked = ("label", "period", "exponent", "attractors", "loads")
-    found = jv.map_parameters(scene, grid, 60, asked, seed=3)
-    for k, amplitude in enumerate(grid["amplitude"]):
-        known = [one for one in jv.find_attractors(scene.replace(amplitude=amplitude), 60, 3) if one.share > 0]
-        mine = found.isel(amplitude=k, attractor=slice(len(known)))
-        assert sorted(map(label_of, mine["label"].values.tolist())) == sorted(one.label for one in known)
-        np.testing.assert_array_equal(np.sort(mine["share"]), np.sort([one.share for one in known]))
-        by_share = sorted(known, key=lambda one: (-one.share, code_of(one.label)))
-        off = abs(mine["exponent"].values - [one.exponent for one in by_share])
-        assert (off <= np.where(mine["period"].values > 0, 1e-8, 5.0 * mine["exponent_error"].values)).all()
-        here = scene.replace(amplitude=amplitude)
-        for place, one in enumerate(by_share):
-            if one.periods:
-                loads = jv.wall_loads(here, one.state, one.periods)
-                for name in ("largest_speed", "work_rate"):
-                    np.testing.assert_allclose(mine[name].values[place], loads[name], rtol=1e-6)
-        assert int(found["attractors"][k]) == len(known)
-        assert float(found["unresolved"][k]) == 0.0
-        assert found["share"].values[k, len(known) :].tolist() == [0.0] * (8 - len(known))
+    data = jv.map_parameters(figure_4(), {"amplitude": [4.65]}, 60, asked, seed=3).isel(amplitude=0)
+    attractors = [one for one in jv.find_attractors(figure_4(), 60, 3) if one.share > 0]
+    for place, one in enumerate(sorted(attractors, key=lambda one: (-one.share, code_of(one.label)))):
+        assert label_of(int(data["label"][place])) == one.label and abs(data["exponent"][place] - one.exponent) < 1e-8
+        loads = jv.wall_loads(figure_4(), one.state, one.periods)
+        for name in ("largest_speed", "work_rate"):
+            np.testing.assert_allclose(data[name].values[place], loads[name], rtol=1e-6)
+    assert data["share"].values[len(attractors) :].tolist() == [0.0] * (8 - len(attractors))
+    chaotic = jv.map_parameters(figure_4(), {"frequency": [1.6]}, 12, ("attractors",))  # all starts on one set
+    assert int(chaotic["attractors"][0]) == 1 and float(chaotic["share"][0, 0]) == 1.0
+    assert label_of(int(chaotic["label"][0, 0])) == "chaotic"
 
 
-def test_chaotic_starts_on_one_set_are_one_attractor():
-    found = jv.map_parameters(figure_4(), {"frequency": [1.6]}, 12, ("attractors",))
-    assert int(found["attractors"][0]) == 1
-    assert int(found["label"][0, 0]) == CHAOTIC and float(found["share"][0, 0]) == 1.0
-
-
-def test_a_store_is_gone_on_with(tmp_path):
-    grid, seen = {"frequency": np.linspace(1.6, 3.0, 6)}, []
-    whole = jv.map_parameters(figure_4(), grid, chunk=2)
-    kept = jv.map_parameters(figure_4(), grid, chunk=2, store=jv.Store(tmp_path / "map"), progress=seen.append)
-    xr.testing.assert_identical(kept, whole)
-    assert [one.done for one in seen] == [0, 2, 4, 6]
-    again = jv.map_parameters(figure_4(), grid, chunk=2, store=jv.Store(tmp_path / "map"), progress=seen.append)
-    xr.testing.assert_identical(again, whole)
-    assert seen[4:] == [seen[4]] and seen[4].done == 6
-    other = figure_4().replace(frequency=1.0)  # which the grid gives anyway
-    assert jv.map_parameters(other, grid, chunk=2, store=jv.Store(tmp_path / "map")).identical(whole)
+def test_a_store_of_another_scene_is_refused(tmp_path):
+    grid, reports, store = {"frequency": np.linspace(1.6, 3.0, 6)}, [], jv.Store(tmp_path / "map")
+    kept = jv.map_parameters(figure_4(), grid, chunk=2, store=store, progress=reports.append)
+    assert [report.done for report in reports] == [0, 2, 4, 6]
+    other = figure_4(frequency=1.0)  # which the grid gives anyway
+    assert jv.map_parameters(other, grid, chunk=2, store=store).identical(kept)
     with pytest.raises(jv.ArgumentError, match=r"scene differs; got 'damping = 0.05 stored, damping = 0.06"):
-        jv.map_parameters(figure_4().replace(damping=0.06), grid, chunk=2, store=jv.Store(tmp_path / "map"))
+        jv.map_parameters(figure_4(damping=0.06), grid, chunk=2, store=store)
+
+
+@pytest.mark.parametrize("side", [8, 1000])
+def test_a_map_over_the_plane_of_figure_4(side, tmp_path):
+    """Hardly a cell is undecided; some are those of maps of one cell."""
+    grid = {"amplitude": np.linspace(0.5, 6.0, side), "frequency": np.linspace(1.5, 4.0, side)}
+    data = jv.map_parameters(figure_4(), grid, store=jv.Store(tmp_path / "map"))
+    assert (data["label"] == UNDECIDED).mean() < 0.02
+    for row, column in np.random.default_rng(25).integers(side, size=(8, 2)):
+        cell = {"amplitude": grid["amplitude"][[row]], "frequency": grid["frequency"][[column]]}
+        assert int(jv.map_parameters(figure_4(), cell)["label"][0, 0]) == int(data["label"][row, column])
+
+
+@pytest.mark.parametrize("side", [20, 10_000])
+def test_basins_of_very_many_starts(side, tmp_path):
+    attractors = jv.find_attractors(figure_4())
+    axes = np.linspace(-1.0, 1.0, side), np.linspace(-3.0, 3.0, side)
+    data = jv.basins(figure_4(), *axes, 0.0, attractors, store=jv.Store(tmp_path / "basins"))
+    assert (data["label"] == -1).mean() < 1e-3
+    few = jv.basins(figure_4(), *(axis[:: side // 20] for axis in axes), 0.0, attractors)
+    np.testing.assert_array_equal(few["label"], data["label"][:: side // 20, :: side // 20])
+    assert abs(data["fraction"] - few["fraction"]).max() < 0.1
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "rule"),
     [
         ({"grid": {}}, "grid: must be a mapping {name: values}"),
         ({"grid": {"omega": [1.0]}}, "omega: is not a parameter of this scene, perhaps frequency"),
@@ -198,34 +126,137 @@ def test_a_store_is_gone_on_with(tmp_path):
         ({"chunk": 0}, "chunk: must be a whole number"),
     ],
 )
-def test_what_cannot_be_is_refused(change, told):
-    with pytest.raises(jv.ArgumentError, match=told):
+def test_invalid_arguments_are_refused(change, rule):
+    with pytest.raises(jv.ArgumentError, match=rule):
         jv.map_parameters(figure_4(), **{"grid": {"frequency": [1.0, 2.0]}} | change)
 
 
-def drawn():
-    grid = {"amplitude": [1.0, 2.0, 3.0], "frequency": [1.5, 2.0]}
-    label = np.array([[code_of("P100"), code_of("P111")], [CHAOTIC, UNDECIDED], [code_of("P111"), -1]], np.int32)
-    data = {"label": (tuple(grid), label), "exponent": (tuple(grid), np.linspace(-1, 2, 6).reshape(3, 2))}
-    return xr.Dataset(data, grid, {"scene_file": ""})
-
-
 def test_picture_of_a_map():
-    ax = jv.plot.map(drawn(), Figure().subplots())
+    grid = {"amplitude": [1.0, 2.0, 3.0], "frequency": [1.5, 2.0]}
+    names = [["P100", "P111"], ["chaotic", "undecided"], ["P111", "not done"]]
+    label = np.array([[code_of(name) for name in row] for row in names], np.int32)
+    values = {"label": (tuple(grid), label), "exponent": (tuple(grid), np.linspace(-1, 2, 6).reshape(3, 2))}
+    data = xr.Dataset(values, grid, {"scene_file": ""})
+    ax = jv.plot.map(data, Figure().subplots())
     assert ax.get_xlabel().startswith("drive frequency") and ax.get_ylabel().startswith("drive amplitude")
     assert ax.get_xlim() == (1.25, 2.25) and ax.get_ylim() == (0.5, 3.5)
     shown = ax.images[0].to_rgba(ax.images[0].get_array())
-    told = [text.get_text() for text in ax.get_legend().get_texts()]
-    assert told == ["P111", "not done", "undecided", "chaotic", "P100"]
+    texts = [text.get_text() for text in ax.get_legend().get_texts()]
+    assert texts == ["P111", "not done", "undecided", "chaotic", "P100"]
     assert len(np.unique(shown.reshape(-1, 4), axis=0)) == 5
     assert len({label_colour(code_of(f"P{n}{p}{q}")) for n in (1, 2, 3) for p in (0, 1, 2) for q in (0, 1)}) >= 12
     assert len({label_colour(code_of(f"P22{q}")) for q in range(2, 7)}) == 5
-    other = jv.plot.map(drawn(), Figure().subplots(), "exponent")
-    assert len(other.figure.axes) == 2
-    with pytest.raises(jv.ArgumentError, match="must be one of label, exponent"):
-        jv.plot.map(drawn(), quantity="period")
-    with pytest.raises(jv.ArgumentError, match="select from the others first"):
-        jv.plot.map(drawn().expand_dims(way=[1, -1]))
-    with pytest.raises(jv.ArgumentError, match="must be given a Dataset of map_parameters"):
-        jv.plot.map(xr.Dataset())
-    assert label_codes.CODE_RULE.startswith("1000000 n")
+    assert len(jv.plot.map(data, Figure().subplots(), "exponent").figure.axes) == 2
+    for wrong, quantity, rule in (
+        (data, "period", "must be one of label, exponent"),
+        (data.expand_dims(way=[1, -1]), "label", "select from the others first"),
+        (xr.Dataset(), "label", "must be given a Dataset of map_parameters"),
+    ):
+        with pytest.raises(jv.ArgumentError, match=rule):
+            jv.plot.map(wrong, quantity=quantity)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("map")
+    (folder / "map.toml").write_text(FILE)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def result(folder):
+    return jv.run(folder / "map.toml", folder / "out")
+
+
+def test_files_of_a_run_and_a_second_run(folder, result):
+    out = folder / "out"
+    assert {file.name for file in out.iterdir()} - {"map.png"} == {"map.map.png", "map.txt", "map.zarr"}
+    assert set(result.summary["files"]) == {"table", "map", "store"}
+    data = jv.load_store(out / "map.zarr")
+    codes, counts = np.unique(data["label"], return_counts=True)
+    assert result.summary["map"] == {label_of(code): count for code, count in zip(codes, counts, strict=True)}
+    assert "map over amplitude and frequency: 3 x 4 cells" in result.table and "largest exponent: " in result.table
+    lines = {line.split()[0]: line.split()[1:] for line in result.table.splitlines() if line.startswith("P")}
+    assert {name: int(row[0]) for name, row in lines.items()} == result.summary["map"]
+    assert data.attrs["chunks"] == data.attrs["chunks_done"] == 1
+    grid = {name: data[name].values for name in ("amplitude", "frequency")}
+    np.testing.assert_array_equal(jv.map_parameters(jv.load_scene(folder / "map.toml"), grid)["label"], data["label"])
+    with pytest.raises(FileExistsError, match=r"map\.map\.png already exists|map\.txt already exists"):
+        jv.run(folder / "map.toml", out)
+    for name in ("map.map.png", "map.txt"):  # a run that was killed has not written them
+        (out / name).unlink()
+    mark = out / "map.zarr" / "done" / "c" / "0"
+    before = mark.stat().st_mtime_ns
+    assert jv.run(folder / "map.toml", out).table == result.table
+    assert mark.stat().st_mtime_ns == before
+    with pytest.raises(jv.ArgumentError, match="differs"):
+        jv.run(folder / "map.toml", out, ["damping=0.1"], force=True)
+
+
+def test_show(folder, result, capsys):
+    store, picture = str(folder / "out" / "map.zarr"), folder / "out" / "map.png"
+    assert main(["show", store, "--data", str(folder / "all.nc")]) == 0
+    text = capsys.readouterr().out
+    assert "1 of 1 chunks are done" in text and "P111" in text and picture.read_bytes().startswith(b"\x89PNG")
+    kept, plain = jv.load_data(folder / "all.nc"), jv.load_store(store)
+    for name in plain.variables:
+        np.testing.assert_array_equal(kept[name], plain[name])
+    for more, error in (
+        ([store], f"jaxvibro: {picture} already exists; force overwrites it\n"),
+        ([str(folder / "missing.zarr")], f"jaxvibro: {folder / 'missing.zarr'}: Not a directory\n"),
+        ([store, "--units", "physical", "--force"], "scales"),
+    ):
+        assert main(["show", *more]) == 2
+        assert error in capsys.readouterr().err
+    assert main(["show", store, "--force", "--picture", str(folder / "other.png")]) == 0
+
+
+@pytest.mark.parametrize(
+    ("change", "rule"),
+    [
+        ('map.parameters=["amplitude", "amplitude"]', "map.parameters: must be two different parameters"),
+        ('map.parameters=["amplitude", "omega"]', "map.parameters[1]: must be a parameter of the scene, perhaps freq"),
+        ("map.bounds.frequency=[3.0, 2.0]", "map.bounds.frequency: must be [low, high]"),
+        ("map.bounds.damping=[0.1, 0.2]", "map.bounds: must give [low, high] for amplitude and for frequency only"),
+        ("map.count=[3, 0]", "map.count[1]: must be a whole number >= 1"),
+        ('map.quantities=["speed"]', "map.quantities: must be some of label, period"),
+        ('map.along="damping"', "map.along: must be a parameter of the grid (amplitude, frequency), or None"),
+        ("map.start={x=2.0, v=0.0}", "map.start.x: must lie between the walls"),
+        ("map.at={damp=1.0}", "map.at.damp: is not a parameter"),
+        ("map.colour=1", "map.colour: is not a key here"),
+    ],
+)
+def test_invalid_keys_of_a_file_are_refused(folder, tmp_path, capsys, change, rule):
+    assert main(["run", str(folder / "map.toml"), "--set", change, "--out", str(tmp_path)]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith(f"jaxvibro: {rule}"), error
+    assert error.count("\n") == 1 and list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("more", "rule"),
+    [
+        (["--engine", "local", "--scheduler", "tcp://there:1"], "scheduler: must not be given with the engine local"),
+        (["--workers", "0"], "workers: must be a whole number from 1 on"),
+        (["--engine", "slurm"], ""),
+    ],
+)
+def test_invalid_engines_of_a_run_are_refused(folder, tmp_path, capsys, more, rule):
+    assert main(["run", str(folder / "map.toml"), "--out", str(tmp_path), *more]) == 2
+    assert rule in capsys.readouterr().err
+
+
+def test_other_kinds_of_maps(folder, tmp_path):
+    changes = ['map.along="amplitude"', 'map.quantities=["label", "loads"]', "map.count=[5, 2]"]
+    table = jv.run(folder / "map.toml", tmp_path, changes).table
+    assert "each going up and down" in table and "work rate of the walls: " in table
+    changes = ["map.starts=12", 'map.quantities=["attractors"]', "map.count=[2, 2]"]
+    table = jv.run(folder / "map.toml", tmp_path / "many", changes).table
+    assert "of their attractors" in table and "attractors of a cell: " in table
+    one = jv.run(folder / "map.toml", tmp_path / "dask", engine=jv.DaskEngine(workers=1))
+    assert one.summary["map"]["P111"] > 0
+    more = ["map.count=[2, 2]", 'sweep.parameter="amplitude"', "sweep.count=5", "sweep.settle=10", "sweep.keep=5"]
+    leg = 'sweep.legs=[{name="up", from=1.0, to=2.0, start={x=0.0, v=0.0}}]'
+    jv.run(folder / "map.toml", tmp_path / "both", [*more, leg])
+    names = {file.name for file in (tmp_path / "both").iterdir()}
+    assert names == {"map.png", "map.nc", "map.txt", "map.map.png", "map.zarr"}

@@ -1,7 +1,9 @@
-"""Lyapunov exponents: exact ones, the sum that impacts and damping make, error bars that are honest, and refusals."""
+"""Lyapunov exponents and sweeps: closed forms, error estimates, batches, moved walls, tables, pictures, refusals."""
 
 from importlib import import_module
+from types import SimpleNamespace
 
+import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
@@ -10,11 +12,12 @@ from matplotlib.figure import Figure
 
 import jaxvibro as jv
 from jaxvibro.attractors.batch_means import standard_error
-from jaxvibro.attractors.chaotic_exponents import estimate_exponents
-from jaxvibro.scene.check import ArgumentError
+from jaxvibro.flight.wall_positions import adapt_to_moved_walls, wall_states
 from jaxvibro.scene.codes import Status
+from jaxvibro.studies.sweep_periods import NOT_SETTLED, find_motion_periods, find_sweep_stretches
+from jaxvibro.studies.sweep_report import sweep_lines
 from tests.reference import closed
-from tests.spectrum_proof import other
+from tests.reference.lyapunov import Oscillator, exponents
 from tests.test_rest import BY_HAND, NEAR, next_rest
 
 OMEGA, GAMMA = 2.1, 0.05
@@ -27,98 +30,75 @@ def scene(restitution=0.7, walls=(-1.0, 1.0), damping=GAMMA, frequency=OMEGA, am
 
 
 def exact(amplitude, restitution=0.7):
-    """The exponents of symmetric P111, in closed form."""
+    """Return the exponents of symmetric P111, in closed form."""
     orbit = closed.orbits(GAMMA, OMEGA, amplitude, restitution, 1.0, symmetric=True)[0]
     pair = closed.multipliers(GAMMA, OMEGA, amplitude, restitution, orbit, symmetric=True)
     return sorted((float(np.log(float(abs(one)))) if one else -np.inf for one in pair), reverse=True)
 
 
-def test_orbits_have_the_logarithms_of_their_multipliers():
+def test_exponents_of_orbits_in_closed_form():
     starts = jv.State(x=np.array([0.0, 0.9, 0.9]), v=np.array([0.0, -1.1, -1.1]))
-    found = jv.spectrum(scene(), "amplitude", [1.0, 2.0, 3.5], starts)
-    assert abs(found.exponent[0] + GAMMA * LENGTH).max() < 1e-14  # P100
-    assert abs(found.exponent[1] - exact(2.0)).max() < 1e-12
-    assert abs(found.exponent[2] - exact(3.5)).max() < 1e-12
-    assert list(found.periods) == [1, 1, 1] and list(found["count"]) == [1, 1, 1]
-    assert found.impacts_on.values.tolist() == [[0, 0], [1, 1], [1, 1]]
-    assert found.error.max() < 1e-12 and (found.status == 0).all()
+    data = jv.spectrum(scene(), "amplitude", [1.0, 2.0, 3.5], starts)
+    for place, expected in enumerate(([-GAMMA * LENGTH] * 2, exact(2.0), exact(3.5))):  # P100, P111, P111
+        assert abs(data.exponent[place] - expected).max() < 1e-12
+    assert list(data.periods) == [1, 1, 1] and list(data["count"]) == [1, 1, 1]
+    assert data.impacts_on.values.tolist() == [[0, 0], [1, 1], [1, 1]]
+    assert data.error.max() < 1e-12 and (data.status == 0).all()
 
 
-def test_longer_orbits():
-    """P112 and what it has become after doubling, against the product of the strobe's derivatives."""
-    values = [4.8, 5.2]
-    found = jv.spectrum(scene(), "amplitude", values, START)
-    for value, n, rates in zip(values, found.periods.values.tolist(), found.exponent.values, strict=True):
-        assert n > 1
-        here, state = scene(amplitude=value), START
-        for _ in range(10):
-            state, _ = jv.strobe(here, state, periods=100)
-        pair = np.linalg.eigvals(jv.monodromy(here, state, periods=n))
-        assert abs(rates[0] - np.log(abs(pair)).max() / n) < 1e-6
-
-
-def test_the_sum_is_what_impacts_and_damping_leave():
-    walls = (jv.Wall(-1.0, restitution=0.7), jv.Wall(1.0, restitution=0.72))
-    found = jv.spectrum(scene(walls=walls), "amplitude", [2.0, 8.0, 10.0], START, error=0.02, most=1)
-    left, right = found.impacts_on.values.T
-    assert (found["count"] > 8000).any()
-    off = found.exponent.sum("order").values + 2 * GAMMA * LENGTH - 2 * (np.log(0.7) * left + np.log(0.72) * right)
-    assert abs(off).max() < 1e-12
-    assert (found.exponent[:, 0] >= found.exponent[:, 1]).all()
-
-
-def test_a_wall_that_takes_all_speed():
+def test_a_wall_without_rebound():
     """One multiplier is 0, the other the limit of that for small R. At A = 4 a wall holds the mass for a while."""
-    found = jv.spectrum(scene(0.0), "amplitude", [2.0, 4.0], START)
-    assert abs(found.exponent[0, 0] - exact(2.0, 1e-9)[0]) < 1e-7 and np.isneginf(found.exponent[0, 1])
-    assert np.isneginf(found.exponent[1]).all()
-    assert (found.status == 0).all() and (found.impacts == 2).all() and found.error.max() < 1e-12
+    data = jv.spectrum(scene(0.0), "amplitude", [2.0, 4.0], START)
+    assert abs(data.exponent[0, 0] - exact(2.0, 1e-9)[0]) < 1e-7 and np.isneginf(data.exponent[0, 1])
+    assert np.isneginf(data.exponent[1]).all()
+    assert (data.status == 0).all() and (data.impacts == 2).all() and data.error.max() < 1e-12
 
 
-def test_without_losses_the_exponents_are_opposite():
-    """At these amplitudes there is no chaos from this start: a shear alone, which the error allows for."""
-    lossless = scene(1.0, damping=0.0)
-    found = jv.spectrum(lossless, "amplitude", [0.0, 0.8, 3.2], START, error=0.02, most=1)
-    assert abs(found.exponent.sum("order")).max() < 1e-15
-    assert (abs(found.exponent[:2, 0]) < 3 * found.error[:2, 0]).all() and found.exponent[2, 0] > 0.3
+def test_sums_of_chaotic_motions():
+    """Without losses the exponents are opposite: at 0 and 0.8 a shear alone, which the error allows for."""
+    short = {"state": START, "error": 0.02, "most": 1}
+    walls = (jv.Wall(-1.0, restitution=0.7), jv.Wall(1.0, restitution=0.72))
+    data = jv.spectrum(scene(walls=walls), "amplitude", [2.0, 8.0, 10.0], **short)
+    left, right = data.impacts_on.values.T
+    assert (data["count"] > 8000).any() and (data.exponent[:, 0] >= data.exponent[:, 1]).all()
+    off = data.exponent.sum("order").values + 2 * GAMMA * LENGTH - 2 * (np.log(0.7) * left + np.log(0.72) * right)
+    assert abs(off).max() < 1e-12
+    lossless = jv.spectrum(scene(1.0, damping=0.0), "amplitude", [0.0, 0.8, 3.2], **short)
+    assert abs(lossless.exponent.sum("order")).max() < 1e-15
+    assert (abs(lossless.exponent[:2, 0]) < 3 * lossless.error[:2, 0]).all() and lossless.exponent[2, 0] > 0.3
 
 
-def test_a_mass_that_rests_forgets_all():
+def test_a_mass_that_sticks_forgets_its_start():
+    """The growth between sticking phases, against the moment of sticking by brute force (test_rest)."""
     chatter = jv.make_scene(0.3, 0.5, 0.1, 0.6, (None, -1.0))
-    found = jv.spectrum(chatter, "amplitude", [0.3, 0.2], jv.State(-1.2, 0.3))
-    assert np.isneginf(found.exponent).all() and (found.error == 0).all() and (found.status == 0).all()
-    assert (found.rests == 0).all() and np.isnan(found.between).all()  # pressed on all the time
-
-
-def test_the_rests_of_a_period_and_the_growth_between_them_are_told():
-    """Against the moment of rest by brute force (test_rest)."""
-    hopping = jv.make_scene(1.5, 0.5, 0.1, 0.6, (None, -1.0))
-    found = jv.spectrum(hopping, "amplitude", [0.3, 1.5], jv.State(-1.2, 0.0))
-    assert found.rests.values.tolist() == [0.0, 1.0] and np.isneginf(found.exponent).all()
+    data = jv.spectrum(chatter, "amplitude", [0.3, 0.2], jv.State(-1.2, 0.3))
+    assert np.isneginf(data.exponent).all() and (data.error == 0).all() and (data.status == 0).all()
+    assert (data.rests == 0).all() and np.isnan(data.between).all()  # pressed on all the time
+    data = jv.spectrum(chatter, "amplitude", [0.3, 1.5], jv.State(-1.2, 0.0))
+    assert data.rests.values.tolist() == [0.0, 1.0] and np.isneginf(data.exponent).all()
     growth, span = next_rest(*BY_HAND[0])
-    assert abs(float(found.between[1]) * span / (4 * np.pi) - np.log(growth)) < NEAR and found.between[1] > 0
-    assert found.between.attrs["units"] == found.rests.attrs["units"] == "per drive period"
+    assert abs(float(data.between[1]) * span / (4 * np.pi) - np.log(growth)) < NEAR and data.between[1] > 0
+    assert data.between.attrs["units"] == data.rests.attrs["units"] == "per drive period"
 
 
 def test_no_wall_any_damping():
     free = scene(walls=(None, None))
-    found = jv.spectrum(free, "damping", [0.0, 0.2, 2.0], jv.State(0.3, 0.1), settle=100)
+    data = jv.spectrum(free, "damping", [0.0, 0.2, 2.0], jv.State(0.3, 0.1), settle=100)
     fast, slow = 2.0 + 3.0**0.5, 2.0 - 3.0**0.5
     true = np.array([[0.0, 0.0], [-0.2, -0.2], [-slow, -fast]]) * LENGTH
-    assert abs(found.exponent[0]).max() < 1e-7  # where it recurs M is the identity: a root of rounding is left
-    assert abs(found.exponent - true)[1:].max() < 1e-10 and (found.impacts == 0).all()
+    assert abs(data.exponent[0]).max() < 1e-7  # where it recurs M is the identity: a root of rounding is left
+    assert abs(data.exponent - true)[1:].max() < 1e-10 and (data.impacts == 0).all()
 
 
 def test_walls_shaken_together_are_another_drive():
-    """z = x - x_b feels A - B (1 - omega^2 + 2 i gamma omega) in place of A."""
-    swing = 0.2
+    """z = x - x_b has the drive A - B (1 - omega^2 + 2 i gamma omega) in place of A."""
+    swing, values = 0.2, np.array([3.2, 3.5])
     moving = [jv.Wall(place, motion=jv.Motion(swing)) for place in (-1.0, 1.0)]
     shift = swing * (1 - OMEGA**2 + 2j * GAMMA * OMEGA)
-    values = np.array([3.2, 3.5])
-    found = jv.spectrum(scene(walls=moving), "amplitude", values, START)
+    data = jv.spectrum(scene(walls=moving), "amplitude", values, START)
     still = jv.spectrum(scene(), "amplitude", abs(values - shift), START)
-    assert abs(found.exponent - still.exponent.values).max() < 1e-9
-    assert (found.impacts.values == still.impacts.values).all() and (found.impacts > 0).all()
+    assert abs(data.exponent - still.exponent.values).max() < 1e-9
+    assert (data.impacts.values == still.impacts.values).all() and (data.impacts > 0).all()
 
 
 @pytest.fixture(scope="module")
@@ -129,15 +109,30 @@ def many():
     return jv.spectrum(scene(), "amplitude", np.full(24, 10.0), starts, error=1.0, most=30_000)
 
 
-def test_error_bars_are_honest(many):
+def test_errors_are_those_of_many_estimates(many):
     for k in range(2):
         rates, errors = many.exponent[:, k].values, many.error[:, k].values
         pulls = (rates - rates.mean()) / errors
         assert abs(pulls).max() < 4 and 0.6 < pulls.std() < 1.5
         assert errors.max() < 2 * errors.min()
+    assert many.periods.max() == 0
 
 
-def test_it_stops_by_its_errors_or_by_most(many):
+def test_exponents_of_chaos_by_another_method(many):
+    """Closed forms in NumPy, both tangents measured: chaotic and periodic motions."""
+    values, copies, periods = np.array([5.0, 5.95, 8.0, 10.0]), 64, 200
+    data = jv.spectrum(scene(), "amplitude", values, START, error=5e-3)
+    x, v = np.full(4 * copies, START.x), START.v + 1e-7 * np.random.default_rng(1).normal(size=4 * copies)
+    oscillator = Oscillator(np.repeat(values, copies), OMEGA, GAMMA, 0.7, (-1.0, 1.0))
+    growth, hits = exponents(oscillator, x, v, periods, 150)
+    growth, hits = growth.reshape(4, copies, 2), hits.reshape(4, copies)
+    errors = np.maximum(growth.std(axis=1, ddof=1) / copies**0.5, 1.0 / periods)
+    pulls = (data.exponent.values - growth.mean(axis=1)) / np.hypot(data.error.values, errors)
+    assert errors.max() < 0.025 and abs(pulls).max() < 4 and abs(data.impacts.values - hits.mean(axis=1)).max() < 0.04
+    assert abs(data.exponent[3].values - many.exponent.mean("amplitude").values).max() < 0.02
+
+
+def test_the_average_ends_by_its_errors_or_by_most(many):
     coarse = jv.spectrum(scene(), "amplitude", [10.0], START, error=8e-3)
     fine = jv.spectrum(scene(), "amplitude", [10.0], START, error=4e-3, most=2**20)
     short = jv.spectrum(scene(), "amplitude", [10.0], START, error=1e-4, most=50_000)
@@ -146,10 +141,9 @@ def test_it_stops_by_its_errors_or_by_most(many):
     for one in (coarse, fine, short):
         pulls = (one.exponent[0] - many.exponent.mean("amplitude")) / np.hypot(one.error[0], many.error[0] / 24**0.5)
         assert abs(pulls).max() < 4
-    assert many.periods.max() == 0
 
 
-def test_values_do_not_see_each_other():
+def test_values_do_not_depend_on_each_other():
     done = []
     both = jv.spectrum(scene(), "amplitude", [10.0, 2.0], START, error=0.05, most=1, progress=done.append)
     alone = jv.spectrum(scene(), "amplitude", [10.0], START, error=0.05, most=1)
@@ -158,81 +152,47 @@ def test_values_do_not_see_each_other():
     assert both.attrs["swept"] == "amplitude" and both.attrs["damping"] == GAMMA and both.exponent.attrs["units"]
 
 
-def test_what_settles_while_it_is_averaged_is_an_orbit(monkeypatch):
-    """Near the pitchfork at 3.5439 motions settle slowly; here they are given too little time."""
+def test_a_motion_that_settles_while_it_is_averaged_is_an_orbit(monkeypatch):
+    """Near the pitchfork at 3.5439 motions settle slowly; here they have too little time."""
     values, home = [2.0, 3.53], import_module("jaxvibro.attractors.spectrum")
-    patient = jv.spectrum(scene(), "amplitude", values, START)
+    patient, estimate = jv.spectrum(scene(), "amplitude", values, START), home.estimate_exponents
     monkeypatch.setattr(home, "FEW_ROUNDS", 1)
     monkeypatch.setattr(home, "MANY_ROUNDS", 1)
     averaged, done = [], []
-    monkeypatch.setattr(home, "estimate_exponents", lambda *given: averaged.append(given) or estimate_exponents(*given))
-    found = jv.spectrum(scene(), "amplitude", values, START, settle=0, progress=done.append)
+    monkeypatch.setattr(home, "estimate_exponents", lambda *given: averaged.append(given) or estimate(*given))
+    data = jv.spectrum(scene(), "amplitude", values, START, settle=0, progress=done.append)
     assert len(averaged) > 0 and done[-1] == 2
-    assert (found.periods == 1).all() and abs(found.exponent - patient.exponent).max() < 1e-9
+    assert (data.periods == 1).all() and abs(data.exponent - patient.exponent).max() < 1e-9
 
 
-def test_a_motion_without_end_has_no_exponents():
+def test_a_motion_with_too_many_impacts_has_no_exponents():
     narrow = scene(amplitude=0.0, damping=0.0, walls=(-0.01, 0.01))
-    found = jv.spectrum(narrow, "restitution", [1.0], jv.State(0.0, 10.0), settle=1)
-    assert np.isnan(found.exponent).all() and found.status == Status.CAP and found["count"] == 0
+    endless = jv.spectrum(narrow, "restitution", [1.0], jv.State(0.0, 10.0), settle=1)
+    assert np.isnan(endless.exponent).all() and endless.status == Status.CAP and endless["count"] == 0
     often = jv.spectrum(narrow, "restitution", [1.0], jv.State(0.0, 0.4), settle=1, most=1)
     assert np.isnan(often.exponent).all() and often.status == Status.FULL
 
 
 def correlated(blocks, copies, memory, seed=0):
-    """Numbers of variance 1 that remember: x = memory x + noise."""
-    rng, x, found = np.random.default_rng(seed), np.zeros(copies), []
+    """Return numbers of variance 1 with a memory: x = memory x + noise."""
+    rng, x, numbers = np.random.default_rng(seed), np.zeros(copies), []
     for _ in range(blocks + 100):
         x = memory * x + (1 - memory**2) ** 0.5 * rng.normal(size=copies)
-        found.append(x)
-    return np.stack(found[100:])
+        numbers.append(x)
+    return np.stack(numbers[100:])
 
 
 @pytest.mark.parametrize("memory", [0.0, 0.5, 0.9])
-def test_a_standard_error_knows_of_memory(memory):
+def test_a_standard_error_allows_for_memory_and_for_equal_copies(memory):
     true = ((1 + memory) / (1 - memory) / (2000 * 16)) ** 0.5
     assert abs(standard_error(16.0 * correlated(2000, 16, memory), 16) / true - 1) < 0.2
-
-
-def test_a_standard_error_sees_copies_that_are_one():
     one = correlated(2000, 1, 0.5)
-    true = (3 / 2000) ** 0.5
-    assert abs(standard_error(np.tile(one, 64), 1) / true - 1) < 0.35
+    assert abs(standard_error(np.tile(one, 64), 1) / (3 / 2000) ** 0.5 - 1) < 0.35
     assert standard_error(one[:4], 1) == np.inf
 
 
-@pytest.mark.parametrize(
-    "more, key, rule",
-    [
-        ({"name": "amplitud"}, "amplitud", "is not a parameter of this scene"),
-        ({"values": [1.0, np.nan]}, "amplitude", "must be finite; got nan at index"),
-        ({"values": []}, "amplitude", "at least one"),
-        ({"values": [[1.0, 2.0]]}, "amplitude", "must be a sequence of at least one value"),
-        ({"name": "frequency", "values": [1.0, 0.0]}, "frequency", "must be greater than 0; got 0.0 at index (1,)"),
-        ({"name": "right.position", "values": [3.0, 0.5]}, "state.x", "must lie between the walls"),
-        ({"state": jv.State(0.0, [0.0, 1.0, 2.0])}, "state.v", "must broadcast"),
-        ({"state": jv.State(np.inf, 0.0)}, "state.x", "must be finite; got inf"),
-        ({"state": (0.0, 0.0)}, "state", "must be a State"),
-        ({"settle": -1}, "settle", "must be a whole number from 0 on; got -1"),
-        ({"most": 0}, "most", "must be a whole number from 1 on; got 0"),
-        ({"error": 0.0}, "error", "must be greater than 0; got 0.0"),
-        ({"error": np.nan}, "error", "must be finite; got nan"),
-        ({"error": [1e-3, 2e-3]}, "error", "must be a real number"),
-        ({"scene": jv.make_scene}, "scene", "must be a single scene"),
-    ],
-)
-def test_refused_before_any_work(more, key, rule):
-    given = {"scene": scene(), "name": "amplitude", "values": [1.0, 2.0], "state": START} | more
-    if "scene" in more:
-        given["scene"] = scene(amplitude=np.array([1.0, 2.0]))
-    with pytest.raises(ArgumentError) as told:
-        jv.spectrum(**given, progress=pytest.fail)
-    assert told.value.key == key and rule in str(told.value)
-
-
 def drawn(exponent, error=0.0):
-    values = np.linspace(0.0, 6.0, len(exponent))
-    dims = ("amplitude", "order")
+    values, dims = np.linspace(0.0, 6.0, len(exponent)), ("amplitude", "order")
     numbers = {"exponent": (dims, np.array(exponent, float)), "error": (dims, np.full((len(exponent), 2), error))}
     return xr.Dataset(numbers, {"amplitude": values}, {"swept": "amplitude"})
 
@@ -245,7 +205,7 @@ def test_a_picture_of_both_exponents():
     assert list(first.get_ydata()[:3]) == [-0.1, 0.2, 0.3] and np.isnan(first.get_ydata()[3])
     assert np.isnan(second.get_ydata()[2]) and list(deep.get_xdata()) == [4.0]
     assert first.get_linestyle() != second.get_linestyle() and first.get_color() != second.get_color()
-    (shade,) = (one for one in ax.patches if one.get_label() == "_chaotic")
+    (shade,) = (patch for patch in ax.patches if patch.get_label() == "_chaotic")
     assert (shade.get_x(), shade.get_width()) == (1.0, 4.0)
     assert len(ax.collections) == 2 and "A = F" in ax.get_xlabel() and "drive period" in ax.get_ylabel()
     apart = drawn([[np.nan, np.nan], [0.2, -1.0], [-np.inf, -np.inf], [0.1, -np.inf], [0.1, -1.0]])
@@ -258,9 +218,157 @@ def test_a_picture_of_both_exponents():
     assert not doubtful.patches
 
 
-def test_against_another_method():
-    values = np.array([5.0, 5.95, 8.0, 9.5])
-    found = jv.spectrum(scene(), "amplitude", values, START, error=3e-3)
-    rates, errors, hits = other(values, START, periods=250, count=256)
-    pulls = (found.exponent.values - rates) / np.hypot(found.error.values, errors)
-    assert errors.max() < 0.012 and abs(pulls).max() < 4 and abs(found.impacts.values - hits).max() < 0.02
+def forced(amplitude, frequency, damping):
+    """Return x and v at phase 0 of the steady motion that meets no wall."""
+    d = (1 - frequency**2) ** 2 + (2 * damping * frequency) ** 2
+    return amplitude * (1 - frequency**2) / d, amplitude * 2 * damping * frequency**2 / d
+
+
+def test_hysteresis_of_two_legs():
+    """Up from rest the mass meets no wall until it grazes at A = sqrt(D), (8); down it keeps hitting far below."""
+    legs = np.stack([np.linspace(4.0, 1.0, 13), np.linspace(1.0, 4.0, 13)], axis=1)
+    starts, done = jv.State(x=np.array([0.9, 0.0]), v=np.array([-1.1, 0.0])), []
+    data = jv.sweep(scene(), "amplitude", legs, starts, settle=300, keep=8, chunk=5, progress=done.append)
+    assert done == [5, 10, 13] and data.x.dims == ("step", "lane", "period") and data.x.shape == (13, 2, 8)
+    assert data.amplitude.dims == ("step", "lane") and (data.amplitude.values == legs).all()
+    assert (data.status == 0).all()
+    grazing = np.hypot(1 - 2.1**2, 2 * 0.05 * 2.1)
+    x, v = forced(legs[:, 1], 2.1, 0.05)
+    calm = legs[:, 1] + 2 * 0.25 < grazing  # a step of A sets the mass swinging about the new motion
+    hits = legs[:, 1] > grazing
+    assert calm.sum() == 8 and hits.sum() == 3
+    off_x, off_v = (abs(part[:, 1].values - steady[:, None]) for part, steady in ((data.x, x), (data.v, v)))
+    assert off_x[calm].max() < 1e-11 and off_v[calm].max() < 1e-11 and off_x[hits].min() > 0.1
+    assert abs(data.x[:, 0].values - forced(legs[:, 0], 2.1, 0.05)[0][:, None]).min() > 0.1
+
+
+def test_batches_and_the_attributes_of_a_sweep():
+    """Lanes of the scene and of the state, on a wall's parameter; a parameter with lanes becomes a coordinate."""
+    lanes = scene(amplitude=np.array([0.5, 1.0, 3.0]), walls=(-3.0, jv.Wall(3.0, restitution=0.9)))
+    data = jv.sweep(lanes, "right.restitution", [0.9, 0.1], jv.State(x=0.1, v=[0.0, 0.1, 0.2]), settle=200, keep=2)
+    assert data.x.dims == ("right.restitution", "lane", "period") and data.x.shape == (2, 3, 2)
+    assert list(data.amplitude) == [0.5, 1.0, 3.0] and data.amplitude.dims == ("lane",)
+    expected = {"damping": 0.05, "left.position": -3.0, "walls": "left right", "restitution": 0.7, "phase": 0.0}
+    expected |= {"swept": "right.restitution"}
+    assert {key: data.attrs.get(key) for key in expected} == expected
+    assert not {"right.restitution", "left.restitution"} & data.attrs.keys()
+    assert data.x.attrs["units"] and data.v.attrs["units"]
+    x, v = forced(np.array([0.5, 1.0, 3.0]), 2.1, 0.05)
+    assert abs(data.x.values - x[:, None]).max() < 1e-10 and abs(data.v.values - v[:, None]).max() < 1e-10
+    values = [2.0, 3.0, 2.5]
+    single = jv.sweep(scene(), "amplitude", values, jv.State(x=0.3, v=2.0), settle=2, keep=3)
+    assert single.x.dims == ("amplitude", "period")
+    assert list(single.amplitude) == values and list(single.period) == [0, 1, 2]
+
+
+def test_a_lane_with_a_bad_status_restarts_and_no_other_lane_depends_on_it():
+    """1.0 bounces for ever between close walls: at most 1,000 impacts a period. At 0.5 it comes to rest."""
+    narrow = scene(amplitude=0.0, damping=0.0, walls=(-0.01, 0.01))
+    starts, values, few = jv.State(x=0.0, v=np.array([10.0, 0.02])), [1.0, 0.5, 1.0, 1.0], {"settle": 2, "keep": 3}
+    data = jv.sweep(narrow, "restitution", values, starts, **few)
+    assert data.status.values.tolist() == [[Status.CAP, 0], [0, 0], [0, 0], [0, 0]]
+    assert np.isnan(data.x[0, 0]).all() and np.isfinite(data.x[1:]).all() and np.isfinite(data.x[:, 1]).all()
+    calm = jv.sweep(narrow, "restitution", values, jv.State(0.0, np.array([0.01, 0.02])), **few)
+    assert (calm.x[:, 1].values == data.x[:, 1].values).all() and (calm.status == 0).all()
+    fresh = jv.sweep(narrow, "restitution", values[1:], starts, **few)
+    assert (fresh.x[:, 0].values == data.x[1:, 0].values).all()
+
+
+def test_a_wall_that_moves_over_the_mass_carries_it_along():
+    """A mass at rest with no drive: the wall pushes it from -0.2 to 0.4, and it rests there, pressed on."""
+    still = scene(amplitude=0.0, frequency=1.0, damping=0.5, restitution=0.0)
+    values = np.array([-0.2, 0.2, 0.4, -0.5])
+    data = jv.sweep(still, "left.position", values, jv.State(x=0.5, v=0.0), settle=20, keep=1)
+    assert (data.status == 0).all()
+    assert abs(data.x[:, 0] - [0.0, 0.2, 0.4, 0.0]).max() < 1e-12 and abs(data.v).max() < 1e-12
+
+
+def test_states_are_adapted_to_moving_walls():
+    moving = scene(walls=(-1.0, jv.Wall(1.0, motion=jv.Motion(0.25, phase=0.5, harmonic=2))))
+    (low, _), (high, velocity) = wall_states(moving, 1.3)
+    assert low == -1.0 and abs(high - (1.0 + 0.25 * np.cos(3.1))) < 1e-15
+    assert abs(velocity + 0.25 * 2 * 2.1 * np.sin(3.1)) < 1e-15
+    x, v = (jnp.array(a) for a in ([2.0, 0.3, 0.2, 0.2, -1.0], [3.0, 3.0, 3.0, 3.0, 1.0]))
+    kept = adapt_to_moved_walls(moving, jv.State(x, v, 1.3, jnp.array([0.0, 0.0, 2.0, 1.0, -1.0])))
+    assert np.allclose(kept.x, [high, 0.3, high, high, -1.0], rtol=0, atol=0)
+    assert np.allclose(kept.v, [3.0, 3.0, velocity, 3.0, 1.0], rtol=0, atol=0)
+    assert list(kept.contact) == [0.0, 0.0, 2.0, 0.0, -1.0]
+
+
+BOTH = [
+    ({"name": "amplitud"}, "amplitud", "is not a parameter of this scene"),
+    ({"values": [1.0, np.nan]}, "amplitude", "must be finite; got nan at index"),
+    ({"values": []}, "amplitude", "at least one"),
+    ({"values": 3.0}, "amplitude", "must be a sequence of at least one value"),
+    ({"values": ["1"]}, "values", "must be a real number or an array"),
+    ({"name": "frequency", "values": [1.0, 0.0]}, "frequency", "must be greater than 0; got 0.0 at index (1,)"),
+    ({"name": "restitution", "values": [0.5, 1.5]}, "restitution", "must lie between 0 and 1; got 1.5"),
+    ({"name": "left.motion.phase"}, "left.motion.phase", "is not a parameter of this scene"),
+    ({"name": "right.position", "values": [0.5, 3.0]}, "state.x", "must lie between the walls"),
+    ({"name": "right.position", "values": [2.0, -1.0]}, "right.position", "must lie to the right of left.position"),
+    ({"state": jv.State(np.inf, 0.0)}, "state.x", "must be finite; got inf"),
+    ({"state": jv.State(0.0, np.nan)}, "state.v", "must be finite; got nan"),
+    ({"settle": -1}, "settle", "must be a whole number from 0 on; got -1"),
+    ({"settle": True}, "settle", "must be a whole number"),
+]
+REFUSALS = {
+    jv.spectrum: [
+        *BOTH,
+        ({"values": [[1.0, 2.0]]}, "amplitude", "must be a sequence of at least one value"),
+        ({"state": jv.State(0.0, [0.0, 1.0, 2.0])}, "state.v", "must broadcast"),
+        ({"state": (0.0, 0.0)}, "state", "must be a State"),
+        ({"most": 0}, "most", "must be a whole number from 1 on; got 0"),
+        ({"error": 0.0}, "error", "must be greater than 0; got 0.0"),
+        ({"error": np.nan}, "error", "must be finite; got nan"),
+        ({"error": [1e-3, 2e-3]}, "error", "must be a real number"),
+        ({"scene": scene(amplitude=np.array([1.0, 2.0]))}, "scene", "must be a single scene"),
+    ],
+    jv.sweep: [
+        *BOTH,
+        ({"values": [[1.0, 2.0, 3.0]], "state": jv.State(np.array([0.5, 0.2]), 0.0)}, "state.x", "must broadcast"),
+        ({"keep": 0}, "keep", "must be a whole number"),
+        ({"chunk": 1.5}, "chunk", "must be a whole number"),
+    ],
+}
+
+
+@pytest.mark.parametrize(("call", "refusal"), [(call, row) for call, rows in REFUSALS.items() for row in rows])
+def test_invalid_arguments_are_refused_before_any_computation(call, refusal):
+    change, key, rule = refusal
+    given = {"scene": scene(), "name": "amplitude", "values": [1.0, 2.0], "state": START} | change
+    with pytest.raises(jv.ArgumentError) as caught:
+        call(**given, progress=pytest.fail)
+    assert caught.value.key == key and rule in str(caught.value)
+
+
+def swept(scene, values, settle, keep):
+    start = jv.State(np.array([0.5]), np.array([0.1]))
+    data = jv.sweep(scene, "amplitude", np.array(values)[:, None], start, settle, keep)
+    return data.rename(lane="leg").assign_coords(leg=["up"])
+
+
+def test_chaos_and_transients_of_a_sweep_are_distinguished():
+    """Between walls at 1 the motion is chaotic at 6; a linear response that decays like exp(-.015 t) has not settled
+    after 100 periods, and has after 400."""
+    chaotic = scene(amplitude=6.0)
+    data = swept(chaotic, [2.0, 5.6, 6.0], 300, 40)
+    assert find_motion_periods(data, chaotic, 300).ravel().tolist() == [1, 2, 0]
+    last = data.isel(step=-1, leg=0, period=-1)
+    end = jv.State(float(last["x"]), float(last["v"]))
+    assert jv.spectrum(chaotic, "amplitude", [6.0], end, 0, 0.05, 2**14).exponent[0, 0] > 0.1
+    linear = scene(amplitude=0.2, frequency=1.3, damping=0.015)
+    for settle, period in ((100, NOT_SETTLED), (400, 1)):
+        data = swept(linear, [0.2, 0.25], settle, 20)
+        assert find_motion_periods(data, linear, settle).ravel().tolist() == [period] * 2
+
+
+def test_the_words_of_a_table():
+    linear = scene(amplitude=0.2, frequency=1.3, damping=0.015)
+    data = swept(linear, [0.2, 0.25], 10, 6)
+    (one,) = find_sweep_stretches(data, linear, 10)  # too few periods were discarded to decide
+    assert one.periods == 0 and one.motion == "not settled" and one.count == 2
+    table = SimpleNamespace(parameter="amplitude", count=2, settle=10, keep=6)
+    result = SimpleNamespace(file=SimpleNamespace(sweep=table), scene=linear, swept=data, stretches=[one])
+    text = "\n".join(sweep_lines(result, "scene"))
+    assert "not settled: a transient: more periods must be discarded" in text and " -" not in text
+    assert text.splitlines()[2].split() == ["up", "0.2", "0.25", "2", "not", "settled"]
