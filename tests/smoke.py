@@ -28,10 +28,6 @@ SCRIPTS = {
     "cache": ("2",),
     "cascade": ("1", "50"),
     "codim2": ("tangent", "1"),
-    "compositions": ("1", "FOLDER"),
-    "cuda": None,  # needs a graphics card: imported alone
-    "degenerate": ("10",),
-    "energy": ("1000", "4"),
     "explore": ("fig4", "4", "1"),
     "files": ("flips", "2"),
     "fit": ("settled", "1"),
@@ -48,19 +44,14 @@ SCRIPTS = {
     "normal_forms": ("folds", "1"),
     "paper": ("1",),
     "place": ("1", "1"),
-    "rest": ("chatter", "2"),
-    "rest_slopes": ("first", "8"),
-    "sample": ("2",),
+    "rest": None,  # old names, until all groups of tests are merged
     "scenario": ("returns", "1"),
     "search": ("1",),
-    "slopes": ("first", "1"),
     "soft": ("strobe", "2", "FOLDER", "1"),
     "soft_force": ("1",),
     "soft_studies": ("exponents",),
     "spectrum": ("20", "720"),
-    "status": ("lanes", "10"),
     "stores": ("kill", "1"),
-    "tiers": ("maps", "10"),
     "trace": ("1",),
 }
 

@@ -18,9 +18,6 @@ PAIRS = {
 }
 
 
-MARKS = {"two moving walls": pytest.mark.slow}
-
-
 def amplitude(frequency, damping, far, swing=0j):
     """A at which the response touches a wall at far + Re(swing exp(i frequency t)).
 
@@ -42,7 +39,7 @@ def swing(name):
     return 0.1 * np.exp(0.3j) if "moving" in name else 0j
 
 
-@pytest.mark.parametrize("name", [pytest.param(name, marks=MARKS.get(name, pytest.mark.long)) for name in PAIRS])
+@pytest.mark.parametrize("name", PAIRS)
 def test_what_both_walls_feel_alike_is_an_ordinary_point(name):
     rng = np.random.default_rng(list(PAIRS).index(name))
     far, frequency, damping = rng.uniform((0.7, 1.6, 0.03), (1.5, 2.6, 1.3))

@@ -1,5 +1,5 @@
 """What is traced lowers for a graphics card, without the hints that a processor gets: this finds what cannot be told to
-one at all. `python -m tests.cuda_proof` runs on one."""
+one at all. Where there is a card, a map and studies on it are compared with those on the processor."""
 
 from functools import partial
 
@@ -22,9 +22,15 @@ from jaxvibro.orbits import orbit_from_impacts
 from jaxvibro.problem import grazing_contact, orbit_diagnostics
 from jaxvibro.problem.orbit_equations import continuation_problem
 from jaxvibro.problem.orbit_point import OrbitPoint
-from tests.cuda_proof import WALLS
 
-MARKS = {"two": (), "moving": pytest.mark.slow}
+WALLS = {
+    "none": (None, None),
+    "one": (None, 1.0),
+    "two": (-1.0, 1.0),
+    "moving": (jv.Wall(-1.5, 0.6), jv.Wall(1.0, 0.8, motion=jv.Motion(0.1, 0.3, 2))),
+    "soft": (jv.Wall(-1.5, stiffness=90.0, damping=1.0), jv.Wall(1.0, 0.8)),
+}
+TRACED_FOR_CPU = kernel_calls.is_traced_for_cpu
 LANES = jv.State(*(np.linspace(-0.5, 0.5, 16) * k for k in (1.0, 2.0, 0.0, 0.0)))
 
 
@@ -57,7 +63,7 @@ def strobes(state, walls):
     return end.x, end.v, impacts.speed, impacts.least_clearance
 
 
-@pytest.mark.parametrize("walls", [pytest.param(one, marks=MARKS.get(one, pytest.mark.long)) for one in WALLS])
+@pytest.mark.parametrize("walls", WALLS)
 def test_the_map_and_its_derivatives(walls):
     for function in (
         partial(strobes, walls=walls),
@@ -111,7 +117,7 @@ def spot():
     return OrbitPoint(2.0, *np.array([[0.4, 1.9], [1.5, 1.4], [1.0, -1.0]]), 1, 0.0, 0.0, 0.0)
 
 
-@pytest.mark.parametrize("walls", ["two", pytest.param("soft", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("walls", ["two", "soft"])
 def test_orbits_and_branches(walls):
     one = scene(walls)
     guess = orbit_from_impacts.padded_sequence(one, *spot()[1:4], 0.0, 1)
@@ -139,9 +145,7 @@ def carried(along, z):
     lowered(lambda z: augmented_systems.evaluate_problem.__wrapped__(task, z, along), z)
 
 
-@pytest.mark.parametrize(
-    ("kind", "walls"), [("PD", "two"), *(pytest.param("SN", one, marks=pytest.mark.long) for one in ("two", "soft"))]
-)
+@pytest.mark.parametrize(("kind", "walls"), [("PD", "two"), ("SN", "soft")])
 def test_loci(kind, walls):
     start = LocusStart(kind, "amplitude", scene(walls), spot())
     ((curve, z),) = problems_at_locus_start(start, ("amplitude", "left.position"))
@@ -155,3 +159,55 @@ def test_loci(kind, walls):
 def test_what_only_a_processor_can_is_found():
     with pytest.raises(NotImplementedError, match="schur"):
         lowered(jax.scipy.linalg.schur, jnp.eye(2))
+
+
+@pytest.fixture
+def devices():
+    """A card and the processor; what was traced for the tests above is dropped."""
+    if jax.default_backend() != "gpu":
+        pytest.skip("there is no graphics card")
+    with pytest.MonkeyPatch.context() as patch:
+        for module in (lane_blocks, lane_arithmetic, kernel_calls):
+            patch.setattr(module, "is_traced_for_cpu", TRACED_FOR_CPU)
+        jax.clear_caches()
+        yield jax.devices("gpu")[0], jax.devices("cpu")[0]
+
+
+def on_each(devices, function):
+    """Return what a function of a device returns on each."""
+    results = []
+    for device in devices:
+        with jax.default_device(device):
+            results.append(jax.device_get(function(device)))
+    return results
+
+
+@pytest.mark.parametrize("walls", WALLS)
+def test_a_card_maps_as_the_processor_does(walls, devices):
+    rng, count = np.random.default_rng(1), 100_000
+    numbers = rng.uniform(0.5, 4.0, count), rng.uniform(0.6, 3.0, count), rng.uniform(0.0, 0.4, count)
+    given = jv.make_scene(*numbers, 0.7, WALLS[walls])
+    state = jv.State(rng.uniform(-0.8, 0.8, count), rng.uniform(-2.0, 2.0, count))
+    (end, impacts), (true, others) = on_each(
+        devices, lambda device: jv.strobe(*jax.device_put((given, state), device), slots=4)
+    )
+    differ = (impacts.status != others.status) | (impacts.side != others.side).any(-1)
+    assert differ.mean() < 1e-4
+    apart = np.maximum(abs(end.x - true.x), abs(end.v - true.v)) / (1.0 + abs(true.v))
+    assert np.quantile(apart[~differ & np.isfinite(true.x)], 0.999) < 1e-9
+
+
+def test_studies_on_a_card_are_those_on_the_processor(devices):
+    def study(_):
+        given = jv.make_scene(2.0, 2.1, 0.05, 0.7, (-1.0, 1.0))
+        state, _ = jv.strobe(given, jv.State(0.9, -1.1))
+        slope = jax.grad(lambda x: jv.strobe(given, jv.State(x, -1.1))[0].x)(0.9)
+        branch = jv.follow(jv.find_orbit(given, state), "amplitude", (0.0, 6.0))
+        grid = {"amplitude": np.linspace(0.5, 6.0, 16), "frequency": np.linspace(1.5, 4.0, 16)}
+        cells = jv.map_parameters(given, grid)["label"].values
+        basins = jv.basins(given, np.linspace(-0.9, 0.9, 20), np.linspace(-2.0, 2.0, 20))["label"].values
+        return float(slope), [each.value for each in branch.special], np.append(cells, basins)
+
+    (slope, places, labels), (other, others, expected) = on_each(devices, study)
+    assert abs(slope - other) < 1e-12 and np.allclose(places, others, rtol=0, atol=1e-9)
+    assert np.mean(labels != expected) < 0.02

@@ -9,7 +9,6 @@ from mpmath import mp, mpf
 import jaxvibro as jv
 from jaxvibro.scene.codes import Status
 from jaxvibro.scene.typical_scales import is_driven
-from tests import degenerate_proof
 
 REST = -2.0  # contact of a mass that rests on the left wall
 PERIOD = 2.0 * np.pi
@@ -210,18 +209,6 @@ def test_what_has_decayed_below_the_smallest_length_is_at_rest():
         end, impacts = ended(scene, jv.State(size, -size))
         assert impacts.status == Status.OK
         assert max(map(abs, end[:2])) <= size
-
-
-def test_random_degenerate_lanes_end_where_they_may():
-    structure = degenerate_proof.Structure("polynomial", "r-")
-    counts, first = degenerate_proof.tried(np.random.default_rng(58), structure, 1024)
-    assert not counts.any(), first[:1]
-
-
-@pytest.mark.parametrize("structure", degenerate_proof.STRUCTURES, ids=lambda structure: structure.name)
-def test_random_degenerate_lanes_of_every_kind_end_where_they_may(structure):
-    counts, first = degenerate_proof.tried(np.random.default_rng(59), structure, 1024)
-    assert not counts.any(), first[:1]
 
 
 @pytest.mark.parametrize("bounce", [0.0, 0.5])

@@ -1,4 +1,4 @@
-"""Derivatives of the strobe: forward, reverse, of higher order, by every number, through impacts, rests and batches."""
+"""Derivatives of the map in special cases, and its monodromy matrix."""
 
 import jax
 import jax.numpy as jnp
@@ -8,7 +8,6 @@ from jax import lax
 
 import jaxvibro as jv
 from jaxvibro.flight.flow import fly
-from tests.slopes_proof import first_errors, higher_errors
 
 
 @pytest.fixture(scope="module")
@@ -29,21 +28,6 @@ def test_forward_and_reverse_agree_with_the_product(scene):
     product = jv.monodromy(scene, jv.State(*z))
     assert np.allclose(jax.jacfwd(end_of(scene))(z), product, rtol=0, atol=1e-13)
     assert np.allclose(jax.jacrev(end_of(scene))(z), product, rtol=0, atol=1e-13)
-
-
-def test_a_caller_s_vmap_and_jit_change_nothing(scene):
-    z = jnp.array([[0.9, -1.1], [0.1, 2.0], [-0.5, 0.3]])
-    slopes = jax.jit(jax.vmap(jax.jacrev(end_of(scene))))(z)
-    assert np.allclose(slopes, [jax.jacfwd(end_of(scene))(each) for each in z], rtol=0, atol=1e-12)
-
-
-def test_a_batch_given_as_arrays_sums_over_a_shared_number(scene):
-    x, v = jnp.array([0.9, 0.1, -0.5]), jnp.array([-1.1, 2.0, 0.3])
-
-    def total(amplitude):
-        return jnp.sum(jv.strobe(scene.replace(amplitude=amplitude), jv.State(x, v))[0].x)
-
-    assert np.isclose(jax.grad(total)(2.0), difference(total, 2.0), rtol=1e-7)
 
 
 def test_second_and_third_derivatives(scene):
@@ -127,11 +111,6 @@ def test_no_end_no_derivative_and_a_status(scene):
     assert np.isfinite(slope[0]) and np.isnan(slope[1])
 
 
-def test_slots_asked_for_do_not_matter(scene):
-    few = jax.jacfwd(lambda v: jv.strobe(scene, jv.State(0.9, v), slots=0)[0].x)(-1.1)
-    assert few == jax.jacfwd(lambda v: jv.strobe(scene, jv.State(0.9, v))[0].x)(-1.1)
-
-
 def test_a_loop_that_starts_from_a_constant_of_the_strobe_s(scene):
     # XLA's emitter aborts the process where a kernel and a loop share a constant
     def ends(x):
@@ -149,8 +128,34 @@ def test_the_contact_is_a_constant(scene):
     assert jax.grad(jax.grad(end))(-1.0) == 0
 
 
-def test_random_scenes_against_ball_arithmetic():
-    for (_, what), errors in first_errors(60, kinds={(1, 2)}).items():
-        assert np.all(errors < (1e-11 if what == "impacts" else 1e-12))
-    for errors in higher_errors(20, kinds={(0, None)}, ways=("rf",)).values():
-        assert np.all(errors[:, 0] < 1e-9)
+def test_two_periods_have_the_product_of_their_matrices(scene):
+    state = jv.State(0.9, -1.1)
+    later = jv.strobe(scene, state)[0]
+    both = jv.monodromy(scene, later) @ jv.monodromy(scene, state)
+    assert np.allclose(jv.monodromy(scene, state, periods=2), both, rtol=0, atol=1e-12)
+
+
+def test_the_matrix_of_a_free_oscillator():
+    free = jv.monodromy(jv.make_scene(1.0, 2.0, 0.0, 1.0, (None, None)), jv.State(0.3, 0.1))
+    assert np.allclose(free, [[-1.0, 0.0], [0.0, -1.0]], rtol=0, atol=1e-14)
+
+
+def test_the_matrix_is_zero_after_sticking_and_nan_without_an_end_or_slots(scene):
+    inelastic = jv.make_scene(3.0, 2.0, 0.1, 0.0, (None, 1.0))
+    assert np.array_equal(jv.monodromy(inelastic, jv.State(0.0, 1.0, -1.5)), np.zeros((2, 2)))
+    chatter = jv.make_scene(0.3, 0.5, 0.1, 0.6, (None, -1.0))
+    assert np.array_equal(jv.monodromy(chatter, jv.State(-1.2, 0.3)), np.zeros((2, 2)))
+    matrices = jv.monodromy(scene, jv.State(jnp.array([0.9, 2.0]), -1.1))
+    assert np.array_equal(np.isfinite(matrices).all((1, 2)), [True, False])
+    state = jv.State(0.0, 3.0)  # two impacts
+    assert np.all(np.isnan(jv.monodromy(scene, state, slots=1)))
+    assert np.allclose(jv.monodromy(scene, state, slots=2), jv.monodromy(scene, state), rtol=0, atol=1e-15)
+
+
+def test_the_matrix_cannot_be_differentiated_and_refuses_invalid_arguments(scene):
+    with pytest.raises(TypeError, match=r"differentiate jax\.jacfwd of strobe"):
+        jax.jacfwd(lambda x: jv.monodromy(scene, jv.State(x, 0.0)))(0.5)
+    with pytest.raises(jv.ArgumentError, match=r"^periods: must be a whole number"):
+        jv.monodromy(scene, jv.State(0.0, 0.0), periods=0)
+    with pytest.raises(jv.ArgumentError, match=r"^state: must be a State; got 0\.5$"):
+        jv.monodromy(scene, 0.5)

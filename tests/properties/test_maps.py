@@ -2,12 +2,15 @@
 
 from dataclasses import replace
 from functools import partial
+from itertools import pairwise
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 import jaxvibro as jv
+from jaxvibro.design.impact_chain_equations import ChainNodes
+from jaxvibro.design.impact_prediction import Impact, MotionPredictor
 from jaxvibro.maps.strobe_inverse import strobe_backward
 from jaxvibro.scene.codes import Status
 from tests import truths
@@ -349,7 +352,9 @@ def test_reversal(kind, scene, state):
 @of_batches
 def test_inverse(kind, scene, state):
     """The inverse map leads from the end of a period to its start, with losses too."""
-    scene = rebuild(scene, lambda wall: wall if wall.soft else replace(wall, restitution=np.maximum(wall.restitution, 0.2)))
+    scene = rebuild(
+        scene, lambda wall: wall if wall.soft else replace(wall, restitution=np.maximum(wall.restitution, 0.2))
+    )
     end, impacts = strobe(scene, state)
     keep, bound = decided(kind, scene, state, end, impacts)
     matrix = np.where(keep[:, None, None], np.asarray(jv.monodromy(scene, state, slots=SLOTS)), np.eye(2))
@@ -409,6 +414,36 @@ def test_return_map(kind, scene, state):
     bound = 10.0 * bound / np.minimum(1.0, np.where(keep, impacts.least_speed, 1.0)) ** 2
     times = impacts.time[lanes, second] - impacts.time[lanes, first]
     assert_close(keep, bound, (found.time, times), (found.velocity, expected))
+
+
+@of_numbers
+def test_impact_prediction(kind, number):
+    """Impacts predicted one by one, forward and backward, are those of the map, and so are clearances.
+
+    A clearance is negative where an impact was left out.
+    """
+    scene, state = kind.draw_single(number)
+    _, first = jax.device_get(jv.strobe(scene, replace(state, contact=0.0), periods=30, slots=64, clearance=True))
+    hit = np.flatnonzero(first.side)[:20]
+    if len(hit) < 10 or first.least_speed < 1e-2:
+        return
+    nodes = ChainNodes(first.side[hit].astype(float), 0.0 * hit, first.time[hit], first.speed[hit])
+    rows = np.array([nodes.sides, nodes.time_or_x, nodes.speed_or_v]).T
+    for way, expected in ((1, rows), (-1, rows[::-1])):
+        predictor = MotionPredictor(scene, state.phase, way)
+        for before, after in pairwise(expected):
+            (found,) = predictor.next_impacts(Impact(*before), expected[-1][1] + way, 1)
+            loss = before[2] / after[2] + after[2] / before[2] + 1.0 / min(before[2], after[2]) ** 2
+            growth = np.exp(2.0 * scene.damping * max(0.0, before[1] - after[1]))  # of roundings, backward
+            assert np.allclose(found, after, rtol=0, atol=1e-11 * loss * (1.0 + growth))
+        assert predictor.next_impacts(Impact(*expected[0]), expected[1][1] - 0.01 * way, 5) == []
+    predictor = MotionPredictor(scene, state.phase)
+    assert len(predictor.next_impacts(Impact(*rows[0]), rows[9, 1] + 1e-6, 20)) == 9
+    least, _, _ = predictor.min_clearances(nodes)
+    assert np.all(least > 0) and np.min(least) >= first.least_clearance - 1e-6
+    least, sides, when = predictor.min_clearances(ChainNodes(*(np.delete(each, 3) for each in nodes)))
+    assert least[2] < 0 and sides[2] == nodes.sides[3] and nodes.time_or_x[3] < when[2] < nodes.time_or_x[4]
+    assert np.all(np.delete(least, 2) > 0)
 
 
 @of_batches
