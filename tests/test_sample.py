@@ -14,20 +14,6 @@ def scene():
     return jv.make_scene(2.0, 2.1, 0.05, 0.7, (-1.2, 1.0))
 
 
-def test_whole_periods_are_strobes_whatever_times_lie_between(scene):
-    x = np.linspace(-1.1, 0.9, 5)[:, None]
-    start, period = jv.State(x, np.linspace(-2, 2, 4), 0.4), 2 * np.pi / 2.1
-    times = np.sort([*period * np.arange(4), 0.1, 0.2, 0.2, 3.3, 8.0])
-    state, status = jv.sample(scene, start, times)
-    assert state.x.shape == state.contact.shape == (5, 4, 9) and status.shape == (5, 4)
-    for periods in (1, 3):
-        end, _ = jv.strobe(scene, start, periods)
-        place = np.searchsorted(times, periods * period)
-        assert np.allclose(state.x[..., place], end.x, rtol=0, atol=1e-11)
-        assert np.allclose(state.v[..., place], end.v, rtol=0, atol=1e-11)
-    assert np.allclose(state.phase, 0.4 + 2.1 * times, rtol=1e-15)
-
-
 def test_a_long_way_in_one_stretch_is_as_many_strobes(scene):
     # damped much, so that an attractor is reached: 40 periods have far more impacts than one of 32
     far = scene.replace(damping=0.3, amplitude=4.0)

@@ -53,19 +53,6 @@ def test_times_and_speeds_of_impacts_have_derivatives(scene):
             assert np.allclose(slope, by_difference, rtol=0, atol=1e-8)
 
 
-def test_a_mass_at_rest_goes_with_its_wall():
-    # the spring presses it on the left wall, where it sticks at once: at the period's end x = x_b(T), v = v_b(T)
-    def end(position, swing, phase):
-        wall = jv.Wall(position, 0.0, motion=jv.Motion(swing, phase))
-        done, impacts = jv.strobe(jv.make_scene(0.1, 0.5, 0.1, 0.5, (wall, None)), jv.State(1.1, -1.0, -0.3), slots=32)
-        return done.x, done.v, impacts.status
-
-    x, v, _ = jax.jacfwd(end, argnums=(0, 1, 2))(1.0, 0.05, 0.4)
-    angle = -0.3 + 0.4
-    assert np.allclose(x, [1.0, np.cos(angle), -0.05 * np.sin(angle)], rtol=0, atol=1e-15)
-    assert np.allclose(v, [0.0, -0.5 * np.sin(angle), -0.5 * 0.05 * np.cos(angle)], rtol=0, atol=1e-15)
-
-
 def test_a_release_goes_with_the_drive():
     """At rest on the right wall until A cos(phase) = 1, then free: as `fly` from that phase on."""
 
@@ -79,26 +66,6 @@ def test_a_release_goes_with_the_drive():
         return fly(scene, jv.State(1.0, 0.0, phase), (2.0 * jnp.pi - 0.3 - phase) / 2.0)
 
     assert np.allclose(jax.jacfwd(released)(3.0), jax.jacfwd(flown)(3.0), rtol=0, atol=1e-12)
-
-
-def test_a_release_forgets_the_start_and_keeps_the_scene():
-    # sticks on a wall, is released, hits and is released again within a period: the last release counts
-    scene = jv.make_scene(3.0, 2.0, 0.1, 0.0, (None, 1.0))
-    names = ("amplitude", "frequency", "damping", "right.position")
-
-    @jax.jit
-    def end(numbers, x):
-        there = scene.replace(**dict(zip(names, numbers, strict=True)))
-        return jnp.stack([(done := jv.strobe(there, jv.State(x, 1.0, -1.5))[0]).x, done.v])
-
-    at = jnp.array([float(scene.parameter(name)) for name in names])
-    by_scene, by_x = jax.jit(jax.jacfwd(end, argnums=(0, 1)))(at, 0.0)
-    assert np.array_equal(by_x, [0.0, 0.0])
-    for k, step in enumerate(1e-6 * np.eye(4)):
-        assert np.allclose(by_scene[:, k], (end(at + step, 0.0) - end(at - step, 0.0)) / 2e-6, rtol=0, atol=1e-8)
-    curves = jax.jit(jax.jacfwd(jax.jacfwd(lambda a: end(at.at[0].set(a), 0.0))))(at[0])
-    slope = jax.jit(jax.jacfwd(lambda a: end(at.at[0].set(a), 0.0)))
-    assert np.allclose(curves, difference(slope, at[0], 1e-5), rtol=1e-6, atol=1e-7)
 
 
 def test_no_end_no_derivative_and_a_status(scene):

@@ -281,13 +281,16 @@ def test_semigroup(kind, scene, state):
 
 @of_batches
 def test_sample(kind, scene, state):
-    """`sample` gives at the end of a period what the map gives, whatever other times are asked for."""
+    """`sample` gives at the ends of periods what the map gives, whatever other times are asked for."""
     end, impacts = strobe(scene, state)
-    keep, bound = decided(kind, scene, state, end, impacts)
-    times = 2.0 * np.pi / scene.frequency[:, None] * np.array([0.0, 0.5, 1.0])
+    last, more = strobe(scene, end)
+    (keep, bound), (then, further) = decided(kind, scene, state, end, impacts), decided(kind, scene, end, last, more)
+    times = 2.0 * np.pi / scene.frequency[:, None] * np.array([0.0, 0.5, 1.0, 1.7, 2.0])
     states, _ = jv.sample(scene, state, times)
     assert_close(keep, bound, (states.x[:, 0], state.x), (states.v[:, 0], state.v))
     assert_close(keep, bound, (states.x[:, 2], end.x), (states.v[:, 2], end.v))
+    growing = bound * (1.0 + further / kind.tolerance)
+    assert_close(keep & then, growing, (states.x[:, 4], last.x), (states.v[:, 4], last.v))
 
 
 @jax.jit
@@ -378,7 +381,10 @@ def test_energy(kind, scene, state):
     def still(wall):
         return move(wall, wall.position, lambda b, *rest: (0.0 * b, *rest))
 
-    scene = rebuild(elastic(scene), still, sign=0.0)
+    def silent(term):
+        return replace(term, amplitude=0.0 * term.amplitude)
+
+    scene = rebuild(elastic(scene), still, drive=silent).replace(amplitude=0.0 * scene.amplitude)
     keep, start, count = between(scene, state), energy(scene, state), 0
     end = state
     for _ in range(5):
