@@ -13,7 +13,7 @@ from tests.properties.test_wild_scenes import fast
 from tests.wild import Grazing, Usual
 
 
-def test_what_turns_back_near_a_wall_is_given_up():
+def test_lanes_that_turn_back_near_a_wall_are_rejected():
     scene, start = Grazing().draw(np.random.default_rng(6), 1024)
     top = scene.right.position
     for far, given_up in ((1e-3, 0.0), (1e-8, 0.0), (1e-11, 1.0)):
@@ -34,7 +34,7 @@ def test_lanes_in_strips_are_those_in_blocks(count):
             np.testing.assert_array_equal(one, other[lanes])
 
 
-def test_the_tier_of_a_scene():
+def test_scenes_that_take_the_fast_path():
     scene = jv.make_scene(2.0, 2.1, 0.05, 0.7, (-1.0, 1.0))
     assert two_tier_strobe.has_fast_path(scene)
     single = jax.tree.map(jnp.float32, scene)
@@ -53,7 +53,7 @@ def test_the_tier_of_a_scene():
         jv.make_scene(1.5, 1.3, 0.2, 0.6, (None, None)),
     ],
 )
-def test_a_few_lanes_strobed_from_the_host_are_those_of_the_compiled_run(scene, monkeypatch):
+def test_a_few_lanes_on_the_host_agree_with_the_compiled_run(scene, monkeypatch):
     state = jv.State(np.array([0.1, -0.3, 0.35]), np.array([1.0, 2.0, -0.5]), np.zeros(3), np.zeros(3))
     for periods in (3, iterate.MAX_RECORDED_PERIODS + 2):
         found = []

@@ -77,7 +77,7 @@ def test_derivatives_and_lanes_of_a_kernel():
 
 
 @pytest.mark.parametrize("operation", ["gathered", "scattered", "sorted"])
-def test_a_vmap_that_brings_what_a_kernel_cannot_hold(operation):
+def test_a_vmap_that_adds_operations_without_a_kernel(operation):
     """Lanes that index an array each become a gather or scatter, which is compiled without the attribute."""
 
     def indexed(values, place):
@@ -115,7 +115,7 @@ def test_the_cost_of_an_operation_follows_xla():
 
 
 @pytest.mark.parametrize(("rows", "reads"), [(15, 15 + 2), (16, 16 + 16)])
-def test_what_many_operations_read_is_kept_in_memory(rows, reads):
+def test_a_value_that_many_operations_read_is_kept_in_memory(rows, reads):
     """XLA does not fuse an operation that one fusion would evaluate more than 15 times: it is stored, and read."""
 
     def horner(table, x):

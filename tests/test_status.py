@@ -27,7 +27,7 @@ print(jax.jit(lambda a, spent: call_as_kernel(carried, a, spent))(jnp.ones(4), j
 """
 
 
-def test_what_runs_lanes_on_keeps_the_status_of_those_that_are_given_up():
+def test_studies_keep_the_status_of_lanes_without_an_end():
     scene, start = Wild("rm", narrow=True).draw(np.random.default_rng(5), 256)
     status = np.asarray(jv.strobe(scene, start, slots=0)[1].status)
     assert 20 < (status == Status.CAP).sum() < 236
@@ -55,7 +55,7 @@ def test_a_start_that_is_tiny_beside_the_scene_ends_with_a_state():
         assert (np.abs(end.x) <= 2.0 * size).all()
 
 
-def test_an_operand_that_is_found_to_be_of_no_use_does_not_end_the_process():
+def test_an_unused_operand_does_not_end_the_process():
     done = subprocess.run([sys.executable, "-c", SPENT], capture_output=True, text=True, timeout=300, check=False)
     assert done.returncode == 0, done.stderr[-500:]
     assert done.stdout.split() == ["[8.", "8.", "8.", "8.]"]

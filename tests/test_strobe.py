@@ -39,7 +39,7 @@ def test_a_flight_that_stops_bending_before_a_wall_does_not_land_early():
 
 
 @pytest.mark.parametrize("swing", [None, 0.2])
-def test_the_least_clearance_of_a_flight_that_turns_back_from_both_walls_within_a_step(swing):
+def test_the_clearance_of_a_flight_that_turns_back_from_both_walls_within_a_step(swing):
     rng = np.random.default_rng(1)
     phase, pull, far = rng.uniform((1.0, 0.2, 1.0), (2.1, 0.6, 2.0), (60, 3)).T
     v = -0.4 * pull**2 / (2.0 * np.sin(phase))  # of A = 2 the pull changes by -2 sin(phase) t: v is zero twice soon
@@ -81,7 +81,7 @@ def test_start_on_a_wall_moving_in_rebounds_at_time_zero(scene):
     assert abs(landed.x - end.x) < 1e-13
 
 
-def test_start_on_a_wall_at_rest_is_decided_by_the_press():
+def test_a_start_at_rest_on_a_wall_is_decided_by_the_contact_force():
     # the press on the right wall is A cos(phase) - 1: negative, it leaves at once; positive, it waits for the release
     scene = jv.make_scene(0.5, 2.0, 0.1, 0.7, (None, 1.0))
     end, impacts = jv.strobe(scene, jv.State(1.0, 0.0), slots=4)
@@ -123,7 +123,7 @@ def test_complete_chatter_ends_at_rest():
     assert (more.status, more.count) == (1, impacts.count)
 
 
-def test_in_a_narrow_gap_a_mass_is_thrown_from_wall_to_wall_and_comes_to_rest_where_it_is_pressed():
+def test_chatter_between_the_walls_of_a_narrow_gap_ends_in_sticking():
     """What the force does to a flight across the gap is at most its work, 7 times the gap."""
     rng = np.random.default_rng(5)
     place, gap = np.repeat([0.0, 0.7, -2.0], 10), np.tile(10.0 ** -np.arange(3.0, 13.0), 3)
