@@ -365,9 +365,9 @@ def test_compositions(kind, number):
 
 def test_lanes_over_two_devices():
     """Compositions with `shard_map`, in a process that has two devices."""
-    numbers = [n for n in range(60) if draw("rigid", n)["control"] == "shard_map"][:2]
+    number = next(n for n in range(60) if draw("rigid", n)["control"] == "shard_map")
     line = "from tests.properties import test_transformations as t; import jax; assert len(jax.devices()) == 2; "
-    line += f"assert all(t.run(t.draw('rigid', n))['error'] <= 1 for n in {numbers})"
+    line += f"assert t.run(t.draw('rigid', {number}))['error'] <= 1"
     environment = {**os.environ, "JAX_ENABLE_X64": "1", "XLA_FLAGS": "--xla_force_host_platform_device_count=2"}
     root = Path(__file__).parents[2]
-    subprocess.run([sys.executable, "-c", line], cwd=root, env=environment, check=True, timeout=600)
+    subprocess.run([sys.executable, "-c", line], cwd=root, env=environment, check=True, timeout=1800)
