@@ -12,7 +12,7 @@ from benchmarks import harness, pictures
 from benchmarks.rows import Row, Topic, spread
 from benchmarks.sides import STATES, YARDSTICK
 from benchmarks.work import GAMMA, OMEGA, RESTITUTION, draw
-from tests import tiers_proof
+from tests.properties.test_wild_scenes import fast
 
 ROUNDS, REPEATS = 21, 1001
 LEAST = 20_000  # smallest number of maps in a timed call; smaller batches are mapped several times
@@ -118,7 +118,7 @@ def in_full(work):
     scene, state = work.given
     given_up = []
     for _ in range(work.periods):
-        given_up.append(np.mean(tiers_proof.lean(scene, state)[1]))
+        given_up.append(np.mean(fast(scene, state)[1]))
         state, _ = jaxvibro.strobe(scene, state, slots=0)
     return float(np.mean(given_up))
 

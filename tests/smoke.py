@@ -20,16 +20,6 @@ TEST_SECONDS = 8.0
 
 # The smallest case of each verification script; FOLDER is a temporary one.
 SCRIPTS = {
-    "compositions": ("1", "FOLDER"),
-    "cuda": None,  # needs a graphics card: imported alone
-    "degenerate": ("10",),
-    "energy": ("1000", "4"),
-    "rest": ("chatter", "2"),
-    "rest_slopes": ("first", "8"),
-    "sample": ("2",),
-    "slopes": ("first", "1"),
-    "status": ("lanes", "10"),
-    "tiers": ("maps", "10"),
 }
 
 

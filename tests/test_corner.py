@@ -18,9 +18,6 @@ PAIRS = {
 }
 
 
-MARKS = {"two moving walls": pytest.mark.slow}
-
-
 def amplitude(frequency, damping, far, swing=0j):
     """A at which the response touches a wall at far + Re(swing exp(i frequency t)).
 
@@ -42,8 +39,8 @@ def swing(name):
     return 0.1 * np.exp(0.3j) if "moving" in name else 0j
 
 
-@pytest.mark.parametrize("name", [pytest.param(name, marks=MARKS.get(name, pytest.mark.long)) for name in PAIRS])
-def test_what_both_walls_feel_alike_is_an_ordinary_point(name):
+@pytest.mark.parametrize("name", PAIRS)
+def test_a_grazing_of_both_walls_is_an_ordinary_point(name):
     rng = np.random.default_rng(list(PAIRS).index(name))
     far, frequency, damping = rng.uniform((0.7, 1.6, 0.03), (1.5, 2.6, 1.3))
     touch = grazing(PAIRS[name](far), frequency, damping)
@@ -61,7 +58,7 @@ def test_what_both_walls_feel_alike_is_an_ordinary_point(name):
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_along_one_walls_place_the_nearer_one_counts(seed):
+def test_along_the_position_of_a_wall_the_nearer_wall_counts(seed):
     rng = np.random.default_rng(seed)
     far, frequency, damping = rng.uniform((0.7, 1.6, 0.03), (1.5, 2.6, 1.3))
     touch, size = grazing((-far, jv.Wall(far, 0.55)), frequency, damping), amplitude(frequency, damping, 1.0)
@@ -106,7 +103,7 @@ def test_a_locus_goes_on_along_the_other_wall_from_where_it_meets_it():
         assert np.allclose(one.values[:, 0], true, rtol=0, atol=1e-10)
 
 
-def test_a_wall_that_cannot_be_is_one_clear_line():
+def test_an_invalid_wall_is_refused():
     touch = grazing((-1.3, jv.Wall(1.0, 0.55)))
     assert jv.sensitivity(touch, "damping", wall="right") == jv.sensitivity(touch, "damping")
     for wall in ("left", "middle", 1):

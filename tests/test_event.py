@@ -58,7 +58,7 @@ def first_is(progress, root, slack, sure):
     return all((each < 1e-14).all() for each in ahead) and all((each[0, near] > -1e-14).all() for each in beyond)
 
 
-def test_a_root_that_is_certain_is_the_first_and_as_near_as_is_said(drawn):
+def test_a_certain_root_is_the_first_within_its_bound(drawn):
     bound = event_certificates.make_upper_cubic(drawn, event_certificates.cubic_coefficient_bound(drawn))
     guess = event_certificates.first_quadratic_root(*bound[:3])
     root = event_certificates.newton_root_step(drawn, event_certificates.halley_root_step(drawn, guess))
@@ -69,7 +69,7 @@ def test_a_root_that_is_certain_is_the_first_and_as_near_as_is_said(drawn):
     assert np.mean(slack[sure] < 1e-3) > 0.5
 
 
-def test_a_slope_is_at_least_as_large_as_is_said(drawn):
+def test_the_lower_bound_of_the_slope_holds(drawn):
     far = np.random.default_rng(4).uniform(0.0, 1.0, LANES)
     least, time = np.asarray(event_certificates.slope_lower_bound(drawn, far)), FINE[:, None] * far
     for sign in (-1.0, 1.0):
@@ -78,7 +78,7 @@ def test_a_slope_is_at_least_as_large_as_is_said(drawn):
         assert (slope >= least - 1e-14).all()
 
 
-def test_a_lean_root_that_is_certain_is_the_first(drawn):
+def test_a_certain_root_of_the_fast_path_is_the_first(drawn):
     guess = fast_event._root_guess(drawn)
     root = fast_event._refine_root(drawn, guess)
     known, root = np.asarray(fast_event._root_certainty_level(drawn, guess, root)), np.asarray(root)
@@ -90,7 +90,7 @@ def test_a_lean_root_that_is_certain_is_the_first(drawn):
         assert first_is(drawn, root, slack, sure)
 
 
-def test_no_lean_step_without_contact_passes_the_wall(drawn):
+def test_no_step_of_the_fast_path_without_contact_passes_the_wall(drawn):
     g = drawn.terms
     tail = fast_event._cubic_coefficient_bound(drawn, 1.0)
     for far in (1.0, 0.3):

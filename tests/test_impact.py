@@ -22,7 +22,7 @@ def built(far=None, wall=1.0):
     return make_flow_coefficients(jv.make_scene(2.0, 2.1, 0.0, 0.7, (far, wall)))
 
 
-def test_a_mass_rests_where_its_hop_would_be_lost_in_rounding_or_the_press_says_so():
+def test_a_mass_sticks_if_its_bounce_is_below_rounding_or_by_the_contact_force():
     push = 10.0 ** np.random.default_rng(1).uniform(-3.0, 3.0, LANES)
     height = float(np.finfo(float).eps) * float(built().length_scale)  # of a hop: leaving^2 / (2 push)
     for share, kind in ((0.99, Contact.STUCK), (1.01, Contact.LANDED)):
@@ -36,7 +36,7 @@ def test_a_mass_rests_where_its_hop_would_be_lost_in_rounding_or_the_press_says_
     assert found.tolist() == [Contact.STUCK, Contact.LANDED, Contact.STUCK, Contact.STUCK, Contact.RELEASED]
 
 
-def test_chatter_is_certain_only_where_all_hops_end_in_time_and_the_press_outlasts_them():
+def test_complete_chatter_is_certain_only_if_all_bounces_end_while_the_force_lasts():
     """Under a press that stays as it is all hops take 2 u / (push (1 - R)), u the speed of the first; the first is
     u^2 / (2 push) high; under one that gets weaker, even slowly, they take longer."""
     rng = np.random.default_rng(2)
@@ -74,7 +74,7 @@ def test_a_contact_that_does_not_fit_its_start_is_invalid(state, status):
     assert jv.strobe(scene, jv.State(*state), slots=4)[1].status == status
 
 
-def test_a_lane_is_given_up_at_a_thousand_impacts():
+def test_a_lane_ends_at_a_thousand_impacts():
     scene = jv.make_scene(3.0, 0.05, 0.0, 1.0, (None, 1.0))
     _, impacts = jv.strobe(scene, jv.State(1.0, -1e-6), slots=2)
     assert impacts.status == Status.CAP and impacts.count == 1000
@@ -96,7 +96,7 @@ def test_walls_at_one_place_are_invalid_inside_jit():
     assert [int(run(left)) for left in (-1.0, 1.0, 1.5)] == [Status.OK, Status.INVALID, Status.INVALID]
 
 
-def test_a_mass_that_rests_on_a_wall_that_moves_goes_as_if_there_were_no_other():
+def test_a_mass_sticking_to_a_moving_wall_ignores_a_wall_out_of_reach():
     """It aims at the wall that holds it, be it the slower: a wall that is never reached changes nothing."""
     rng = np.random.default_rng(4)
     amplitude, phase = rng.uniform(0.2, 3.0, 200), rng.uniform(0.0, 2.0 * np.pi, 200)

@@ -77,7 +77,7 @@ def test_derivatives_and_lanes_of_a_kernel():
 
 
 @pytest.mark.parametrize("operation", ["gathered", "scattered", "sorted"])
-def test_a_vmap_that_brings_what_a_kernel_cannot_hold(operation):
+def test_a_vmap_that_adds_operations_without_a_kernel(operation):
     """Lanes that index an array each become a gather or scatter, which is compiled without the attribute."""
 
     def indexed(values, place):
@@ -115,7 +115,7 @@ def test_the_cost_of_an_operation_follows_xla():
 
 
 @pytest.mark.parametrize(("rows", "reads"), [(15, 15 + 2), (16, 16 + 16)])
-def test_what_many_operations_read_is_kept_in_memory(rows, reads):
+def test_a_value_that_many_operations_read_is_kept_in_memory(rows, reads):
     """XLA does not fuse an operation that one fusion would evaluate more than 15 times: it is stored, and read."""
 
     def horner(table, x):
@@ -173,3 +173,35 @@ def test_many_harmonics_with_clearances():
         one, alone = jv.strobe(*at((scene, state), k), slots=64, clearance=True)
         np.testing.assert_allclose([end.x[k], end.v[k]], [one.x, one.v], rtol=1e-12, atol=1e-13)
         np.testing.assert_allclose(impacts.least_clearance[k], alone.least_clearance, rtol=1e-12, atol=1e-13)
+
+
+ROWS = 64
+ONES = np.ones(3)
+REDUCTIONS = {
+    "largest": lambda lib, a: lib.max(a, -1, keepdims=True),
+    "least": lambda lib, a: lib.min(a, 0, keepdims=True),
+    "sum": lambda lib, a: lib.sum(a) / a.size,
+    "product of matrices": lambda lib, a: (a @ a.T) @ a / a.size,
+    "product of lanes": lambda lib, a: lib.einsum("ij,ij->i", a, a)[:, None] / a.size,
+    "product with a vector": lambda lib, a: (a[:, :3] @ ONES)[:, None],
+}
+
+
+@pytest.mark.parametrize("columns", [3, 80])
+@pytest.mark.parametrize("kind", REDUCTIONS)
+def test_reductions_and_products_of_any_size(kind, columns):
+    function = REDUCTIONS[kind]
+
+    def turned(values):
+        def turn(carry):
+            count, a = carry
+            return count + 1, jnp.cos(a + function(jnp, a))
+
+        return lax.while_loop(lambda carry: carry[0] < 3, turn, (0, values))[1]
+
+    start = np.random.default_rng(0).normal(size=(ROWS, columns))
+    expected = start
+    for _ in range(3):
+        expected = np.cos(expected + function(np, expected))
+    found = jax.jit(lambda values: kernel_calls.call_as_kernel(turned, values))(start)
+    np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-13)

@@ -51,7 +51,7 @@ def counted(monkeypatch):
 
 
 @pytest.mark.parametrize("kind, patience", [*((kind, patience) for kind in SCENES for patience in (0, np.inf)), *MIXED])
-def test_lanes_that_lean_steps_give_up_go_as_the_strobe_says(kind, patience, counted, monkeypatch):
+def test_lanes_of_both_paths_agree_with_the_map(kind, patience, counted, monkeypatch):
     """By both tiers, by the host, and by one after the other."""
     monkeypatch.setattr(long_iteration, "MAX_RETRY_COST", patience)
     scene = SCENES[kind]
@@ -93,7 +93,7 @@ def test_lanes_of_a_batch_of_scenes(counted):
         3 * MAX_RECORDED_PERIODS,
     ],
 )
-def test_the_kept_periods_are_told_in_order(periods):
+def test_the_recorded_periods_are_in_order(periods):
     ring = np.zeros(MAX_RECORDED_PERIODS)
     for k in range(periods):
         ring[k % MAX_RECORDED_PERIODS] = k

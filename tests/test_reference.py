@@ -1,4 +1,4 @@
-"""The references checked against second routes: mpmath's ODE solver, plain Taylor steps, differences, each other."""
+"""The references and their derivatives, checked against second routes: an ODE solver, Taylor steps, differences."""
 
 import itertools
 import math
@@ -8,7 +8,7 @@ import pytest
 from flint import arb, ctx
 from mpmath import mp, mpf, nstr, odefun
 
-from tests.reference import ball, closed, contacts, draws, flights, orbit, own_force, plain, search
+from tests.reference import ball, closed, contacts, draws, flights, orbit, own_force, plain, search, slopes
 from tests.reference.scene import Motion, Scene, Wall
 
 
@@ -215,3 +215,30 @@ def test_closed_orbits_are_fixed_points_of_the_strobe(name, how, scene, impacts)
         start = [arb(nstr(value, 48)) for value in (x, v)]
         free = orbit.strobe(scene._replace(left=None, right=None), *start, precision=300)
         assert free.count == 0 and abs(free.x - start[0]) < 1e-40 and abs(free.v - start[1]) < 1e-40
+
+
+@pytest.fixture(scope="module")
+def fair():
+    """(draw, record) of some seeds that are fair tests."""
+    return [(drawn, record) for _, drawn, record in fair_draws(range(40))]
+
+
+def test_the_replay_is_the_record(fair):
+    for drawn, record in fair:
+        with ctx.workprec(slopes.PRECISION):
+            again = slopes.replay(slopes.with_numbers(drawn, [arb(each) for each in slopes.numbers(drawn)]), record)
+            known = [record.x, record.v, *record.times, *record.speeds]
+            assert max(abs(a - b) for a, b in zip(again, known, strict=True)) < 1e-29 * record.scale
+
+
+def test_by_the_state_it_is_the_product_of_saltation_matrices(fair):
+    for drawn, record in fair:
+        assert np.abs(slopes.jacobian(drawn, record)[:2, :2] - record.jacobian).max() < 1e-14 * record.norm
+
+
+def test_half_the_step_changes_nothing(fair):
+    for drawn, record in fair[:8]:
+        direction = np.ones(len(slopes.names(drawn[0])))
+        for order in (1, 2, 3):
+            whole, half = (slopes.derivative(drawn, record, direction, order, step=slopes.STEP / k)[:2] for k in (1, 2))
+            assert all(abs(a - b) < 1e-40 * (1 + abs(a)) for a, b in zip(whole, half, strict=True))

@@ -92,7 +92,7 @@ def test_growth_between_rests_against_the_moments_of_rest(numbers):
     assert abs(found.growth_rate * span * numbers[1] / (2 * np.pi) - np.log(growth)) < NEAR
 
 
-@pytest.mark.parametrize("numbers", [pytest.param(each, marks=pytest.mark.long) for each in BY_HAND[1:]])
+@pytest.mark.parametrize("numbers", BY_HAND[2:4])
 def test_growth_between_rests_under_a_force_of_ones_own_is_that_of_the_spring(numbers):
     given = scene(*numbers)
     force = jv.Force("polynomial", {"c1": 1.0, "damping": numbers[2]})

@@ -5,13 +5,11 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 import numpy as np
-import pytest
 
 import jaxvibro as jv
 from jaxvibro.flight.flow import fly
 from jaxvibro.maps.reference_strobe import REPLAY_SLOTS
 from jaxvibro.scene.codes import Contact
-from tests import rest_slopes_proof
 from tests.reference import rest_slopes, slopes
 from tests.reference.draws import Draw
 from tests.reference.scene import Motion, Scene, Wall
@@ -143,10 +141,3 @@ def test_samples_after_a_release_forget_as_many_impacts():
     assert np.isnan(found[:, 0]).all()  # among its last hops, too many for the slots
     assert np.array_equal(found[:, 1], [[0.0, 0.0, 1.0], [0.0, 0.0, 0.0]])
     assert np.allclose(found[:, 2], free(MANY), rtol=1e-11, atol=0)
-
-
-@pytest.mark.parametrize("structure", [(None, 1), (0, 0)])
-def test_random_scenes_against_differences_at_many_digits(structure):
-    members, _ = rest_slopes_proof.cases(np.random.default_rng(5), structure, 20)
-    rows = np.array(rest_slopes_proof.errors(members, *rest_slopes_proof.told(members, "first"), "first"))
-    assert not rows[:, 1:3].any() and rows[:, 3:7].max() < 1e-9

@@ -7,37 +7,11 @@ import pytest
 
 import jaxvibro as jv
 from jaxvibro.scene.codes import Contact
-from tests.sample_proof import soft_errors, state_errors
 
 
 @pytest.fixture(scope="module")
 def scene():
     return jv.make_scene(2.0, 2.1, 0.05, 0.7, (-1.2, 1.0))
-
-
-def test_states_and_slopes_are_those_of_exact_motions():
-    state, forward, reverse = state_errors(6, kinds=[(1, 2)]).T
-    assert state.max() < 1e-2
-    assert max(forward.max(), reverse.max()) < 1e-12
-
-
-def test_soft_walls_against_exact_motions():
-    errors, _ = soft_errors(2, seed=3)
-    assert errors.max() < 1
-
-
-def test_whole_periods_are_strobes_whatever_times_lie_between(scene):
-    x = np.linspace(-1.1, 0.9, 5)[:, None]
-    start, period = jv.State(x, np.linspace(-2, 2, 4), 0.4), 2 * np.pi / 2.1
-    times = np.sort([*period * np.arange(4), 0.1, 0.2, 0.2, 3.3, 8.0])
-    state, status = jv.sample(scene, start, times)
-    assert state.x.shape == state.contact.shape == (5, 4, 9) and status.shape == (5, 4)
-    for periods in (1, 3):
-        end, _ = jv.strobe(scene, start, periods)
-        place = np.searchsorted(times, periods * period)
-        assert np.allclose(state.x[..., place], end.x, rtol=0, atol=1e-11)
-        assert np.allclose(state.v[..., place], end.v, rtol=0, atol=1e-11)
-    assert np.allclose(state.phase, 0.4 + 2.1 * times, rtol=1e-15)
 
 
 def test_a_long_way_in_one_stretch_is_as_many_strobes(scene):
@@ -165,17 +139,6 @@ def test_second_derivatives(scene):
     slope = jax.jit(jax.jacfwd(x))
     apart = [(slope(z.at[k].add(step)) - slope(z.at[k].add(-step))) / (2 * step) for k in range(3)]
     assert np.allclose(second, np.stack(apart, -1), rtol=1e-7, atol=1e-7)
-
-
-def test_a_vmap_changes_nothing(scene):
-    def total(v, times):
-        return jnp.sum(jv.sample(scene, jv.State(0.5, v), times)[0].x)
-
-    v, times = jnp.array([0.3, -1.0]), jnp.array([[0.2, 4.0], [1.0, 1.5]])
-    slopes = jax.jit(jax.vmap(jax.grad(total, (0, 1))))(v, times)
-    for k in (0, 1):
-        for each, one in zip(slopes, jax.grad(total, (0, 1))(v[k], times[k]), strict=True):
-            assert np.allclose(each[k], one, rtol=1e-12)
 
 
 def test_no_times_and_no_walls():

@@ -1,4 +1,4 @@
-"""Derivatives of the strobe: forward, reverse, of higher order, by every number, through impacts, rests and batches."""
+"""Derivatives of the map in special cases, and its monodromy matrix."""
 
 import jax
 import jax.numpy as jnp
@@ -8,7 +8,6 @@ from jax import lax
 
 import jaxvibro as jv
 from jaxvibro.flight.flow import fly
-from tests.slopes_proof import first_errors, higher_errors
 
 
 @pytest.fixture(scope="module")
@@ -29,21 +28,6 @@ def test_forward_and_reverse_agree_with_the_product(scene):
     product = jv.monodromy(scene, jv.State(*z))
     assert np.allclose(jax.jacfwd(end_of(scene))(z), product, rtol=0, atol=1e-13)
     assert np.allclose(jax.jacrev(end_of(scene))(z), product, rtol=0, atol=1e-13)
-
-
-def test_a_caller_s_vmap_and_jit_change_nothing(scene):
-    z = jnp.array([[0.9, -1.1], [0.1, 2.0], [-0.5, 0.3]])
-    slopes = jax.jit(jax.vmap(jax.jacrev(end_of(scene))))(z)
-    assert np.allclose(slopes, [jax.jacfwd(end_of(scene))(each) for each in z], rtol=0, atol=1e-12)
-
-
-def test_a_batch_given_as_arrays_sums_over_a_shared_number(scene):
-    x, v = jnp.array([0.9, 0.1, -0.5]), jnp.array([-1.1, 2.0, 0.3])
-
-    def total(amplitude):
-        return jnp.sum(jv.strobe(scene.replace(amplitude=amplitude), jv.State(x, v))[0].x)
-
-    assert np.isclose(jax.grad(total)(2.0), difference(total, 2.0), rtol=1e-7)
 
 
 def test_second_and_third_derivatives(scene):
@@ -69,19 +53,6 @@ def test_times_and_speeds_of_impacts_have_derivatives(scene):
             assert np.allclose(slope, by_difference, rtol=0, atol=1e-8)
 
 
-def test_a_mass_at_rest_goes_with_its_wall():
-    # the spring presses it on the left wall, where it sticks at once: at the period's end x = x_b(T), v = v_b(T)
-    def end(position, swing, phase):
-        wall = jv.Wall(position, 0.0, motion=jv.Motion(swing, phase))
-        done, impacts = jv.strobe(jv.make_scene(0.1, 0.5, 0.1, 0.5, (wall, None)), jv.State(1.1, -1.0, -0.3), slots=32)
-        return done.x, done.v, impacts.status
-
-    x, v, _ = jax.jacfwd(end, argnums=(0, 1, 2))(1.0, 0.05, 0.4)
-    angle = -0.3 + 0.4
-    assert np.allclose(x, [1.0, np.cos(angle), -0.05 * np.sin(angle)], rtol=0, atol=1e-15)
-    assert np.allclose(v, [0.0, -0.5 * np.sin(angle), -0.5 * 0.05 * np.cos(angle)], rtol=0, atol=1e-15)
-
-
 def test_a_release_goes_with_the_drive():
     """At rest on the right wall until A cos(phase) = 1, then free: as `fly` from that phase on."""
 
@@ -97,26 +68,6 @@ def test_a_release_goes_with_the_drive():
     assert np.allclose(jax.jacfwd(released)(3.0), jax.jacfwd(flown)(3.0), rtol=0, atol=1e-12)
 
 
-def test_a_release_forgets_the_start_and_keeps_the_scene():
-    # sticks on a wall, is released, hits and is released again within a period: the last release counts
-    scene = jv.make_scene(3.0, 2.0, 0.1, 0.0, (None, 1.0))
-    names = ("amplitude", "frequency", "damping", "right.position")
-
-    @jax.jit
-    def end(numbers, x):
-        there = scene.replace(**dict(zip(names, numbers, strict=True)))
-        return jnp.stack([(done := jv.strobe(there, jv.State(x, 1.0, -1.5))[0]).x, done.v])
-
-    at = jnp.array([float(scene.parameter(name)) for name in names])
-    by_scene, by_x = jax.jit(jax.jacfwd(end, argnums=(0, 1)))(at, 0.0)
-    assert np.array_equal(by_x, [0.0, 0.0])
-    for k, step in enumerate(1e-6 * np.eye(4)):
-        assert np.allclose(by_scene[:, k], (end(at + step, 0.0) - end(at - step, 0.0)) / 2e-6, rtol=0, atol=1e-8)
-    curves = jax.jit(jax.jacfwd(jax.jacfwd(lambda a: end(at.at[0].set(a), 0.0))))(at[0])
-    slope = jax.jit(jax.jacfwd(lambda a: end(at.at[0].set(a), 0.0)))
-    assert np.allclose(curves, difference(slope, at[0], 1e-5), rtol=1e-6, atol=1e-7)
-
-
 def test_no_end_no_derivative_and_a_status(scene):
     def ends(x):
         end, impacts = jv.strobe(scene, jv.State(x, -1.1), slots=32)
@@ -125,11 +76,6 @@ def test_no_end_no_derivative_and_a_status(scene):
     slope, status = jax.vmap(jax.jacfwd(ends, has_aux=True))(jnp.array([0.9, 2.0]))
     assert np.array_equal(status, [0, 3])
     assert np.isfinite(slope[0]) and np.isnan(slope[1])
-
-
-def test_slots_asked_for_do_not_matter(scene):
-    few = jax.jacfwd(lambda v: jv.strobe(scene, jv.State(0.9, v), slots=0)[0].x)(-1.1)
-    assert few == jax.jacfwd(lambda v: jv.strobe(scene, jv.State(0.9, v))[0].x)(-1.1)
 
 
 def test_a_loop_that_starts_from_a_constant_of_the_strobe_s(scene):
@@ -149,8 +95,34 @@ def test_the_contact_is_a_constant(scene):
     assert jax.grad(jax.grad(end))(-1.0) == 0
 
 
-def test_random_scenes_against_ball_arithmetic():
-    for (_, what), errors in first_errors(60, kinds={(1, 2)}).items():
-        assert np.all(errors < (1e-11 if what == "impacts" else 1e-12))
-    for errors in higher_errors(20, kinds={(0, None)}, ways=("rf",)).values():
-        assert np.all(errors[:, 0] < 1e-9)
+def test_two_periods_have_the_product_of_their_matrices(scene):
+    state = jv.State(0.9, -1.1)
+    later = jv.strobe(scene, state)[0]
+    both = jv.monodromy(scene, later) @ jv.monodromy(scene, state)
+    assert np.allclose(jv.monodromy(scene, state, periods=2), both, rtol=0, atol=1e-12)
+
+
+def test_the_matrix_of_a_free_oscillator():
+    free = jv.monodromy(jv.make_scene(1.0, 2.0, 0.0, 1.0, (None, None)), jv.State(0.3, 0.1))
+    assert np.allclose(free, [[-1.0, 0.0], [0.0, -1.0]], rtol=0, atol=1e-14)
+
+
+def test_the_matrix_is_zero_after_sticking_and_nan_without_an_end_or_slots(scene):
+    inelastic = jv.make_scene(3.0, 2.0, 0.1, 0.0, (None, 1.0))
+    assert np.array_equal(jv.monodromy(inelastic, jv.State(0.0, 1.0, -1.5)), np.zeros((2, 2)))
+    chatter = jv.make_scene(0.3, 0.5, 0.1, 0.6, (None, -1.0))
+    assert np.array_equal(jv.monodromy(chatter, jv.State(-1.2, 0.3)), np.zeros((2, 2)))
+    matrices = jv.monodromy(scene, jv.State(jnp.array([0.9, 2.0]), -1.1))
+    assert np.array_equal(np.isfinite(matrices).all((1, 2)), [True, False])
+    state = jv.State(0.0, 3.0)  # two impacts
+    assert np.all(np.isnan(jv.monodromy(scene, state, slots=1)))
+    assert np.allclose(jv.monodromy(scene, state, slots=2), jv.monodromy(scene, state), rtol=0, atol=1e-15)
+
+
+def test_the_matrix_cannot_be_differentiated_and_refuses_invalid_arguments(scene):
+    with pytest.raises(TypeError, match=r"differentiate jax\.jacfwd of strobe"):
+        jax.jacfwd(lambda x: jv.monodromy(scene, jv.State(x, 0.0)))(0.5)
+    with pytest.raises(jv.ArgumentError, match=r"^periods: must be a whole number"):
+        jv.monodromy(scene, jv.State(0.0, 0.0), periods=0)
+    with pytest.raises(jv.ArgumentError, match=r"^state: must be a State; got 0\.5$"):
+        jv.monodromy(scene, 0.5)

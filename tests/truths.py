@@ -8,11 +8,12 @@ from typing import NamedTuple
 
 import mpmath
 import numpy as np
+from flint import ctx
 from mpmath import mpf
 
-from .reference import orbit, own_force, rests, soft, soft_force, special
+from .reference import orbit, own_force, rests, sampled, soft, soft_force, special
 from .reference.scene import Motion, Scene, Soft, Term, Wall
-from .reference.search import Discard
+from .reference.search import Discard, Undecided
 
 DIGITS = 34
 APART = mpf(10) ** -10  # of two states, for a derivative by differences
@@ -145,3 +146,28 @@ def _decided(place, hits, matrix, size, slowest, nearest, tolerance):
         raise Discard("a near graze")
     times, sides, speeds = zip(*hits, strict=True) if hits else ((), (), ())
     return Truth(*place, list(times), list(sides), list(speeds), matrix, allowed)
+
+
+def derivative(motions, step):
+    """Return the derivative of (x, v, *times, *speeds) along a line, by differences, and how uncertain it is.
+
+    motions: Truths at -2, -1, 1 and 2 steps on the line. It raises `Discard` if their impacts differ.
+    """
+    if any(list(motion.sides) != list(motions[0].sides) for motion in motions):
+        raise Discard("other impacts beside the start")
+    with mpmath.workdps(DIGITS), ctx.workprec(200):
+        low, below, above, high = ([m.x, m.v, *m.times, *m.speeds] for m in motions)
+        near = np.array([float((b - a) / (2.0 * step)) for a, b in zip(below, above, strict=True)])
+        far = np.array([float((b - a) / (4.0 * step)) for a, b in zip(low, high, strict=True)])
+    return near + (near - far) / 3.0, abs(near - far)
+
+
+def closed_form_at(scene, x, v, phase, time):
+    """Return the state of a linear oscillator at a time, as a Truth whose impacts are those before it."""
+    try:
+        record = sampled.soft_end((plain(scene), x, v, phase), time)
+    except Undecided as error:
+        raise Discard("undecided") from error
+    allowed = record.scale * (1.0 + max(record.norm, record.sharp))
+    sides = [int(side) for side in record.sides]
+    return Truth(record.x, record.v, record.times, sides, record.speeds, None, allowed, record.least_minimum)

@@ -7,7 +7,7 @@ import numpy as np
 
 import jaxvibro as jv
 from jaxvibro.scene.codes import Status
-from tests.kinds import wall_ends
+from tests.kinds import LANES, wall_ends
 
 SLOTS = 8  # impacts that are recorded
 SLOW = 1e-2  # slower impacts are chatter, whose derivatives are large
@@ -17,6 +17,79 @@ NEAR = 1e-6  # of a wall: rounding decides
 def take(tree, lanes):
     """Return some lanes of a batch, or one lane of floats."""
     return jax.tree.map(lambda leaf: np.asarray(leaf)[lanes] if np.ndim(leaf) else leaf, tree)
+
+
+def lane_of(scene, state, lane):
+    """Return the arguments of a reference: a scene of floats, x, v and phase of a lane."""
+    return take(scene, lane), *(float(values[lane]) for values in (state.x, state.v, state.phase))
+
+
+def direction_in(rng, scene, state):
+    """Return scene and state with all numbers as lanes, and a random direction in these numbers (not in the contact).
+
+    The components are small multiples of 1/4, so that steps along the direction are exact.
+    """
+    scene, state = jax.tree.map(lambda leaf: np.broadcast_to(np.asarray(leaf, float), LANES), (scene, state))
+    direction = jax.tree.map(lambda leaf: rng.choice([-0.5, -0.25, 0.25, 0.5], LANES), (scene, state))
+    return scene, state, (direction[0], replace(direction[1], contact=np.zeros(LANES)))
+
+
+def moved(scene, state, direction, step):
+    """Return scene and state a step along a direction."""
+    return jax.tree.map(lambda value, by: value + step * by, (scene, state), direction)
+
+
+def slope_bound(kind, truth):
+    """Return the error that a derivative may have: a solver controls that of the motion alone."""
+    return kind.tolerance * truth.allowed if kind.exact else 1e-8 * truth.allowed
+
+
+def smooth(kind, scene, state):
+    """Return the lanes that are decided and far from what makes derivatives large, or one-sided: graze and rest."""
+    end, impacts = strobe(scene, state)
+    keep, _ = decided(kind, scene, state, end, impacts)
+    keep &= (impacts.least_speed > 0.05) & (impacts.least_clearance > 1e-3)
+    for wall in scene.walls.values():
+        if not wall.soft:
+            keep &= np.asarray(wall.restitution) > 0.02
+    return keep
+
+
+def wall_speed(scene, wall, phase):
+    """Return the velocity of a wall at a drive phase."""
+    if wall.motion is None:
+        return 0.0 * phase
+    motion = wall.motion
+    rate = motion.harmonic * scene.frequency
+    return -rate * motion.amplitude * np.sin(motion.harmonic * phase + motion.phase)
+
+
+def is_reversible(wall):
+    """Return whether an impact on a wall can be undone: it leaves some speed."""
+    if wall.law is not None:
+        return np.ones(LANES, bool)
+    if wall.soft:
+        return np.asarray(wall.damping) < 0.9 * np.sqrt(1.0 + wall.stiffness)
+    return np.asarray(wall.restitution) > 0.02
+
+
+def between(scene, state):
+    """Return the lanes whose mass is not beyond a still rigid wall, and not on one by rounding."""
+    low, high = wall_ends(rebuild(scene, lambda wall: replace(wall, motion=None)), state.phase)
+    return (state.x >= low) & (state.x <= high)
+
+
+def energy(scene, state):
+    """Return the energy of a mass between still walls."""
+    x, total = state.x, 0.5 * state.v**2
+    numbers = {"c1": 1.0}
+    if scene.force:
+        numbers = {"c1": 1.0 if "cubic" in scene.force.numbers else 0.0, **scene.force.numbers}
+    total = total + numbers["c1"] * x**2 / 2.0 + numbers.get("c0", 0.0) * x + numbers.get("cubic", 0.0) * x**4 / 4.0
+    for side, wall in zip((-1, 1), (scene.left, scene.right), strict=True):
+        if wall is not None and wall.soft:
+            total = total + 0.5 * wall.stiffness * np.maximum(0.0, side * (x - wall.position)) ** 2
+    return total
 
 
 def strobe(scene, state):

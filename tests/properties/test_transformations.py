@@ -1,6 +1,14 @@
-"""Random compositions of JAX transformations around the map, held against a loop of single calls."""
+"""Random compositions of JAX transformations around the map, compared with a loop of single calls.
 
+A defect here may end the process in XLA's compiler: a worker that dies is a failure.
+"""
+
+import os
+import subprocess
+import sys
 from functools import cache, partial
+from pathlib import Path
+from types import SimpleNamespace
 
 import equinox as eqx
 import jax
@@ -11,6 +19,7 @@ from jax import lax
 from jax.sharding import Mesh, PartitionSpec
 
 import jaxvibro as jv
+from tests.tiers import of_numbers
 
 SLOW = 1e-4  # an impact slower than this: derivatives are large, and counted by themselves
 CHECKED = 6  # lanes of a batch that are compared with single calls
@@ -31,11 +40,18 @@ LANES = (1, 2, 3, 7, 16, 64, 65, 210, 600, 2000)
 NOT_DIFFERENTIABLE = ("monodromy",)
 
 
-def draw(seed):
-    """The choices of one composition, reproducible from its seed; strata take turns."""
+OWN_KINDS = {name: SimpleNamespace(name=name) for name in SCENES}
+
+
+def draw(scene, number):
+    """The choices of one composition, reproducible from the number; strata take turns."""
+    seed = SCENES.index(scene) + len(SCENES) * number
     rng = np.random.default_rng([17, seed])
-    pick = lambda options: str(rng.choice(options))  # noqa: E731
-    one = {"seed": seed, "scene": SCENES[seed % len(SCENES)], "derivative": DERIVATIVES[seed % len(DERIVATIVES)]}
+
+    def pick(options):
+        return str(rng.choice(options))
+
+    one = {"seed": seed, "scene": scene, "derivative": DERIVATIVES[seed % len(DERIVATIVES)]}
     one |= {"control": CONTROLS[(seed // 3) % len(CONTROLS)], "function": pick(FUNCTIONS), "passing": pick(PASSING)}
     if one["function"] in NOT_DIFFERENTIABLE:
         one["derivative"] = "value"
@@ -229,7 +245,7 @@ def composed(one):
 
 def sharded(one, function):
     """function of (batch, rest), its lanes over two devices."""
-    mesh = Mesh(np.array(jax.devices()[:2]), ("lanes",))
+    mesh = Mesh(np.array(jax.devices()[:2]), ("lanes",))  # the test with two devices is the last one here
     specs = PartitionSpec("lanes"), PartitionSpec()
 
     def of_a_device(batch, rest):
@@ -260,7 +276,7 @@ def run(one):
     if one["control"] == "shard_map":
         one = {**one, "lanes": max(2, one["lanes"] // 2 * 2)}
         values = numbers(one)
-        inner = composed({**one, "levels": 1, "lanes": one["lanes"] // 2})
+        inner = composed({**one, "levels": 1, "lanes": one["lanes"] // len(jax.devices()[:2])})
         function = sharded(one, inner)
     else:
         function = composed(one)
@@ -338,3 +354,22 @@ def of_single(kind, function, periods, slots, clearance, order):
         return jax.jvp(lambda q: weighted_sum(once(q, along)), (p,), (then,))[1]
 
     return jax.jit((lambda p: of_one(one, p), once, twice)[order])
+
+
+@of_numbers
+def test_compositions(kind, number):
+    """A composition of transformations, control flow and batches gives the values and derivatives of single calls."""
+    one = draw(kind.name, number)
+    assert run(one)["error"] <= 1, one
+
+
+def test_lanes_over_two_devices():
+    """Compositions with `shard_map`, in a process that has two devices."""
+    drawn = [draw("rigid", number) for number in range(300)]
+    small = [one["jit"] and one["lanes"] < 65 and one["control"] == "shard_map" for one in drawn]
+    number = small.index(True)
+    line = "from tests.properties import test_transformations as t; import jax; assert len(jax.devices()) == 2; "
+    line += f"assert t.run(t.draw('rigid', {number}))['error'] <= 1"
+    environment = {**os.environ, "JAX_ENABLE_X64": "1", "XLA_FLAGS": "--xla_force_host_platform_device_count=2"}
+    root = Path(__file__).parents[2]
+    subprocess.run([sys.executable, "-c", line], cwd=root, env=environment, check=True, timeout=1800)
