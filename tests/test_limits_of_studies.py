@@ -12,7 +12,6 @@ from jaxvibro.design import place
 from jaxvibro.loci.loci_of_branches import follow_loci
 from jaxvibro.studies.scene_file_studies import _run_sweep
 from jaxvibro.studies.schema import SweepTable
-from tests.test_margin import asked
 
 START = jv.State(0.3, 0.1)
 
