@@ -42,7 +42,7 @@ def pytest_collection_modifyitems(items):
 def limited(item):
     """Run a phase of a test, with a time limit if the test is only tried."""
     tried = item.get_closest_marker("smoke") and "smoke" in item.config.getoption("markexpr")
-    with smoke.time_limit(item.stash, smoke.TEST_SECONDS) if tried else nullcontext():
+    with smoke.time_limit(smoke.TEST_SECONDS, item.stash) if tried else nullcontext():
         return (yield)
 
 
@@ -53,10 +53,10 @@ pytest_runtest_call = pytest.hookimpl(wrapper=True)(limited)
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_makereport(item, call):
-    """A test that has run for its time without an error has passed.
+    """A test that is stopped has passed.
 
     The report is made without the exception: where it was raised there may be no line to show, and hypothesis, which
-    calls the test again, raises one of its own.
+    calls a stopped test again, raises an error of its own.
     """
     if item.stash.get(smoke.STOPPED, None):
         call.excinfo = None

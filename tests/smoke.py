@@ -111,7 +111,7 @@ def choose(items):
 
 
 @contextmanager
-def time_limit(stash, seconds=TEST_SECONDS):
+def time_limit(seconds, stash):
     """Raise OutOfTime in the main thread after some seconds, and note it in the stash of the test."""
 
     def stop(number, frame):

@@ -85,7 +85,7 @@ def test_a_claim_in_words_holds_where_its_number_is_inside(found, verdict):
     ],
 )
 def test_what_stays_unresolved_makes_a_verdict_undecided_where_it_could_change_it(value, low, high, verdict):
-    claim = statement_claim("4", "so many", (value, 0.0), low, high, unresolved_allowance=math.inf)
+    claim = statement_claim("4", "share", (value, 0.0), low, high, unresolved_allowance=math.inf)
     assert claim.verdict == verdict and computed_value_text(claim).endswith(", perhaps more")
 
 
