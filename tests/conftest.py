@@ -5,7 +5,6 @@ import ctypes
 import gc
 import os
 import platform
-from contextlib import nullcontext
 from pathlib import Path
 
 CACHE = {
@@ -20,7 +19,7 @@ import matplotlib as mpl  # noqa: E402
 import pytest  # noqa: E402
 from hypothesis import settings  # noqa: E402
 
-from . import checked_types, smoke, tiers  # noqa: E402
+from . import checked_types, tiers  # noqa: E402
 
 LARGE = 4e9  # bytes that a process may hold: ten scenes with soft walls, each with functions of its own
 
@@ -57,74 +56,24 @@ def pytest_generate_tests(metafunc):
     metafunc.parametrize(("kind", "draws"), [pytest.param(*row, id=row[0]) for row in numbers if row[1]])
 
 
-@pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config, items):
-    """Select the tests of a tier; those whose pages need a browser run before a release alone."""
-    release = [item for item in items if own_tier(item) == "release" and not item.get_closest_marker("browser")]
-    for item in smoke.choose(release):
-        item.add_marker(pytest.mark.smoke)
+    """Select the tests of a tier, and no property without draws in it."""
     tier = config.getoption("tier")
-    if tier is None:
-        return
-    chosen = [item for item in items if is_in_tier(item, tier)]
+    chosen = [item for item in items if has_draws(item) and (tier is None or own_tier(item) in ("", tier))]
     config.hook.pytest_deselected(items=[item for item in items if item not in set(chosen)])
     items[:] = chosen
+
+
+def has_draws(item):
+    """Return whether a test is no property, or one of a kind that has draws."""
+    return not getattr(item.function, "is_property", False) or isinstance(item.callspec.params["kind"], str)
 
 
 def own_tier(item):
     """Return the first tier in which a test runs that is no property; of a property "", as its draws decide."""
     if getattr(item.function, "is_property", False):
         return ""
-    marked = [
-        tier
-        for mark, tier in (("long", "release"), ("browser", "release"), ("slow", "ci"))
-        if item.get_closest_marker(mark)
-    ]
-    return marked[0] if marked else tiers.tier_of(module_name(item.module), item.name)
-
-
-def is_in_tier(item, tier):
-    """Return whether a test is what a tier adds to the ones before it."""
-    return own_tier(item) in ("", tier) or (tier == "ci" and item.get_closest_marker("smoke") is not None)
-
-
-def limited(item):
-    """Run a phase of a test, with a time limit if the test is only tried."""
-    tried = item.get_closest_marker("smoke") and item.config.getoption("tier") == "ci"
-    with smoke.time_limit(item.stash, smoke.TEST_SECONDS) if tried else nullcontext():
-        return (yield)
-
-
-# Pytest catches the exceptions of these phases; one raised between them would end the whole run.
-pytest_runtest_setup = pytest.hookimpl(wrapper=True)(limited)
-pytest_runtest_call = pytest.hookimpl(wrapper=True)(limited)
-
-
-@pytest.hookimpl(wrapper=True)
-def pytest_runtest_makereport(item, call):
-    """A test that has run for its time without an error has passed.
-
-    The report is made without the exception: where it was raised there may be no line to show, and hypothesis, which
-    calls the test again, raises one of its own.
-    """
-    if item.stash.get(smoke.STOPPED, None):
-        call.excinfo = None
-    return (yield)
-
-
-@pytest.hookimpl(tryfirst=True)
-def pytest_pyfunc_call(pyfuncitem):
-    """Do not call a test whose fixtures took all the time."""
-    return pyfuncitem.stash.get(smoke.STOPPED, None)
-
-
-@pytest.hookimpl(wrapper=True)
-def pytest_runtest_teardown(item):
-    """After a stopped test tear down all fixtures: one that was stopped must run again for the next test."""
-    result = yield
-    if item.stash.get(smoke.STOPPED, None):
-        item.session._setupstate.teardown_exact(None)
-    return result
+    return "release" if item.get_closest_marker("browser") else tiers.tier_of(module_name(item.module), item.name)
 
 
 @pytest.fixture(autouse=True)

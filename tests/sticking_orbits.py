@@ -9,11 +9,26 @@ import jaxvibro as jv
 from jaxvibro.branches.follow import polish_orbit
 from jaxvibro.problem.orbit_equations import are_releases, sides_with_release_codes
 
-from .branch_proof import plain, scene_of
 from .reference import rests
 from .reference.special import exact, span, with_value
+from .truths import plain
 
 DIGITS = 50
+
+
+def scene_of(rng):
+    """A random scene: two walls or one, R per wall, perhaps a moving right wall."""
+    gamma, omega, amplitude = rng.uniform((0.02, 0.5, 0.3), (0.3, 3.2, 6.0))
+    if rng.random() < 0.15:
+        gamma = rng.uniform(0.3, 1.4)
+    left, right = -rng.uniform(0.3, 1.5), rng.uniform(-0.1, 1.5)
+    own = None if rng.random() < 0.5 else rng.uniform(0.3, 0.95)
+    kind = rng.integers(4)
+    motion = jv.Motion(rng.uniform(0.05, 0.25), rng.uniform(0, 6.28)) if kind == 2 else None
+    walls = (None if kind == 3 else jv.Wall(left, own), jv.Wall(right, motion=motion))
+    if kind == 0:
+        walls = (jv.Wall(-1.0), jv.Wall(1.0))
+    return jv.make_scene(amplitude, omega, gamma, rng.uniform(0.5, 0.9), walls)
 
 
 def resting(rng):

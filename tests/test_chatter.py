@@ -11,10 +11,10 @@ from jaxvibro.flight.flight_coefficients import flow_coefficients, make_flow_coe
 from jaxvibro.orbits import chatter, chatter_and_release
 from jaxvibro.problem.orbit_conversion import orbit_point_of
 from jaxvibro.problem.orbit_equations import are_releases
-from tests.branch_proof import plain
 from tests.reference import rests
 from tests.reference.special import exact
 from tests.sticking_orbits import errors
+from tests.truths import plain
 
 
 def ratio(bounce):

@@ -70,7 +70,7 @@ def test_the_hooks_are_the_lines_of_make_test():
     recipe = re.search(r"^test: .*\n((?:\t.*\n)+)", makefile, re.MULTILINE)[1].splitlines()
     *checks, last = [hook["entry"] for hook in own["hooks"]]
     assert own["repo"] == "local" and {hook["language"] for hook in own["hooks"]} == {"system"}
-    assert checks == [line.strip() for line in recipe[:-1]] and last == "make test"
+    assert last == "make test" and checks == [line.strip() for line in recipe if "ruff" in line or "mypy" in line]
 
 
 def test_a_wheel_runs_outside_of_the_checkout(tmp_path):

@@ -17,7 +17,7 @@ MOST = 60
 
 @dataclass
 class Record:
-    """What happened in the strobe. Times since its start; balls unless said otherwise.
+    """The motion over a strobe. Times since its start; balls unless stated otherwise.
 
     turns holds every turning point of x - x_wall in flight, one wall after the other (Turn: time, side, clearance,
     minimum). least_clearance is the least of all of them, least_minimum of the minima alone (floats, inf if none).

@@ -21,10 +21,10 @@ PARTS = 4  # of a flight or a contact: so often the norm is taken on the way
 
 @dataclass
 class Record(orbit.Record):
-    """What happened; as in `orbit.Record`, an entry into a soft wall being an impact: its time, side, and
-    speed.
+    """The motion over a strobe: the fields of `orbit.Record`, and those of contacts with soft walls.
 
-    exits: times since the strobe's start and sides at which the mass left a soft wall. held: the side of the one it is
+    An entry into a soft wall counts as an impact with a time, a side and a speed. exits: times since the strobe's start
+    and sides at which the mass left a soft wall. held: the side of the one it is
     beyond at the end, or 0. least_release: the least d W at a turning point in contact, least_exit: the least speed
     of an exit (floats). jacobian: rows of balls.
 
