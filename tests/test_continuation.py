@@ -31,6 +31,7 @@ from tests.test_trace import close
 CIRCLE = co.equilibria(lambda u, p, square: u * u + p["p"] ** 2 - square)
 PITCHFORK = co.equilibria(lambda u, p, e: p["p"] * u - u**3 + e)
 CUSP = co.equilibria(lambda u, p, a: p["p"] + a * u - u**3)
+TWICE = co.equilibria(lambda u, p, args: (u - p["p"] ** 2) ** 2)
 
 
 def task_from(system, z, args, bounds=(-3.0, 3.0), scale=None, **changes):
@@ -186,6 +187,14 @@ def test_an_end_seen_ahead_beyond_a_bound_is_none(bound, end):
     assert [one.kind for one in branch.specials] == ["X"] * (bound > 0.7)
 
 
+def test_a_step_is_kept_only_where_newton_s_method_ended():
+    """It is slow on a branch of double zeros."""
+    task, _ = task_from(TWICE, [1.0, 1.0], None, (0.0, 1.3))
+    branch = follow_branch(task, make_start_point(np.ones(2), np.array([2.0, 1.0]) / np.sqrt(5)))
+    assert len(branch.points.z) > 5
+    assert abs(branch.points.z[:, 0] - branch.points.z[:, 1] ** 2).max() < 1e-8
+
+
 def test_a_zero_out_of_reach_is_not_looked_for():
     """Of the parabola's two zeros the nearer one is 0.3 away, and the first step from beside its turning point 3.3."""
     asked = []
@@ -255,6 +264,13 @@ class Counts(EventDetector):
     def diagnose(self, zs):
         self.asked += len(zs)
         return Rows(zs[:, ::-1, None] * np.arange(2.0), (zs * zs).sum(axis=1))
+
+
+def test_steps_end_at_a_bound():
+    detector = Counts()
+    branch = follow_branch(*task_from(CUSP, [-2.0, -6.0], 1.0, (-7.0, -5.9), detector=detector))
+    assert branch.points.z[-1, 1] == -5.9
+    assert detector.asked <= len(branch.points.z) + 1
 
 
 @pytest.mark.parametrize(("kept", "new"), [([0, 1, 2, 3], 0), ([0, 2, 3], 1), ([], 3), ([0, 1], 0), ([3], 2)])
