@@ -25,7 +25,7 @@ import jaxvibro as jv
 from continuation import shooting
 from jaxvibro import plot
 
-LIMIT = 30.0  # seconds that a call may take
+LIMIT = 30.0  # seconds of the processor that a call may take
 REFUSED = (jv.ArgumentError, co.ContinuationError)
 FUNCTIONS = {
     mark + name: getattr(package, name)
@@ -110,7 +110,7 @@ def valid_arguments():
     folder = Path(tempfile.mkdtemp())
     (folder / "scene.toml").write_text(SCENE_FILE)
     branch.save(folder / "branch.nc")
-    equation, orbits = co.equilibria(fold), shooting.periodic_orbits(circle)
+    equation, orbits = co.equilibria(fold), FUNCTIONS["shooting.periodic_orbits"](circle)
     steady = co.trace(equation, 0.9, {"a": 0.5, "b": 0.3}, "a", (-1.0, 1.0))
     (hopf,) = co.trace(co.equilibria(circle), [0.0, 0.0], {"m": -0.5}, "m", (-1.0, 1.0)).points("HB")
     (turn,) = steady.points("SN")
@@ -234,18 +234,18 @@ def drawn(count, seed=0):
 
 @contextmanager
 def limited(seconds):
-    """Raise TimeoutError after so many seconds in Python's own code."""
+    """Raise TimeoutError in Python's own code after so many seconds of the processor."""
 
     def late(*_):
         raise TimeoutError(f"more than {seconds} s")
 
-    before = signal.signal(signal.SIGALRM, late)
-    signal.setitimer(signal.ITIMER_REAL, seconds)
+    before = signal.signal(signal.SIGPROF, late)
+    signal.setitimer(signal.ITIMER_PROF, seconds)
     try:
         yield
     finally:
-        signal.setitimer(signal.ITIMER_REAL, 0)
-        signal.signal(signal.SIGALRM, before)
+        signal.setitimer(signal.ITIMER_PROF, 0)
+        signal.signal(signal.SIGPROF, before)
 
 
 def answer_of(name, given):

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import warnings
 from pathlib import Path
+from pkgutil import resolve_name
 from types import SimpleNamespace
 
 import jax
@@ -17,21 +18,24 @@ import numpy as np
 import pytest
 
 import jaxvibro as jv
-from continuation import jaxpr_to_python, numpy_evaluation, persistent_jit, trusted_cache_file
-from continuation.trusted_cache_file import distrust_from_status, reason_for_distrust
+from continuation.jaxpr_to_python import compile_program_text
+from continuation.persistent_jit import persistent_jit, reason_without_cache
+from continuation.trusted_cache_file import distrust_from_status, read, reason_for_distrust, write
 from jaxvibro.compiled.lane_arithmetic import COMPILER_OPTIONS
 from jaxvibro.maps.strobe import _two_tier_strobe
 
-from .cached_functions import compiled, evaluated, flipped, own_files, require_right, separate_cache
+from .cached_functions import DIGEST, FOLDER, compiled, evaluated, flipped, own_files, require_right, separate_cache
 
+CACHE_FILE, JIT = "continuation.trusted_cache_file", "continuation.persistent_jit"
 ROOT = Path(__file__).parents[1]
+GENERATIONS = 3  # versions of the sources whose modules are kept
 
 
 @pytest.fixture
 def cache(tmp_path, monkeypatch):
     """JAX's compile cache in a folder of its own; repeated warnings are repeated here."""
-    monkeypatch.setattr(persistent_jit, "_own_packages", {*persistent_jit._own_packages})
-    monkeypatch.setattr(trusted_cache_file, "_warned", set())
+    monkeypatch.setattr(f"{JIT}._own_packages", {"continuation", "jaxvibro"})
+    monkeypatch.setattr(f"{CACHE_FILE}._warned", set())
     with separate_cache(tmp_path / "cache") as folder:
         yield folder
 
@@ -39,13 +43,11 @@ def cache(tmp_path, monkeypatch):
 @pytest.fixture
 def traces(monkeypatch):
     """How often a function is traced because nothing is kept of it, a list."""
-    found, traced, made = [], numpy_evaluation.NumpyEvaluator.trace_function, persistent_jit._export_module
-    monkeypatch.setattr(
-        numpy_evaluation.NumpyEvaluator,
-        "trace_function",
-        lambda self, args: found.append("program") or traced(self, args),
-    )
-    monkeypatch.setattr(persistent_jit, "_export_module", lambda *given: found.append("module") or made(*given))
+    found = []
+    traced = "continuation.numpy_evaluation.NumpyEvaluator.trace_function"
+    for kind, name in (("program", traced), ("module", f"{JIT}._export_module")):
+        plain = resolve_name(name)
+        monkeypatch.setattr(name, lambda *given, kind=kind, plain=plain: found.append(kind) or plain(*given))
     return found
 
 
@@ -59,9 +61,9 @@ def test_a_line_that_is_inserted_is_not_executed(cache, tmp_path):
     path = own_files(cache)[".code"]
     content = path.read_bytes()
     line = f"open({str(mark)!r}, 'w').close()\n"
-    code = jaxpr_to_python.compile_program_text(f"{line}size, run = 1, None")
-    form = content[trusted_cache_file.DIGEST :].split(b"\n")[0]
-    for digest in (content[: trusted_cache_file.DIGEST], b"\0" * trusted_cache_file.DIGEST):
+    code = compile_program_text(f"{line}size, run = 1, None")
+    form = content[DIGEST:].split(b"\n")[0]
+    for digest in (content[:DIGEST], b"\0" * DIGEST):
         path.write_bytes(digest + form + b"\n" + code)
         for one, again in zip(first, evaluated(), strict=True):
             np.testing.assert_array_equal(one, again)
@@ -71,21 +73,21 @@ def test_a_line_that_is_inserted_is_not_executed(cache, tmp_path):
 def test_a_folder_of_somebody_else_is_not_used(cache, traces, monkeypatch):
     evaluated()
     files = {one: one.read_bytes() for one in cache.rglob("*") if one.is_file()}
-    plain, theirs = trusted_cache_file.distrust_from_status, os.geteuid() + 7
+    theirs = os.geteuid() + 7
 
     def of_another(status):
-        return plain(status_of(status.st_mode, theirs, status.st_gid))
+        return distrust_from_status(status_of(status.st_mode, theirs, status.st_gid))
 
-    monkeypatch.setattr(trusted_cache_file, "distrust_from_status", of_another)
+    monkeypatch.setattr(f"{CACHE_FILE}.distrust_from_status", of_another)
     rule = rf"neither kept in this cache folder nor read.*belongs to another user, number {theirs}"
     with pytest.warns(UserWarning, match=rule) as told:
         require_right(evaluated())
         require_right(evaluated())
     assert len(told) == 1 and str(cache) in str(told[0].message)
     assert traces == ["program"] * 3
-    assert f"belongs to another user, number {theirs}" in persistent_jit.reason_without_cache()
+    assert f"belongs to another user, number {theirs}" in reason_without_cache()
     assert {one: one.read_bytes() for one in cache.rglob("*") if one.is_file()} == files
-    assert trusted_cache_file.read(own_files(cache)[".code"]) is None
+    assert read(own_files(cache)[".code"]) is None
     with pytest.raises(jv.ArgumentError, match="jax_compilation_cache_dir: must be a folder that no other user"):
         jv.warm()
 
@@ -105,7 +107,7 @@ MODES = [
 @pytest.mark.parametrize(("mode", "reason"), MODES)
 @pytest.mark.parametrize("below", [0, 1, 2])
 def test_a_folder_that_others_can_write_to_is_not_used(cache, traces, monkeypatch, mode, reason, below):
-    monkeypatch.setattr(trusted_cache_file, "_is_private_group", lambda group: False)
+    monkeypatch.setattr(f"{CACHE_FILE}._is_private_group", lambda group: False)
     evaluated()
     folder = own_files(cache)[".code"].parents[2 - below]
     folder.chmod(mode)
@@ -123,14 +125,8 @@ def test_owners_and_groups_that_are_trusted(monkeypatch):
     monkeypatch.setattr(os, "geteuid", lambda: 1000)
     names = {1000: "ann", 1001: "ann", 1002: "lab"}
     members = {1000: [], 1001: ["bob"], 1002: []}
-    monkeypatch.setattr(
-        trusted_cache_file, "pwd", SimpleNamespace(getpwuid=lambda user: SimpleNamespace(pw_name=names[user]))
-    )
-
-    def group(number):
-        return SimpleNamespace(gr_name=names[number], gr_mem=members[number])
-
-    monkeypatch.setattr(trusted_cache_file, "grp", SimpleNamespace(getgrgid=group))
+    monkeypatch.setattr("pwd.getpwuid", lambda user: SimpleNamespace(pw_name=names[user]))
+    monkeypatch.setattr("grp.getgrgid", lambda group: SimpleNamespace(gr_name=names[group], gr_mem=members[group]))
     for owner in (1000, 0):
         assert distrust_from_status(status_of(0o755, owner)) is None
         assert distrust_from_status(status_of(0o775, owner, 1000)) is None  # the user's private group
@@ -162,7 +158,7 @@ def test_a_file_that_others_can_write_to_is_not_used(cache, traces):
     path = own_files(cache)[".code"]
     for mode in (0o606, 0o666):
         path.chmod(mode)
-        assert trusted_cache_file.read(path) is None
+        assert read(path) is None
     require_right(evaluated())
     assert stat.S_IMODE(path.stat().st_mode) == 0o600 and traces == ["program"] * 2
 
@@ -171,7 +167,7 @@ def test_nothing_is_removed_through_a_folder_of_strangers(cache, tmp_path):
     """Old generations are removed; a link in the place of the modules must not lead to other folders."""
     for name in "abcde":
         (tmp_path / "mine" / name).mkdir(parents=True)
-    (cache / persistent_jit.FOLDER).symlink_to(tmp_path / "mine")
+    (cache / FOLDER).symlink_to(tmp_path / "mine")
     cache.chmod(0o777)
     with pytest.warns(UserWarning, match="can be written to by everyone"):
         require_right(evaluated())
@@ -184,7 +180,7 @@ def test_a_disk_that_is_full_or_read_only_is_done_without(cache, traces, monkeyp
         raise OSError(code, os.strerror(code))
 
     evaluated()
-    monkeypatch.setattr(trusted_cache_file.tempfile, "mkstemp", refused)
+    monkeypatch.setattr("tempfile.mkstemp", refused)
     require_right(evaluated())
     require_right(compiled())
     assert traces == ["program", "module"]
@@ -197,12 +193,12 @@ def test_a_write_that_ends_half_way_leaves_nothing(tmp_path, monkeypatch):
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (1000, before[1]))
     try:
-        trusted_cache_file.write(path, b"x" * 5000)
+        write(path, b"x" * 5000)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
     assert list(tmp_path.iterdir()) == []
-    trusted_cache_file.write(path, b"x" * 5000)
-    assert trusted_cache_file.read(path) == b"x" * 5000
+    write(path, b"x" * 5000)
+    assert read(path) == b"x" * 5000
 
 
 # A package of its own, in processes of its own, so that its source can change.
@@ -266,20 +262,20 @@ def test_later_processes_do_not_trace_until_the_source_changes(tmp_path):
     assert sorted(files) == ["", ".code"]
     for path in files.values():
         assert path.stat().st_mode & 0o077 == 0 and path.parent.stat().st_mode & 0o077 == 0
-    for k in range(persistent_jit.MAX_GENERATIONS):
+    for k in range(GENERATIONS):
         source.write_text(TOY.replace("2.0 * x", f"{3 + k}.0 * x"))
         count, _, numbers, _ = fresh("-c", CALL, "ours", **cached).split()
         assert count == "2"
         assert np.allclose(np.frombuffer(bytes.fromhex(numbers)), (3.0 + k) * np.linspace(0.0, 1.0, 5))
-    modules = [path for path in folder.glob(f"{persistent_jit.FOLDER}/*/*") if path.suffix == ""]
-    assert len(modules) == persistent_jit.MAX_GENERATIONS
+    modules = [path for path in folder.glob(f"{FOLDER}/*/*") if path.suffix == ""]
+    assert len(modules) == GENERATIONS
 
 
 @pytest.mark.parametrize("fails", [False, True])
 def test_the_strobe_has_the_same_bits_by_its_module(cache, fails):
     """Also without the module, where the folder cannot be made."""
     if fails:
-        (cache / persistent_jit.FOLDER).write_text("a file in its place")
+        (cache / FOLDER).write_text("a file in its place")
     scene = jv.make_scene(amplitude=2.0, frequency=2.1, damping=0.05, restitution=0.7, walls=(-1.0, 1.0))
     state, slots = jv.State(*(jnp.asarray(each, float) for each in (0.9, -1.1, 0.0, 0.0))), 5 + fails
     computed = _two_tier_strobe(scene, state, 1, slots, False)
@@ -294,7 +290,7 @@ def test_the_strobe_has_the_same_bits_by_its_module(cache, fails):
 def test_a_module_is_passed_over_under_transformations(cache):
     """It has no derivative and no lanes: the function itself is called."""
 
-    @persistent_jit.persistent_jit(numpy_first=True)
+    @persistent_jit(numpy_first=True)
     def cubes(x):
         return x**3
 
@@ -340,7 +336,7 @@ def test_after_jaxvibro_warm_a_process_traces_nothing(tmp_path, size):
     if size == "small":
         return
     rng = random.Random(58)
-    for path in folder.glob(f"{persistent_jit.FOLDER}/*/*"):
+    for path in folder.glob(f"{FOLDER}/*/*"):
         whole = path.read_bytes()
         path.write_bytes(flipped(whole, rng.randrange(8 * len(whole))))
     functions, *damaged = fresh("-c", WARMED, file, **settings).splitlines()
@@ -350,7 +346,6 @@ def test_after_jaxvibro_warm_a_process_traces_nothing(tmp_path, size):
 def test_warm_refuses_what_it_cannot_do(cache):
     with pytest.raises(jv.ArgumentError):
         jv.warm(jv.make_scene(np.array([2.0, 3.0]), 2.1, 0.05, 0.7, (-1.0, 1.0)))
-    assert numpy_evaluation.MAX_EVALUATIONS > 0
     jax.config.update("jax_compilation_cache_dir", None)
     with pytest.raises(jv.ArgumentError, match="jax_compilation_cache_dir: must be set"):
         jv.warm()

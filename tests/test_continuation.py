@@ -24,7 +24,7 @@ from continuation.intermediate_points import make_start_point, truncate_at_lengt
 from continuation.linear_solver import solve
 from continuation.newton import ADVICE, newton
 from continuation.one_parameter import make_task
-from continuation.point_rows import first_rows, insert_row, join_rows, reverse_rows, row_at
+from continuation.point_rows import first_rows, insert_row, join_rows, reverse_rows
 from continuation.problem import SystemConstants, bialternate_product, bialternate_sum
 from tests.test_trace import close
 
@@ -245,7 +245,6 @@ def test_rows_are_those_of_lists():
     points, one = Rows(rng.normal(size=(5, 3)), rng.normal(size=5)), Rows(rng.normal(size=3), np.float64(0.5))
     plain = listed(points)
     assert listed(first_rows(points, 3)) == plain[:3] and listed(reverse_rows(points)) == plain[::-1]
-    assert (*row_at(points, -2).z.tolist(), row_at(points, -2).step) == plain[-2]
     assert listed(join_rows([points, points, first_rows(points, 2)])) == plain + plain[1:] + plain[1:2]
     for place in range(1, 6):
         expected = [*plain[:place], (*one.z.tolist(), 0.5), *plain[place:]]
@@ -253,7 +252,7 @@ def test_rows_are_those_of_lists():
             expected[place + 1] = (*plain[place][:-1], plain[place][-1] - 0.5)
         assert listed(insert_row(points, place, one)) == expected
     assert listed(points) == plain
-    assert row_at(None, 0) is None and join_rows([None, None]) is None
+    assert join_rows([None, None]) is None
 
 
 class Counts(EventDetector):
