@@ -25,6 +25,8 @@ import jaxvibro as jv
 from continuation import shooting
 from jaxvibro import plot
 
+from .scene_files import SCENE
+
 LIMIT = 30.0  # seconds of the processor that a call may take
 REFUSED = (jv.ArgumentError, co.ContinuationError)
 FUNCTIONS = {
@@ -51,16 +53,7 @@ WITHOUT_CALL = {f"plot.{name}" for name in LONG_DATA}
 LONG = {("paper", "names"), ("warm", "scene"), ("warm", "progress")}  # a valid call of these takes minutes
 OWN = {("shooting.settled", "args")}  # what a user's function is given: any value may be right, or an error of its own
 PARTS = {"walls": {"left", "right", "length"}, "what": {"scene"}, "changes": {"scene"}}  # also named
-SCENE_FILE = """
-[scene]
-amplitude = 0.5
-frequency = 2.1
-damping = 0.05
-restitution = 0.7
-[scene.left]
-position = -1.0
-[scene.right]
-position = 1.0
+SWEEP = """
 [sweep]
 parameter = "amplitude"
 count = 2
@@ -108,7 +101,7 @@ def valid_arguments():
     plane = {"names": ("amplitude", "frequency"), "bounds": {"amplitude": (3.41, 3.42), "frequency": (2.09, 2.11)}}
     box = {"bounds": {"amplitude": (0.45, 0.55)}}
     folder = Path(tempfile.mkdtemp())
-    (folder / "scene.toml").write_text(SCENE_FILE)
+    (folder / "scene.toml").write_text(SCENE + SWEEP)
     branch.save(folder / "branch.nc")
     equation, orbits = co.equilibria(fold), FUNCTIONS["shooting.periodic_orbits"](circle)
     steady = co.trace(equation, 0.9, {"a": 0.5, "b": 0.3}, "a", (-1.0, 1.0))

@@ -93,15 +93,9 @@ def test_a_folder_of_somebody_else_is_not_used(cache, traces, monkeypatch):
 
 
 # Of the cache folder: (mode, why it is not used, None where it is).
-MODES = [
-    (0o700, None),
-    (0o755, None),
-    (0o777, "can be written to by everyone"),
-    (0o1777, "can be written to by everyone"),
-    (0o702, "can be written to by everyone"),
-    (0o770, "can be written to by a group"),
-    (0o2775, "can be written to by a group"),
-]
+MODES = [(0o700, None), (0o755, None)]
+MODES += [(mode, "can be written to by everyone") for mode in (0o777, 0o1777, 0o702)]
+MODES += [(mode, "can be written to by a group") for mode in (0o770, 0o2775)]
 
 
 @pytest.mark.parametrize(("mode", "reason"), MODES)
