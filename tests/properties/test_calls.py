@@ -59,7 +59,7 @@ class TracedCall:
 TRACED = {
     kind.name: kind
     for kind in (
-        TracedCall("strobe", strobe, ("jacfwd", "jacrev", "grad", "hessian", "value", "jvp")),
+        TracedCall("strobe", strobe, ("value", "jacfwd", "jacrev", "grad", "hessian", "jvp")),
         TracedCall("two_periods", two_periods, ("value", "jacfwd")),
         TracedCall("monodromy", jv.monodromy, ("value",)),
         TracedCall("return_map", return_map, ("value", "jacrev", "jvp"), BESIDE_RIGID),
