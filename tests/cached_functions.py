@@ -6,10 +6,12 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
-from continuation import numpy_evaluation
-from continuation.persistent_jit import FOLDER, persistent_jit
+from continuation.persistent_jit import persistent_jit
 
+FOLDER = "modules"  # of the package's own files, in JAX's cache folder
+DIGEST = 32  # bytes at the begin of a file
 GIVEN = np.linspace(0.1, 2.0, 5)
 TRUE = np.sin(GIVEN), GIVEN * np.exp(-GIVEN)
 
@@ -36,11 +38,9 @@ def evaluated(function=waves):
 
 def compiled(function=waves):
     """Return the same by its module."""
-    before, numpy_evaluation.MAX_EVALUATIONS = numpy_evaluation.MAX_EVALUATIONS, 0
-    try:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("continuation.numpy_evaluation.MAX_EVALUATIONS", 0)
         return evaluated(function)
-    finally:
-        numpy_evaluation.MAX_EVALUATIONS = before
 
 
 def require_right(values):

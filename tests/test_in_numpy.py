@@ -10,14 +10,14 @@ from jax import lax
 
 import continuation as co
 import jaxvibro as jv
-from continuation import numpy_evaluation, persistent_jit
 from continuation.jaxpr_to_python import build_program, compile_program_text, load_program
 from continuation.numpy_evaluation import NumpyEvaluator
 from continuation.numpy_gather_scatter import NoRuleError
-from continuation.packed_call import ArrayLayout, PackedCall
+from continuation.persistent_jit import compile_numpy_functions, persistent_jit
 from continuation.python_literals import literal_text
-from jaxvibro.flight.wall_positions import wall_states
+from jaxvibro.branches.branch import scene_at_value
 
+EVALUATION = "continuation.numpy_evaluation"
 rng = np.random.default_rng(0)
 ROW, OTHER = rng.normal(size=(2, 6))
 TABLE, CUBE = rng.normal(size=(6, 4)), rng.normal(size=(3, 6, 4))
@@ -105,48 +105,64 @@ def test_structures_give_what_the_compiler_gives(name, kind):
         np.testing.assert_allclose(one, other, rtol=64 * np.finfo(kind).eps, atol=64 * np.finfo(kind).eps)
 
 
-def test_what_has_no_rule_is_compiled():
-    assert NumpyEvaluator(jnp.linalg.eigh, (), {})((SQUARE + SQUARE.T,)) is None
-    assert NumpyEvaluator(lambda x: lax.reduce_precision(x, 5, 10), (), {})((ROW,)) is None
-
-
-def test_what_another_version_of_jax_tells_otherwise_is_compiled(monkeypatch):
+@pytest.mark.parametrize(
+    ("function", "given"),
+    [(jnp.linalg.eigh, SQUARE + SQUARE.T), (lambda x: lax.reduce_precision(x, 5, 10), ROW), (jnp.sin, "other JAX")],
+)
+def test_what_has_no_rule_or_is_traced_otherwise_by_another_jax_is_compiled(function, given, monkeypatch):
     def otherwise(closed):
         raise KeyError("num_consts")
 
-    monkeypatch.setattr(numpy_evaluation, "build_program", otherwise)
-    tried = NumpyEvaluator(lambda x: x + 1.0, (), {})
-    assert tried((np.float64(1.0),)) is None and list(tried.evaluation_by_signature.values()) == [None]
+    if isinstance(given, str):
+        monkeypatch.setattr(f"{EVALUATION}.build_program", otherwise)
+        given = ROW
+    evaluator = NumpyEvaluator(function, (), {})
+    assert evaluator((given,)) is None and list(evaluator.evaluation_by_signature.values()) == [None]
 
 
-def test_what_no_result_needs_is_not_written():
+def text_of(function, given):
+    return build_program(jax.jit(function).trace(given).jaxpr).text
+
+
+def test_programs_hold_neither_unused_results_nor_rules_twice():
     def wasted(x):
         return lax.fori_loop(0, 3, lambda _, x: (x + 1.0, jnp.sin(x) * jnp.arange(100.0))[0], x)
 
     def plain(x):
         return lax.fori_loop(0, 3, lambda _, x: x + 1.0, x)
 
-    written = [build_program(jax.jit(each).trace(1.0).jaxpr) for each in (wasted, plain)]
-    assert written[0].text == written[1].text
+    def twice(x):
+        return jnp.concatenate([lax.slice(x, (1,), (20,)), lax.slice(x * 2.0, (1,), (20,))])
+
+    assert text_of(wasted, 1.0) == text_of(plain, 1.0)
+    assert text_of(twice, np.arange(30.0)).count("rules['slice']") == 1
 
 
 def test_it_is_compiled_once_it_has_cost_as_much(monkeypatch):
-    monkeypatch.setattr(numpy_evaluation, "MAX_EVALUATIONS", 3)
+    monkeypatch.setattr(f"{EVALUATION}.MAX_EVALUATIONS", 3)
     tried = NumpyEvaluator(lambda x, k: x * k + 1.0, (1,), {})
     assert [tried((ROW, 2)) is None for _ in range(5)] == [False] * 3 + [True] * 2
     assert tried((ROW, 3)) is not None and tried((ROW[:2], 2)) is not None  # of another kind
 
 
+class Pair(NamedTuple):
+    first: np.ndarray
+    second: np.ndarray
+
+
+@persistent_jit(static_argnums=1, numpy_first=True)
+def turned(pair, times, by):
+    return Pair(jnp.roll(pair.second, times), by * pair.first)
+
+
 def test_what_was_evaluated_is_compiled_when_there_is_time(monkeypatch):
-    monkeypatch.setattr(persistent_jit, "_pending", [])
-    scene, phase = jv.make_scene(1.0, 2.0, 0.1, 0.7, (jv.Wall(-1.0, motion=jv.Motion(0.2, 0.5, 2)), None)), np.ones(13)
-    wall_states(scene, phase)
-    before = wall_states(scene, phase)
-    assert list(persistent_jit.compile_numpy_functions()) == [0]  # of two calls one kind
+    monkeypatch.setattr("continuation.persistent_jit._pending", [])
+    pair = Pair(np.arange(13.0), np.ones(13))
+    turned(pair, 1, 2.0)
+    turned(pair, 1, 3.0)
+    assert list(compile_numpy_functions()) == [0]  # of two calls one kind
     monkeypatch.setattr(NumpyEvaluator, "evaluate", None)
-    for one, other in zip(jax.tree.leaves(wall_states(scene, phase)), jax.tree.leaves(before), strict=True):
-        np.testing.assert_allclose(one, other, rtol=1e-14)
-    np.testing.assert_allclose(before[0][0], -1.0 + 0.2 * np.cos(2.5), rtol=1e-14)
+    np.testing.assert_array_equal(turned(pair, 1, 3.0).second, 3.0 * np.arange(13.0))
 
 
 def constant(text):
@@ -175,7 +191,7 @@ def test_a_program_without_text_is_run_but_not_stored(monkeypatch):
 @pytest.mark.parametrize(
     "value",
     (
-        np.array([[0.1, -0.0], [np.inf, 5e-324]]),
+        np.array([[0.1, -0.0, np.nan], [np.inf, 5e-324, -np.inf]]),
         np.zeros((0, 3), np.int32),
         np.float32(0.1),
         np.array([True, False]),
@@ -194,18 +210,6 @@ def test_a_literal_is_its_value(value):
         assert found == value
 
 
-def test_nan_is_written():
-    assert np.isnan(constant(literal_text(np.array([np.nan]))))
-
-
-def test_the_same_rule_is_named_once():
-    def twice(x):
-        return jnp.concatenate([lax.slice(x, (1,), (20,)), lax.slice(x * 2.0, (1,), (20,))])
-
-    text = build_program(jax.jit(twice).trace(np.arange(30.0)).jaxpr).text
-    assert text.count("rules['slice']") == 1
-
-
 MIXED = [
     rng.normal(size=(3, 2)),
     np.float64(0.25),
@@ -216,48 +220,28 @@ MIXED = [
     np.float32(1.5),
     rng.normal(size=5),
     jnp.linspace(0.0, 1.0, 3),
+    3,
 ]
-
-
-def test_arrays_come_back_from_their_rows():
-    layout = ArrayLayout(MIXED)
-    rows = layout.rows(MIXED)
-    assert sorted(row.dtype.name for row in rows) == ["bool", "float32", "float64", "int32", "int64"]
-    for found in (layout.arrays(rows), layout.unpack_traced_arrays([jnp.asarray(row) for row in rows])):
-        for one, given in zip(found, MIXED, strict=True):
-            assert one.shape == np.shape(given) and one.dtype == given.dtype
-            np.testing.assert_array_equal(one, given)
-    for one, other in zip(layout.pack_traced_rows([jnp.asarray(each) for each in MIXED]), rows, strict=True):
-        np.testing.assert_array_equal(one, other)
 
 
 def everything(table, share, count, places, none, mask, single, row, more, weak):
     return {"sum": table.sum() * share + count, "rest": (places[mask.sum()] * weak, none, ~mask, None)}, row[::-1], more
 
 
-def test_results_are_those_of_jit():
-    given = [*MIXED, 3]
-    found, expected = PackedCall(everything, given, {})(given), jax.jit(everything)(*given)
+def test_a_compiled_call_of_many_types_is_that_of_jit(monkeypatch):
+    monkeypatch.setattr(f"{EVALUATION}.MAX_EVALUATIONS", 0)
+    found = persistent_jit(everything, numpy_first=True)(*MIXED)
+    expected = jax.jit(everything)(*MIXED)
     assert jax.tree.structure(found) == jax.tree.structure(expected)
     for one, other in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
         assert isinstance(one, np.ndarray) and (one.shape, one.dtype) == (other.shape, other.dtype)
         np.testing.assert_array_equal(one, other)
 
 
-class Pair(NamedTuple):
-    first: np.ndarray
-    second: np.ndarray
-
-
-@persistent_jit.persistent_jit(static_argnums=1, numpy_first=True)
-def turned(pair, times, by):
-    return Pair(jnp.roll(pair.second, times), by * pair.first)
-
-
 @pytest.mark.parametrize("patience", [np.inf, 0])
 def test_calls_of_other_kinds_are_told_apart(patience, monkeypatch):
     """Of another length, type, static argument or form; with a number of the host's own; and under transformations."""
-    monkeypatch.setattr(numpy_evaluation, "MAX_EVALUATIONS", patience)
+    monkeypatch.setattr(f"{EVALUATION}.MAX_EVALUATIONS", patience)
     for size, kind in ((3, float), (5, float), (3, np.float32), (3, np.int32)):
         one, two = np.arange(size).astype(kind), np.ones(size, kind)
         for times in (1, 2):
@@ -270,25 +254,20 @@ def test_calls_of_other_kinds_are_told_apart(patience, monkeypatch):
     assert slope == 6.0
 
 
-def test_complex_constants_are_divided():
-    a, b = np.array([1.0 + 2.0j, 0.5j]), np.array([2.0 - 1.0j, 1.0 + 1.0j])
-
+def test_complex_constants_and_arguments():
     def move(u, p, args):
-        return 0.5 * u + 0.1 * jnp.sin(p["a"] * u) + (jnp.asarray(a) / jnp.asarray(b)).real
+        return 0.5 * u + p["a"] * (jnp.asarray([1.0 + 2.0j, 0.5j]) * args / jnp.asarray([2.0 - 1.0j, 1.0 + 1.0j])).real
 
-    branch = co.trace(co.fixed_points(move), [0.1, 0.5], {"a": 0.3}, "a", (0.0, 1.0))
-    ends = branch.u[np.argmin(branch.p["a"])]
-    np.testing.assert_allclose(ends, 2.0 * (a / b).real, atol=1e-9)  # at a = 0 u = u / 2 + c
-
-
-def test_a_complex_number_may_be_an_argument():
-    system = co.fixed_points(lambda u, p, args: 0.5 * u + p["a"] * (args / (1.0 + 1.0j)).real)
-    branch = co.trace(system, 0.4, {"a": 0.4}, "a", (0.0, 1.0), args=np.complex128(1.0 + 0.0j))
-    np.testing.assert_allclose(branch.u[:, 0], branch.p["a"], atol=1e-9)
-    again = co.trace(system, 0.4, {"a": 0.4}, "a", (0.0, 1.0), args=1.0 + 0.0j)
-    np.testing.assert_array_equal(again.u, branch.u)
+    system, quotient = co.fixed_points(move), np.array([(1.0 + 2.0j) / (2.0 - 1.0j), 0.5j / (1.0 + 1.0j)])
+    branches = [
+        co.trace(system, [0.0, 0.2], {"a": 0.4}, "a", (0.0, 1.0), args=kind(0.5 + 1.0j))
+        for kind in (complex, np.complex128)
+    ]
+    expected = 2.0 * branches[0].p["a"][:, None] * (quotient * (0.5 + 1.0j)).real
+    np.testing.assert_allclose(branches[0].u, expected, atol=1e-9)
+    np.testing.assert_array_equal(branches[0].u, branches[1].u)
     with pytest.raises(co.ContinuationError, match="args: must be numbers and arrays"):
-        co.trace(system, 0.4, {"a": 0.4}, "a", (0.0, 1.0), args="x")
+        co.trace(system, [0.0, 0.2], {"a": 0.4}, "a", (0.0, 1.0), args="x")
 
 
 def study(scene, start):
@@ -327,9 +306,23 @@ def test_results_in_numpy_are_those_of_the_compiled_functions(compute, restituti
     )
     scene, results = jv.make_scene(2.0, 2.1, 0.05 if compute is study else 0.2, restitution, walls), []
     for evaluations in (np.inf, 0):
-        monkeypatch.setattr(numpy_evaluation, "MAX_EVALUATIONS", evaluations)
+        monkeypatch.setattr(f"{EVALUATION}.MAX_EVALUATIONS", evaluations)
         results.append(compute(scene, jv.State(*start)))
     assert all(program is not None for program in programs)
     (said, numbers), (expected, others) = results
     assert said == expected
     np.testing.assert_allclose(numbers, others, rtol=1e-12, atol=1e-12)
+
+
+def test_the_scene_on_a_branch_is_the_one_with_another_value():
+    """It is made without JAX."""
+    moving = jv.Wall(-1.0, motion=jv.Motion(0.1, 0.5, 2)), jv.Wall(1.2, restitution=0.6)
+    soft = jv.Wall(-1.0, stiffness=300.0, damping=2.0), None
+    for scene in (jv.make_scene(2.0, 2.1, 0.05, 0.7, moving), jv.make_scene(2.0, 1.7, 0.1, 0.7, soft)):
+        for name in scene.names:
+            value = 1.07 * float(scene.parameter(name)) if name != "restitution" else 0.4
+            found, expected = scene_at_value(scene, name, value), scene.replace(**{name: value})
+            assert found.names == expected.names and type(found.amplitude) is type(expected.amplitude)
+            for one, other in ((found.parameter(each), expected.parameter(each)) for each in expected.names):
+                assert one.dtype == other.dtype and float(one) == float(other)
+            assert type(found.parameter(name)) is type(expected.parameter(name))

@@ -10,10 +10,6 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import continuation as co
-from continuation import arclength
-from continuation.continuation_loop import End
-from continuation.normal_forms import lyapunov_coefficient
-from continuation.problem import SystemConstants
 from continuation.shooting import periodic_orbits, settled
 
 from .properties.continued import flown, spiral
@@ -37,6 +33,12 @@ def lorenz84(u, p, args):
     return jnp.stack([first, x * y - x * z - y + 0.25, x * y + x * z - z, -1.04 * w + 0.987 * w * x + p["T"]])
 
 
+def figure_of_eight(u, p, half):
+    """(sin 2t, half cos t, sin t): at t = pi it passes the point of t = 0 at twice half."""
+    x, z = u
+    return jnp.stack([half * x - 2.0 * p["p"] * z, z * z / half - half * (1.0 - p["p"] ** 2)])
+
+
 CIRCLE = co.equilibria(lambda u, p, args: u * u + p["p"] ** 2 - 1.0)
 PARABOLA = co.equilibria(lambda u, p, args: p["p"] - u * u)
 WAVE = co.equilibria(lambda u, p, args: p["p"] - jnp.sin(4 * u))
@@ -49,6 +51,7 @@ BROKEN = co.equilibria(lambda u, p, args: u - jnp.where(p["p"] < 0.5, p["p"], jn
 DIAGONAL = co.fixed_points(lambda u, p, other: jnp.stack([p["p"] * u[0], other * u[1]]))
 HENON = co.fixed_points(lambda u, p, args: jnp.stack([p["a"] - u[0] ** 2 + p["b"] * u[1], u[0]]))
 DELAYED = co.fixed_points(lambda u, p, args: jnp.stack([p["r"] * u[0] * (1 - u[1]) + p["e"], u[0]]))
+MAX_ANGLE = 0.3  # between the tangents of two points
 
 
 def kinds(branch):
@@ -77,8 +80,14 @@ def test_a_circle_closes(first, largest, tolerance):
     turns = -np.diff(np.unwrap(np.arctan2(found.u[:, 0], found.p["p"])))
     assert np.all(turns < 0) or np.all(turns > 0)
     assert close(abs(turns.sum()), 2 * np.pi, 1e-6)
-    assert abs(turns).max() < arclength.MAX_ANGLE
-    assert found.reasons == ("the start", End.CLOSED.value.format(value=0.8))
+    assert abs(turns).max() < MAX_ANGLE
+    assert found.reasons == ("the start", "it closes: the branch came back to its start at 0.8")
+
+
+def test_a_branch_that_passes_close_to_its_start_goes_on():
+    found = co.trace(co.equilibria(figure_of_eight), [0.0, 5e-5], {"p": 0.0}, "p", (-2.0, 2.0), args=5e-5)
+    assert sorted(found.p["p"][one.place] for one in found.points("SN")) == pytest.approx([-1.0, 1.0], abs=1e-12)
+    assert "it closes" in found.reasons[1]
 
 
 def test_a_step_that_strays_is_refused():
@@ -95,7 +104,7 @@ def test_a_step_that_turns_too_far_is_refused():
     found = co.trace(BEND, [0.375], {"p": 0.5}, "p", (-2.0, 1.0), direction="backward", **steps)
     angle = np.arctan(1.0 - 3.0 * found.p["p"] ** 2)
     assert close(found.u[:, 0], found.p["p"] - found.p["p"] ** 3, 1e-12)
-    assert len(found.u) > 10 and abs(np.diff(angle)).max() < arclength.MAX_ANGLE
+    assert len(found.u) > 10 and abs(np.diff(angle)).max() < MAX_ANGLE
 
 
 def test_every_fold_of_many_is_seen_once_and_monitors_and_stops():
@@ -107,7 +116,7 @@ def test_every_fold_of_many_is_seen_once_and_monitors_and_stops():
     assert [one.kind for one in ahead] == ["SN"] * len(folds) + ["far"]
     assert close([one.z for one in ahead[:-1]], np.stack([folds, np.sin(4 * folds)], 1), 1e-13)
     assert close(ahead[-1].u, 10.0, 1e-12)
-    assert found.reasons[1] == End.STOPPED.value.format(kind="far", value=np.sin(40.0))
+    assert found.reasons[1] == f"stopped at far, {np.sin(40.0):.12g}"
 
 
 @pytest.mark.parametrize(("least", "most"), [(-1.087, 1.99), (-1.08, 1.9995), (-1.087, 1.98)])
@@ -122,50 +131,42 @@ def test_a_step_that_crosses_two_bounds_ends_at_the_first(least, most):
     assert any(f"{name} reached its bound" in one for one in found.reason.values())
 
 
-@pytest.mark.parametrize(("u", "p"), [(0.0, -1.0), (1.2, 1.44), (-1.1, 1.21)])
-def test_a_pitchfork_from_each_branch(u, p):
-    found = co.trace(PITCHFORK, [u], {"p": p, "e": 0.0}, "p", (-2.0, 2.0))
+@pytest.mark.parametrize(
+    ("u", "p", "bound", "largest"),
+    [(0.0, -1.0, 2.0, 0.1), (1.2, 1.44, 2.0, 0.1), (-1.1, 1.21, 2.0, 0.1)]
+    + [(u, u * u, 1e-3, 2e-3) for u in np.linspace(0.01, 0.02, 5)],  # steps so short that a fold is found there too
+)
+def test_a_pitchfork_from_each_branch(u, p, bound, largest):
+    """Where the branch turns as it is crossed there is no fold besides."""
+    steps = {"first_step": 0.5 * largest, "largest_step": largest}
+    found = co.trace(PITCHFORK, [u], {"p": p, "e": 0.0}, "p", (-bound, bound), **steps)
     assert kinds(found) == ["BP"]
     assert close(met(found), [[0, 0]], 1e-12)
     assert close(found.u[:, 0] if u == 0 else found.p["p"] - found.u[:, 0] ** 2, 0, 1e-12)
-    for half in co.switch(found.points("BP")[0]):
+    for half in co.switch(found.points("BP")[0], **steps):
         assert kinds(half) == []
         assert close(half.p["p"] - half.u[:, 0] ** 2 if u == 0 else half.u[:, 0], 0, 1e-12)
 
 
-def test_a_crossing_where_a_branch_turns_is_no_fold_as_well():
-    for u in np.linspace(0.01, 0.02, 5):  # steps so short that a fold is found there too
-        steps = {"first_step": 1e-3, "largest_step": 2e-3}
-        found = co.trace(PITCHFORK, [u], {"p": u * u, "e": 0.0}, "p", (-1e-3, 1e-3), **steps)
-        assert kinds(found) == ["BP"]
-        assert close(met(found), [[0, 0]], 1e-12)
-
-
-@pytest.mark.parametrize(("e", "largest"), [(0.1, 0.1), (0.01, 0.1), (1e-4, 0.01), (-0.1, 0.1)])
-def test_a_broken_pitchfork_has_a_fold_and_no_crossing(e, largest):
-    sign = np.sign(e)
-    at = {"p": 1.21 + abs(e) / 1.1, "e": e}
-    found = co.trace(PITCHFORK, [-sign * 1.1], at, "p", (-2.0, 1.5), largest_step=largest)
+@pytest.mark.parametrize(("e", "step"), [(0.1, 0.1), (0.01, 0.1), (1e-4, 0.01), (-0.1, 0.1), (0.001, 0.3)])
+def test_a_broken_pitchfork_has_a_fold_and_no_crossing(e, step):
+    """The last step is so long that a jump to the other branch is refused."""
+    sign, steps = np.sign(e), {"first_step": step, "largest_step": step}
+    found = co.trace(PITCHFORK, [-sign * 1.1], {"p": 1.21 + abs(e) / 1.1, "e": e}, "p", (-2.0, 1.5), **steps)
     assert kinds(found) == ["SN"]
     assert close(met(found), [[-np.cbrt(e / 2), 3 * np.cbrt(e / 2) ** 2]], 1e-12)
     u, p = found.u[:, 0], found.p["p"]
     assert close(p * u - u**3 + e, 0, 1e-12)
     assert close(p[[0, -1]], 1.5, 0)
-    found = co.trace(PITCHFORK, [e], {"p": e * e - 1, "e": e}, "p", (-2.0, 1.5), largest_step=largest)
+    found = co.trace(PITCHFORK, [e], {"p": e * e - 1, "e": e}, "p", (-2.0, 1.5), **steps)
     assert kinds(found) == []
     assert sign * found.u[-1, 0] > np.sqrt(1.5)
 
 
-def test_delayed_logistic():
-    found = co.trace(DELAYED, [1 / 3, 1 / 3], {"r": 1.5, "e": 0.0}, "r", (0.5, 2.5))
-    assert kinds(found) == ["BP", "NS"]
-    assert close(met(found), [[0, 0, 1], [0.5, 0.5, 2]], 1e-12)
-    assert close(sorted(np.angle(found.points("NS")[0].eigenvalues)), [-np.pi / 3, np.pi / 3], 1e-12)
-    curve = co.curve(found.points("NS")[0], ("r", "e"), {"r": (0.1, 9.0), "e": (-2.0, 2.0)})
-    assert close(curve.u[:, 0] * curve.p["r"], 1, 1e-11)  # the product of the multipliers
-    assert sorted(kinds(curve)) == ["R1", "R4"]  # their sum is r - 1
-    assert close(curve.points("R1")[0].z, [1 / 3, 1 / 3, 3, -1 / 3], 1e-11)
-    assert close(curve.points("R4")[0].z, [1, 1, 1, 1], 1e-11)
+@pytest.mark.parametrize(("before", "seen"), [(1e-9, 0), (1e-7, 1), (0.1, 1)])
+def test_a_crossing_in_which_a_branch_begins_is_not_met_again(before, seen):
+    found = co.trace(PITCHFORK, [0.0], {"p": -before, "e": 0.0}, "p", (-1.0, 0.5), direction="forward")
+    assert kinds(found) == ["BP"] * seen
 
 
 def test_a_neutral_saddle_is_no_neimark_sacker_point():
@@ -180,15 +181,58 @@ def test_a_point_that_is_an_event():
     assert kinds(found) == ["PD"]
 
 
+def linear_pair(u, p, args):
+    """Multipliers at 0 with product s and sum t."""
+    x, y = u
+    return jnp.stack([y, -p["s"] * x + p["t"] * y + x * x])
+
+
+def cubic(u, p, args):
+    """Period doublings at m = 0, whose coefficient is a^2 - 0.49."""
+    return -(1.0 + p["m"]) * u + p["a"] * u**2 - 0.49 * u**3
+
+
+# name: (map, u and parameters at the start, bounds of the first, kind of point, bounds along its curve, points there)
+CURVES = {
+    "delayed logistic map": (
+        DELAYED,
+        ([1 / 3, 1 / 3], {"r": 1.5, "e": 0.0}, (1.2, 2.5), "NS"),
+        {"r": (0.1, 9.0), "e": (-2.0, 2.0)},
+        [("R1", [1 / 3, 1 / 3, 3, -1 / 3]), ("R4", [1, 1, 1, 1])],
+    ),
+    "linear pair": (
+        co.fixed_points(linear_pair),
+        ([0.0, 0.0], {"s": 0.8, "t": 0.5}, (0.7, 1.2), "NS"),
+        {"s": (0.5, 1.5), "t": (-2.5, 1.5)},
+        [("R2", [0, 0, 1, -2]), ("R3", [0, 0, 1, -1]), ("R4", [0, 0, 1, 0])],
+    ),
+    "cubic map": (
+        co.fixed_points(cubic),
+        ([0.0], {"m": -0.1, "a": 0.2}, (-0.2, 0.3), "PD"),
+        {"m": (-0.5, 0.5), "a": (-1.0, 1.0)},
+        [("GPD", [0, 0, -0.7]), ("GPD", [0, 0, 0.7])],
+    ),
+}
+
+
+@pytest.mark.parametrize("name", CURVES)
+def test_points_of_codimension_two(name):
+    system, (u, at, interval, kind), bounds, expected = CURVES[name]
+    found = co.trace(system, u, at, next(iter(at)), interval)
+    assert kinds(found) == [kind]
+    curve = co.curve(found.points(kind)[0], tuple(at), bounds)
+    located = sorted((one.kind, one.z.tolist()) for one in curve.special if one.kind != "EP")
+    assert [kind for kind, _ in located] == [kind for kind, _ in expected]
+    assert close([z for _, z in located], [z for _, z in expected], 1e-11)
+
+
 def test_bogdanov_takens_and_double_hopf_points_of_lorenz_84():
     found = co.trace(co.equilibria(lorenz84), [1.0, 0.0, 0.0, 0.0], {"F": 1.0, "T": 0.04}, "F", (0.5, 4.0))
     curve = co.curve(found.points("HB")[0], ("F", "T"), {"F": (0.0, 4.0), "T": (-0.5, 0.5)}, largest_step=0.05)
-    (double,) = curve.points("BT")
-    assert close(double.p["F"], 1.44671670111536, 1e-10)
-    assert close(abs(double.p["T"]), 0.0209401696833226, 1e-10)
-    assert "stopped at BT" in curve.reasons[0] + curve.reasons[1]
-    (both,) = curve.points("HH")
+    (double,), (both,) = curve.points("BT"), curve.points("HH")
+    assert close([double.p["F"], abs(double.p["T"])], [1.44671670111536, 0.0209401696833226], 1e-10)
     assert close([both.p["F"], abs(both.p["T"])], [2.53322110695982, 0.0262739429830842], 1e-12)
+    assert "stopped at BT" in curve.reasons[0] + curve.reasons[1]
     assert len(curve.points("GH")) == 1
 
 
@@ -222,11 +266,8 @@ def test_a_table_has_a_norm_and_no_more_than_some_numbers():
     def many(u, p, args):
         return jnp.concatenate([p["p"] - u[:1] ** 2, u[1:] - 2.0])
 
-    lines = (
-        co.trace(co.equilibria(many), np.append(1.0, np.full(49, 2.0)), {"p": 1.0}, "p", (-5.0, 3.0))
-        .table()
-        .split("\n")
-    )
+    branch = co.trace(co.equilibria(many), np.append(1.0, np.full(49, 2.0)), {"p": 1.0}, "p", (-5.0, 3.0))
+    lines = branch.table().split("\n")
     assert lines[0].split() == ["kind", "p", "norm", "u", "residual"] and max(map(len, lines)) < 120
     assert lines[1].split()[2] == f"{np.sqrt(3.0 + 49 * 4.0):.9g}" and "..." in lines[1]
 
@@ -265,41 +306,6 @@ def test_bratu(knots, fold):
     """The references are those of Newton's method in 30 digits, and of the literature."""
     found = co.trace(co.equilibria(bratu), np.zeros(knots), {"p": 0.0}, "p", (-0.1, 4.0), stop=["SN"], largest_step=2.0)
     assert close(found.points("SN")[0].p["p"], fold, 1e-10)
-
-
-def linear_pair(u, p, args):
-    """Multipliers at 0 with product s and sum t."""
-    x, y = u
-    return jnp.stack([y, -p["s"] * x + p["t"] * y + x * x])
-
-
-def test_resonances_by_the_angle_of_the_multipliers():
-    found = co.trace(co.fixed_points(linear_pair), np.zeros(2), {"s": 0.8, "t": 0.5}, "s", (0.7, 1.2))
-    curve = co.curve(found.points("NS")[0], ("s", "t"), {"s": (0.5, 1.5), "t": (-2.5, 1.5)})
-    assert sorted(kinds(curve)) == ["R2", "R3", "R4"]
-    for label, value in (("R2", -2.0), ("R3", -1.0), ("R4", 0.0)):
-        assert close(curve.points(label)[0].z, [0, 0, 1, value], 1e-11)
-
-
-def test_generalized_period_doublings_of_a_cubic_map():
-    """The coefficient is a^2 - 0.49."""
-
-    def cubic(u, p, args):
-        return -(1.0 + p["m"]) * u + p["a"] * u**2 - 0.49 * u**3
-
-    found = co.trace(co.fixed_points(cubic), [0.0], {"m": -0.1, "a": 0.2}, "m", (-0.2, 0.3))
-    curve = co.curve(found.points("PD")[0], ("m", "a"), {"m": (-0.5, 0.5), "a": (-1.0, 1.0)})
-    assert kinds(curve) == ["GPD", "GPD"]
-    assert close(sorted(one.p["a"] for one in curve.points("GPD")), [-0.7, 0.7], 1e-12)
-    assert close([one.z[:2] for one in curve.points("GPD")], 0, 1e-12)
-
-
-def test_the_lyapunov_coefficient_of_the_brusselator():
-    """With q = (-a^2, a^2 + i a) over its length, a sqrt(1 + 2 a^2)."""
-    for a in (0.5, 1.0, 1.7):
-        z = np.array([a, (1 + a * a) / a, 1 + a * a])
-        found = lyapunov_coefficient(co.equilibria(brusselator), "HB", ("b",), z, SystemConstants({"a": a}, None))
-        assert close(found, -(2 + a * a) / (2 * a * (1 + 2 * a * a)), 1e-12)
 
 
 def rings(u, time, p, args):
@@ -391,8 +397,6 @@ def test_orbits_from_a_long_run_back_to_the_hopf_point():
         ({"first_step": 0.0}, "first_step"),
         ({"stop": "SN"}, "stop"),
         ({"stop": ["LP"]}, "stop"),
-        ({"system": None}, "system"),
-        ({"at": [1.0]}, "at"),
         ({"at": {"p": {"q": 1.0}}}, "at.p"),
         ({"u": [[1.0]]}, "u"),
         ({"system": co.equilibria(lambda u, p, args: [u[0] - p["p"]])}, "function"),

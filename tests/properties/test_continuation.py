@@ -13,8 +13,9 @@ import pytest
 import continuation as co
 from continuation.jaxpr_to_python import build_program, compile_program_text, load_program
 from continuation.numpy_evaluation import NumpyEvaluator
-from continuation.trusted_cache_file import DIGEST, read
-from tests.cached_functions import compiled, evaluated, flipped, other_waves, own_files, require_right, separate_cache
+from continuation.trusted_cache_file import read
+from tests import cached_functions
+from tests.cached_functions import DIGEST, compiled, evaluated, flipped, own_files, require_right, separate_cache
 from tests.tiers import generator, of_numbers
 
 from .continued import PROBLEMS
@@ -189,7 +190,7 @@ def test_damage(kind, number):
         whole = path.read_bytes()
         assert read(path) == whole[DIGEST:]
         bits = {0, 8 * DIGEST, 8 * len(whole) - 1, *rng.integers(0, 8 * len(whole), 50).tolist()}
-        kind.values(other_waves)
+        kind.values(cached_functions.other_waves)
         (other,) = [one for one in path.parent.iterdir() if one.suffix == kind.suffix and one != path]
         version = path.parent.with_name("0" * 32) / path.name
         version.parent.mkdir()
