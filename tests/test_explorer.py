@@ -1,5 +1,7 @@
 """One page without a server: what each message changes, the Python that is shown, and requests that are refused."""
 
+import re
+
 import jax
 import numpy as np
 import pytest
@@ -306,6 +308,17 @@ def test_the_limits_of_the_axes_are_those_of_a_message(desk):
     for panel in SIZES:
         picture, answer = desk.say("zoom", panel=panel, x=(-1.0, 2.0), number=8)
         assert (picture["kind"], picture["x"]) == ("picture", [-1.0, 2.0]) and answer["number"] == 8
+
+
+def test_the_python_prints_the_tables_of_the_page(desk, capsys):
+    desk.say("move", by=3)
+    executed(desk)
+    printed = capsys.readouterr().out
+    point, _, orbit = desk.sent["facts"].partition("\n\n")
+    assert point.startswith("point ") and orbit in printed and len(desk.sent["points"]) == 3
+    for point in desk.sent["points"]:
+        value = re.search(rf"^{point['kind']} +(\S+)", printed, re.MULTILINE)[1]
+        assert float(value) == pytest.approx(point["value"], rel=1e-8)
 
 
 def raising(message):

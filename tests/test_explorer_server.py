@@ -5,12 +5,14 @@ import io
 import json
 import math
 import queue
+import re
 import socket
 import threading
 import zipfile
 from functools import wraps
 
 import pytest
+import xarray as xr
 from tornado.httpclient import AsyncHTTPClient, HTTPClientError, HTTPRequest
 from tornado.websocket import WebSocketClosedError, websocket_connect
 
@@ -229,7 +231,12 @@ async def test_files_of_a_page(served, tmp_path):
     assert answers["trace.pdf"][:4] == b"%PDF"
     with zipfile.ZipFile(io.BytesIO(answers["data.zip"])) as data:
         assert data.namelist() == ["orbit_1.nc", "orbit_1.txt"]
-        assert "multipliers" in data.read("orbit_1.txt").decode()
+        table = data.read("orbit_1.txt").decode()
+        motion = xr.load_dataset(io.BytesIO(data.read("orbit_1.nc")))
+    x = float(re.search(r"x (\S+), v", table)[1])
+    assert (
+        "multipliers" in table and motion.sizes["impact"] == 2 and float(motion["x"][0]) == pytest.approx(x, rel=1e-9)
+    )
     path = tmp_path / "page.toml"
     path.write_bytes(answers["scene.toml"])
     assert jv.load_scene(path).numbers == two_walls().numbers
