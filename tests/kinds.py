@@ -63,7 +63,8 @@ def _number(low, high, often):
     return st.one_of(*map(st.just, often), usual) if often else usual
 
 
-ROWS = st.lists(st.tuples(*(_number(*rule) for rule in NUMBERS.values())), min_size=LANES, max_size=LANES)
+ROW = st.tuples(*(_number(*rule) for rule in NUMBERS.values()))
+ROWS = st.lists(ROW, min_size=LANES, max_size=LANES)
 
 
 def draw_rows(seed, lanes=LANES, ranges=NUMBERS):

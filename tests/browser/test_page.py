@@ -138,7 +138,7 @@ def test_keys_alone(seen):
     seen.until("jaxvibro.idle && jaxvibro.state.facts.startsWith('point ')")
     facts = seen.state("facts")
     seen.page.keyboard.press("f")
-    seen.until("document.getElementById('told').innerText.includes('that is on no branch yet')")
+    seen.until("document.getElementById('told').innerText.includes('that is not on a branch')")
     seen.page.keyboard.press("u")
     seen.rest()
     assert branches_of(seen) == ["branch_1"] and seen.state("facts") != facts
@@ -176,6 +176,7 @@ def test_other_axes_and_a_line_for_each_error(seen):
     (mark,) = seen.state("marks")["diagram"]
     velocity = float(re.search(rf", v ({NUMBER})", seen.state("facts"))[1])
     np.testing.assert_allclose(mark, [2.0, velocity], rtol=1e-9)
+    seen.click("diagram", 2.75, velocity)
     assert seen.page.inner_text("#told") == ""
 
 
