@@ -1,13 +1,14 @@
-"""Pages of the explorer for tests: a session without a server, and a socket to a server."""
+"""Pages of the explorer for tests: a session without a server, and the socket of a page of a server."""
 
 import json
 import queue
 
+import msgspec
 from tornado.httpclient import HTTPRequest
 from tornado.websocket import websocket_connect
 
 import jaxvibro as jv
-from jaxvibro.explorer import messages
+from jaxvibro.explorer.messages import decode_message, encode_record
 from jaxvibro.explorer.session import Session
 from jaxvibro.scene.scene_table import make_scene_table
 from jaxvibro.studies.schema import SceneFile
@@ -25,40 +26,40 @@ class Desk:
 
     def __init__(self, scene=None):
         scene = two_walls() if scene is None else scene
-        self.told, self.turns = [], queue.Queue()
-        self.session = Session(SceneFile(scene=make_scene_table(scene)), scene, self.told.append, self.turns.put)
+        self.records, self.turns = [], queue.Queue()
+        self.session = Session(SceneFile(scene=make_scene_table(scene)), scene, self.record, self.turns.put)
         self.session.connected = True
 
-    def receive(self, message):
+    def record(self, record):
+        """Keep a record as a page would read it."""
+        self.records.append(msgspec.json.decode(encode_record(record)))
+
+    def receive_text(self, text):
         """Pass a message to the session, and return the records that it sends because of it."""
-        before = len(self.told)
-        self.session.receive_message(message)
-        return self.told[before:]
+        before = len(self.records)
+        self.session.receive_message(decode_message(text))
+        return self.records[before:]
 
     def say(self, do, **fields):
         """Send a message as the page does, and return the records that the session sends because of it."""
-        return self.receive(messages.decode_message(json.dumps({"do": do, **fields})))
-
-    def rest(self):
-        """Wait until no task runs, and return the records that are sent meanwhile."""
-        before = len(self.told)
-        while self.session.tasks.labels:
-            self.turns.get(timeout=PATIENCE)()
-        return self.told[before:]
+        return self.receive_text(json.dumps({"do": do, **fields}))
 
     def run(self, do, **fields):
         """Send a message, wait until no task runs, and return the records that are sent."""
-        return self.say(do, **fields) + self.rest()
+        before = len(self.records)
+        self.say(do, **fields)
+        while self.session.tasks.labels:
+            self.turns.get(timeout=PATIENCE)()
+        return self.records[before:]
 
     def resize(self):
         """Give the panels their sizes, after which they are drawn."""
         for panel, (width, height) in SIZES.items():
             self.say("size", panel=panel, width=width, height=height)
 
-    @property
-    def current(self):
-        """Orbit or motion in the portrait."""
-        return self.session.results[self.session.page.current]
+    def result(self, name):
+        """Return the result that a field of the page, such as "scene" or "current", names."""
+        return self.session.results[getattr(self.session.page, name)]
 
     @property
     def lines(self):
@@ -77,47 +78,48 @@ def complaints(records):
 
 
 class Page:
-    """A page's socket."""
+    """The socket of a page."""
 
-    def __init__(self, socket):
-        self.socket, self.number, self.state, self.pictures = socket, 0, {}, {}
+    opened = []  # noqa: RUF012
+
+    def __init__(self, socket, url):
+        self.socket, self.url, self.number, self.state = socket, url, 0, {}
+        self.opened.append(self)
+
+    def address(self, name):
+        """Return the address of a file of the page."""
+        return self.url.replace("?", f"take/{self.name}/{name}?")
 
     @classmethod
     async def open(cls, url, origin=None, size=True):
         headers = {} if origin is None else {"Origin": origin}
         request = HTTPRequest(url.replace("http:", "ws:").replace("/?", "/socket?"), headers=headers)
-        page = cls(await websocket_connect(request, max_message_size=1 << 26))
-        await page.until(lambda record: record["kind"] == "page")
+        page = cls(await websocket_connect(request, max_message_size=1 << 26), url)
+        (first,) = await page.until(lambda record: record["kind"] == "page")
+        page.name = first["name"]
         for panel, (width, height) in SIZES.items() if size else ():
             await page.say(do="size", panel=panel, width=width, height=height)
         return page
 
     async def say(self, **message):
-        """Sends a message and waits until it has been seen to: what was told meanwhile."""
+        """Send a message, and return the records that come up to its answer."""
         number = await self.send(**message)
         return await self.until(lambda record: record.get("number", 0) >= number)
 
     async def send(self, **message):
+        """Send a message, and return its number."""
         self.number += 1
         await self.socket.write_message(json.dumps(message | {"number": self.number}))
         return self.number
 
-    async def rest(self):
-        """Waits until no work is under way."""
-        if self.state.get("works"):
-            await self.until(lambda record: record.get("works") == [])
-
     async def until(self, is_last):
-        found = []
-        while not found or not is_last(found[-1]):
+        """Return the records that come up to one that fulfils a condition."""
+        records = []
+        while not records or not is_last(records[-1]):
             text = await self.socket.read_message()
             if text is None:
                 raise ConnectionError("the server closed the socket")
-            found.append(json.loads(text))
-            if found[-1]["kind"] == "state":
-                self.state |= found[-1]
-            elif found[-1]["kind"] == "picture":
-                self.pictures[found[-1]["panel"]] = found[-1]
-            elif found[-1]["kind"] == "page":
-                self.name = found[-1]["name"]
-        return found
+            records.append(json.loads(text))
+            if records[-1]["kind"] == "state":
+                self.state |= records[-1]
+        return records

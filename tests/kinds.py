@@ -11,7 +11,6 @@ from dataclasses import dataclass
 import diffrax
 import jax
 import numpy as np
-from hypothesis import strategies as st
 
 import jaxvibro as jv
 
@@ -55,15 +54,6 @@ TAME = {
     "first": (0.05, 0.5, ()),
     "second": (0.3, 0.7, ()),
 }
-
-
-def _number(low, high, often):
-    """Strategy of one number on the grid."""
-    usual = st.integers(int(low * GRID), int(high * GRID)).map(lambda count: count / GRID)
-    return st.one_of(*map(st.just, often), usual) if often else usual
-
-
-ROWS = st.lists(st.tuples(*(_number(*rule) for rule in NUMBERS.values())), min_size=LANES, max_size=LANES)
 
 
 def draw_rows(seed, lanes=LANES, ranges=NUMBERS):

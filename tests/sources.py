@@ -3,7 +3,7 @@
 import ast
 import re
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
@@ -79,6 +79,14 @@ def read_sources():
 
 
 MODULES = read_sources()
+
+
+@cache
+def names_of_tests(module):
+    """Return the names of the tests of a module below tests/, of its dotted name."""
+    path = ROOT.joinpath("tests", *module.split(".")).with_suffix(".py")
+    body = ast.parse(path.read_text("utf-8")).body if path.exists() else []
+    return [node.name for node in body if isinstance(node, FUNCTIONS) and node.name.startswith("test_")]
 
 
 def offenders(rule):

@@ -1,15 +1,18 @@
 """One page without a server: what each message changes, the Python that is shown, and requests that are refused."""
 
+import re
+
 import jax
 import numpy as np
 import pytest
 import tomli_w
 
 import jaxvibro as jv
-from jaxvibro.explorer import messages, page_screen
+from jaxvibro.explorer.page_screen import DRAW_FUNCTIONS
 
-from .explorer_fuzz import CHEAP, draw
+from .explorer_fuzz import ALL, CHEAP, check_answers
 from .explorer_pages import PATIENCE, SIZES, Desk, complaints, two_walls
+from .kinds import KINDS
 
 STATE = {"x": 0.9, "v": -1.1}
 BOX = {"amplitude": [1.5, 2.5], "frequency": [2.0, 2.2]}
@@ -53,16 +56,13 @@ def needed_lines(line):
 
 def numbers(value):
     """Return all numbers of a result in order."""
+    value = getattr(value, "branches", getattr(value, "data", value))
     if isinstance(value, tuple | list):
         return np.concatenate([numbers(item) for item in value])
-    if isinstance(value, jv.Branch | jv.Locus):
-        return np.concatenate([np.ravel(value.data[name].values) for name in sorted(value.data)])
     if isinstance(value, jv.Orbit):
         return np.array([value.state.x, value.state.v, *value.multipliers.view(float), *value.impacts.time])
     if isinstance(value, jv.Scene):
         return np.array(list(value.numbers.values()))
-    if isinstance(value, jv.Diagram):
-        return numbers(value.branches)
     if isinstance(value, jv.Margin):
         return np.array([value.distance])
     if hasattr(value, "share"):
@@ -93,33 +93,14 @@ def test_lines_that_no_other_line_needs_are_left_out():
     assert desk.lines == ["scene_2", "orbit_1", "branch_1", "orbit_3"]
 
 
-SCENES = {
-    "one wall": jv.make_scene(1.3, 2.0, 0.01, 0.8, (None, 0.4)),
-    "soft": jv.make_scene(3.0, 2.1, 0.05, walls=(None, jv.Wall(0.5, stiffness=400.0, damping=3.0))),
-    "moving": jv.make_scene(
-        *(1.0, 1.5, 0.1, 0.7), (jv.Wall(-1.0, motion=jv.Motion(0.1, 0.5, 2)), jv.Wall(1.2, 0.9)), drive=[(0.4, 3, 0.2)]
-    ),
-    "law": jv.make_scene(
-        *(1.0, 1.5),
-        walls=(jv.Wall(-1.0, law=jv.Push("hertz", {"stiffness": 50.0})), None),
-        force=jv.Force("polynomial", {"c1": 1.0, "damping": 0.1}),
-    ),
-    "force": jv.make_scene(
-        *(1.0, 1.5), restitution=0.7, walls=(-1.0, 1.0), force=jv.Force("duffing", {"damping": 0.1, "cubic": 1.0})
-    ),
-    "physical": jv.scene_from_physical(
-        mass=0.5, stiffness=800.0, damping=2.0, force=10.0, frequency_hz=9.0, restitution=0.7, walls=(-0.01, 0.01)
-    ),
-}
-
-
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize("name", [*KINDS, "physical"])
 def test_the_python_of_a_scene_makes_it(name):
-    desk = Desk(SCENES[name])
+    rig = jv.scene_from_physical(0.5, 2.0, 800.0, 10.0, None, 0.7, (-0.01, 0.01), frequency_hz=9.0)
+    desk = Desk(rig if name == "physical" else KINDS[name].draw_single(0)[0])
     desk.say("stop")
-    made = executed(desk)["scene_1"]
-    assert jax.tree.structure(made) == jax.tree.structure(SCENES[name])
-    assert jax.tree.leaves(made) == jax.tree.leaves(SCENES[name])
+    scene, made = desk.result("scene"), executed(desk)["scene_1"]
+    assert jax.tree.structure(made) == jax.tree.structure(scene)
+    assert jax.tree.leaves(made) == jax.tree.leaves(scene)
 
 
 @pytest.fixture(scope="module")
@@ -144,8 +125,7 @@ def desk(followed):
 
 @pytest.fixture
 def branch(desk):
-    (branch,) = (result for result in desk.session.results.values() if isinstance(result, jv.Branch))
-    return branch
+    return desk.session.results["branch_1"]
 
 
 def pictures(records):
@@ -156,25 +136,23 @@ def pictures(records):
 def check_orbit(desk, scene, x=0.9, v=-1.1):
     """Check that the page shows the orbit of a scene that a start settles on."""
     expected = jv.find_orbit(scene, jv.State(x, v)).multipliers
-    np.testing.assert_allclose(desk.current.multipliers, expected, rtol=1e-9)
+    np.testing.assert_allclose(desk.result("current").multipliers, expected, rtol=1e-9)
 
 
 def test_a_page_begins_with_the_orbit_and_its_branch(desk, branch):
     check_orbit(desk, two_walls(), 0.0, 0.0)
     assert (branch.name, branch.bounds) == ("amplitude", (0.0, 4.0))
-    assert set(pictures(desk.told)) == set(SIZES)
+    assert set(pictures(desk.records)) == set(SIZES)
     assert [action["call"] for action in desk.sent["actions"]][:2] == ["follow", "margin"]
 
 
 def test_a_click_shows_the_nearest_point_of_a_branch(desk, branch):
     row = len(branch) // 3
-    x = float(branch.data["x"].values[row, 0])
-    records = desk.say("pick", panel="diagram", x=float(branch.values[row]), y=x)
-    assert desk.session.page.place == row
-    np.testing.assert_allclose(desk.current.multipliers, branch.multipliers[row], rtol=1e-6)
-    assert float(desk.session.results[desk.session.page.scene].amplitude) == branch.values[row]
-    assert pictures(records) == ["portrait", "trace"]
-    assert desk.sent["marks"]["diagram"] == [[branch.values[row], x]]
+    value, x = branch.values[row], float(branch.data["x"].values[row, 0])
+    records = desk.say("pick", panel="diagram", x=float(value), y=x)
+    assert desk.session.page.place == row and desk.result("scene").amplitude == value
+    np.testing.assert_allclose(desk.result("current").multipliers, branch.multipliers[row], rtol=1e-6)
+    assert pictures(records) == ["portrait", "trace"] and desk.sent["marks"]["diagram"] == [[value, x]]
     desk.say("move", by=1)
     assert desk.session.page.place == row + 1
     desk.say("undo")
@@ -191,7 +169,7 @@ def test_a_click_on_a_special_point_is_that_point(desk, branch):
 
 def test_a_click_beside_all_branches_goes_to_that_value(desk):
     desk.say("pick", panel="diagram", x=2.5, y=0.0)
-    assert float(desk.session.results[desk.session.page.scene].amplitude) == 2.5
+    assert desk.result("scene").amplitude == 2.5
     check_orbit(desk, two_walls().replace(amplitude=2.5))
 
 
@@ -232,7 +210,8 @@ IMPOSSIBLE = [
     ({"do": "start", "x": 3.0, "v": 0.0}, "x"),
     *(({"do": "choose", "of": name}, "must refer to the result of an earlier line") for name in REFERENCES),
     ({"do": "zoom", "panel": "diagram", "x": (2.0, 1.0)}, "must be finite and increasing"),
-    ({"do": "zoom", "panel": "portrait", "y": (-1e308, 1e308)}, "must lie between -1e+100 and 1e+100"),
+    *(({"do": "zoom", "panel": name, "y": (-1e308, 1e308)}, "must lie between -1e+100 and 1e+100") for name in SIZES),
+    ({"do": "zoom", "panel": "trace", "x": (-1e101, 1.0)}, "must lie between -1e+100 and 1e+100"),
     ({"do": "load", "text": "[scene"}, "must be a TOML file"),
     ({"do": "load", "text": "a" * 2_000_000}, "must be at most 1,000,000"),
     ({"do": "ask", "call": "switch"}, "requires a special point"),
@@ -242,9 +221,10 @@ IMPOSSIBLE = [
 @pytest.mark.parametrize("message, rule", IMPOSSIBLE, ids=[str(row[0])[:50] for row in IMPOSSIBLE])
 def test_an_impossible_message_is_answered_with_one_line_and_changes_nothing(desk, message, rule):
     before = desk.session.page
-    (text,) = complaints(desk.say(**message))
+    records = desk.say(**message, number=7)
+    (text,) = complaints(records)
     assert rule in text and "\n" not in text and len(text) <= 300
-    assert desk.session.page == before
+    assert desk.session.page == before and records[-1] == {"kind": "answer", "number": 7}
 
 
 @pytest.mark.parametrize(
@@ -287,9 +267,8 @@ def test_a_result_that_comes_after_undo_has_all_that_it_refers_to(desk):
 
 def test_a_grid_is_refined_in_place(desk):
     records = desk.run("ask", call="basins", count=32)
-    grids = [line for line in desk.session.page.lines if line.call == "basins"]
-    assert [line.arguments["count"] for line in grids] == [32]
-    assert desk.session.results[grids[0].name]["label"].shape == (32, 32)
+    (grid,) = [line for line in desk.session.page.lines if line.call == "basins"]
+    assert grid.arguments["count"] == 32 and desk.session.results[grid.name]["label"].shape == (32, 32)
     assert pictures(records).count("portrait") == 2
 
 
@@ -324,13 +303,22 @@ def test_the_page_as_a_file_is_the_page_again(desk):
     assert len(set(other.lines)) == len(other.lines)
 
 
-@pytest.mark.parametrize("panel", SIZES)
-def test_axes_without_sensible_limits_are_refused_and_the_page_goes_on(desk, panel):
-    for pair in ((-1e308, 1e308), (-1.7e308, 0.0), (0.0, 1e308), (-1e101, 1.0)):
-        records = desk.say("zoom", panel=panel, x=pair, y=pair, number=7)
-        assert len(complaints(records)) == 1 and records[-1] == {"kind": "answer", "number": 7}
-    records = desk.say("zoom", panel=panel, x=(-1.0, 2.0), number=8)
-    assert [record["kind"] for record in records] == ["picture", "answer"] and records[0]["x"] == [-1.0, 2.0]
+def test_the_limits_of_the_axes_are_those_of_a_message(desk):
+    desk.say("stop")
+    for panel in SIZES:
+        picture, answer = desk.say("zoom", panel=panel, x=(-1.0, 2.0), number=8)
+        assert (picture["kind"], picture["x"]) == ("picture", [-1.0, 2.0]) and answer["number"] == 8
+
+
+def test_the_python_prints_the_tables_of_the_page(desk, capsys):
+    desk.say("move", by=3)
+    executed(desk)
+    printed = capsys.readouterr().out
+    point, _, orbit = desk.sent["facts"].partition("\n\n")
+    assert point.startswith("point ") and orbit in printed and len(desk.sent["points"]) == 3
+    for point in desk.sent["points"]:
+        value = re.search(rf"^{point['kind']} +(\S+)", printed, re.MULTILINE)[1]
+        assert float(value) == pytest.approx(point["value"], rel=1e-8)
 
 
 def raising(message):
@@ -343,19 +331,20 @@ def raising(message):
 
 
 def test_a_picture_that_cannot_be_drawn_is_one_line_and_the_page_goes_on(desk, monkeypatch, capsys):
-    plain = page_screen.DRAW_FUNCTIONS["trace"]
+    plain = DRAW_FUNCTIONS["trace"]
 
     def fail_when_narrow(ax, *parts):
         plain(ax, *parts)
         if desk.session.screen.limits.get("trace"):
             raise RuntimeError("no such picture")
 
-    monkeypatch.setitem(page_screen.DRAW_FUNCTIONS, "trace", fail_when_narrow)
+    desk.say("stop")
+    monkeypatch.setitem(DRAW_FUNCTIONS, "trace", fail_when_narrow)
     records = desk.say("zoom", panel="trace", x=(0.0, 1.0), number=3)
     assert complaints(records) == ["the trace cannot be drawn: no such picture"]
     assert [record["kind"] for record in records] == ["told", "picture", "answer"]  # with the limits of before
     assert "RuntimeError: no such picture" in capsys.readouterr().err
-    monkeypatch.setitem(page_screen.DRAW_FUNCTIONS, "trace", raising("no picture at all"))
+    monkeypatch.setitem(DRAW_FUNCTIONS, "trace", raising("no picture at all"))
     desk.session.screen.invalidate()
     records = desk.say("zoom", panel="plane", number=4)
     assert len(complaints(records)) == 1 and records[-1] == {"kind": "answer", "number": 4}
@@ -373,11 +362,13 @@ def test_an_unexpected_error_is_answered(desk, monkeypatch, capsys):
     assert desk.say("stop", number=5)[-1] == {"kind": "answer", "number": 5}
 
 
-def test_every_message_is_answered(desk):
-    """A few draws of `python -m tests.explorer_fuzz`: odd numbers, names and texts, cut messages, wrong kinds."""
-    assert draw(desk, 250, 58, CHEAP) > 100
+@pytest.mark.parametrize("count, kinds", [(250, CHEAP), (60, tuple(ALL))], ids=["without computation", "all"])
+def test_every_message_is_answered(desk, count, kinds):
+    """Odd numbers, names and texts, cut messages, wrong kinds."""
+    assert check_answers(desk, count, 58, kinds) > 0.4 * count
 
 
 def test_numbers_that_json_has_not_are_null():
-    record = {"a": [float("inf"), (1.5, float("nan"))], "b": "NaN"}
-    assert messages.encode_record(record) == '{"a": [null, [1.5, null]], "b": "NaN"}'
+    desk = Desk()
+    desk.session.send({"a": [float("inf"), (1.5, float("nan"))], "b": "NaN"})
+    assert desk.records == [{"a": [None, [1.5, None]], "b": "NaN"}]

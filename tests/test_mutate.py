@@ -6,6 +6,7 @@ from collections import Counter
 import pytest
 
 from . import drawn_mutants, mutate, tiers
+from .sources import names_of_tests
 
 ROOT = mutate.ROOT
 MUTANTS = mutate.listed_mutants()
@@ -23,10 +24,9 @@ def test_each_folder_has_enough_mutants():
 def lacking_test(node):
     """Return whether a node id is that of no test, or of one that runs before a release alone."""
     file, _, name = node.partition("::")
-    path, function = ROOT / file, name.partition("[")[0]
-    functions = ast.parse(path.read_text("utf-8")).body if path.exists() else []
-    names = [node.name for node in functions if isinstance(node, ast.FunctionDef)]
-    return names.count(function) != 1 or tiers.tier_of(path.stem, name) == "release"
+    module = file.removeprefix("tests/").removesuffix(".py").replace("/", ".")
+    names = names_of_tests(module)
+    return names.count(name.partition("[")[0]) != 1 or tiers.tier_of(module, name) == "release"
 
 
 def test_each_mutant_applies_and_has_tests():
@@ -80,4 +80,4 @@ def test_drawn_mutants_change_the_code_of_every_folder_and_depend_on_the_seed_al
 def test_each_folder_has_test_files():
     table = mutate.read_table(mutate.FOLDERS)
     assert table.keys() == drawn_mutants.package_folders().keys()
-    assert [name for names in table.values() for name in names if not (ROOT / "tests" / f"{name}.py").exists()] == []
+    assert [name for names in table.values() for name in names if not names_of_tests(name)] == []

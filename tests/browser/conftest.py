@@ -7,10 +7,10 @@ from . import served
 
 @pytest.fixture(scope="session")
 def browser():
-    if served.found() is None:
+    if served.find_chromium() is None:
         pytest.fail(served.MISSING, pytrace=False)
-    with served.chromium() as one:
-        yield one
+    with served.chromium() as browser:
+        yield browser
 
 
 @pytest.fixture(scope="session")
@@ -22,12 +22,12 @@ def small(tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def server(browser, small):
-    with served.served(small, small.parent) as one:
-        yield one
+    with served.Server(small, small.parent) as server:
+        yield server
 
 
 @pytest.fixture
 def seen(browser, server):
-    one = served.Seen(browser, server.url)
-    yield one
-    one.ends()
+    seen = served.Seen(browser, server.url)
+    yield seen
+    seen.close()

@@ -1,18 +1,18 @@
-"""How long the page lets a user wait, measured within Chromium: `python -m tests.browser.times [--count N]`."""
+"""Waiting times of the page, measured within Chromium: `python -m tests.browser.times [COUNT]`."""
 
-import argparse
+import sys
 import tempfile
 import time
 from pathlib import Path
 
 import numpy as np
 
-from .served import ROOT, Seen, chromium, served
+from .served import ROOT, Seen, Server, chromium
 
 SCENE = ROOT / "scenes" / "fig4.toml"
 STARTS = 5
-FIRST, PAUSE = 2, 20_000  # uses of each kind before a pause, ms, in which the server compiles what they have evaluated
-# Waits until a panel's picture is another one and decoded: milliseconds since what `begin` does.
+FIRST, PAUSE = 2, 20_000  # uses of each kind before a pause, ms, in which the server compiles the evaluated functions
+# Milliseconds from an action, `begin`, until the picture of a panel is another one and decoded.
 WATCH = """([panel, begin]) => new Promise((done) => {
     const img = document.querySelector(`#${panel} img`), before = img.src;
     const watch = new MutationObserver(async () => {
@@ -32,50 +32,44 @@ WATCH = """([panel, begin]) => new Promise((done) => {
 
 
 def clicks(seen, count):
-    """Clicks along the branch P111, no two in a row near each other: at one point the picture would stay."""
+    """Click along the branch P111, no two in a row near each other: at one point the picture would stay."""
     seen.page.mouse.move(*seen.pixel("diagram", 3.0, 0.7))
     for amplitude in 0.7 + 2.6 * (0.618034 * np.arange(count) % 1.0):
         x, y = seen.pixel("diagram", amplitude, 0.72)
-        yield seen.page.evaluate(WATCH, ["portrait", {"at": "diagram", "x": x, "y": y}])
-        seen.at_rest()
+        yield "portrait", {"at": "diagram", "x": x, "y": y}
 
 
 def slides(seen, count):
-    """Moves the slider of the damping on and on."""
+    """Move the slider of the damping."""
     for damping in np.linspace(0.051, 0.09, count):
-        yield seen.page.evaluate(WATCH, ["portrait", {"at": "slider_damping", "value": damping}])
-        seen.at_rest()
+        yield "portrait", {"at": "slider_damping", "value": damping}
     seen.page.dispatch_event("#slider_damping", "change")
-    seen.at_rest()
 
 
 def branches(seen, count):
-    """Follows the branch of an orbit at one damping after another: each scene has none yet."""
+    """Follow the branch of an orbit at one damping after another: each scene has none yet."""
     for damping in np.linspace(0.0505, 0.0895, count):
         seen.page.fill("#number_damping", f"{damping:.6f}")
         seen.page.dispatch_event("#number_damping", "change")
-        seen.at_rest()
-        yield seen.page.evaluate(WATCH, ["diagram", {"call": "follow"}])
-        seen.at_rest()
+        seen.rest()
+        yield "diagram", {"call": "follow"}
 
 
-WAITS = {
+ACTIONS = {
     "click in the diagram to its portrait": clicks,
     "slider to the portrait": slides,
     "branch of an orbit to the diagram": branches,
 }
-
-
 STARTED = {
     "start to controls": "jaxvibro.state.sliders",
     "start to a portrait": "document.querySelector('#portrait img').naturalWidth",
 }
 
 
-def started(browser, home):
-    """Seconds from the start of the command to a page with controls, and to one that shows an orbit."""
+def start_times(browser, home):
+    """Return the seconds from the start of the command to a page with controls, and to one that shows an orbit."""
     begun = time.perf_counter()
-    with served(SCENE, home) as server:
+    with Server(SCENE, home) as server:
         seen, waits = Seen(browser, server.url, wait=False), []
         for condition in STARTED.values():
             seen.until(condition)
@@ -84,32 +78,30 @@ def started(browser, home):
     return waits
 
 
-def timed(seen, waits, count):
-    """Milliseconds of so many waits, warm."""
-    each = waits(seen, FIRST + count)
-    for _ in range(FIRST):
-        next(each)
-    seen.page.wait_for_timeout(PAUSE)
-    return list(each)
+def action_times(seen, actions, count):
+    """Return the milliseconds of a number of actions, warm."""
+    waits = []
+    for k, (panel, begin) in enumerate(actions(seen, FIRST + count)):
+        if k == FIRST:
+            seen.page.wait_for_timeout(PAUSE)
+        waits.append(seen.page.evaluate(WATCH, [panel, begin]))
+        seen.rest()
+    return waits[FIRST:]
 
 
-def main():
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--count", type=int, default=50, help="of each; default: 50")
-    count = parser.parse_args().count
+def main(count="50"):
     with chromium() as browser, tempfile.TemporaryDirectory() as home:
-        first, *others = [started(browser, Path(home)) for _ in range(1 + STARTS)]
-        for told, cold, *waits in zip(STARTED, first, *others, strict=True):
+        first, *others = [start_times(browser, Path(home)) for _ in range(1 + STARTS)]
+        for name, cold, *waits in zip(STARTED, first, *others, strict=True):
             middle = np.median(waits)
-            print(f"{told:40}{middle:8.2f} s ({min(waits):.2f} to {max(waits):.2f}), at first {cold:.2f} s", flush=True)
-        with served(SCENE, Path(home)) as server:
+            print(f"{name:40}{middle:8.2f} s ({min(waits):.2f} to {max(waits):.2f}), at first {cold:.2f} s", flush=True)
+        with Server(SCENE, Path(home)) as server:
             seen = Seen(browser, server.url)
-            for told, waits in WAITS.items():
-                found = timed(seen, waits, count)
-                low, middle, high = np.percentile(found, [25, 50, 75])
-                print(f"{told:40}{middle:8.0f} ms (quartiles {low:.0f} and {high:.0f}, {count} of them)", flush=True)
-            seen.ends()
+            for name, actions in ACTIONS.items():
+                low, middle, high = np.percentile(action_times(seen, actions, int(count)), [25, 50, 75])
+                print(f"{name:40}{middle:8.0f} ms (quartiles {low:.0f} and {high:.0f}, {count} of them)", flush=True)
+            seen.close()
 
 
 if __name__ == "__main__":
-    main()
+    main(*sys.argv[1:])

@@ -14,43 +14,42 @@ from pathlib import Path
 
 import continuation
 import jaxvibro as jv
-from tests.sources import MODULES, PAGES, ROOT
+from tests.sources import FUNCTIONS, MODULES, PAGES, ROOT
+
+PUBLIC = {*jv._HOMES, *jv.plot.__all__, *continuation.__all__}
 
 
 def names():
-    """Every name once per file and function: [{kind, file, function, name}]."""
-    public = {*jv._HOMES, *jv.plot.__all__, *continuation.__all__}
+    """Return every name once per file and function: [{kind, file, function, name}]."""
     rows = []
     for source in MODULES.values():
         if not source.file.endswith("__init__.py"):
             rows.append(("file", source.file, "", Path(source.file).stem))
-        _collect(source.tree, source.file, "", public, rows)
+        rows += names_below(source.tree, source.file, "")
     keys = ("kind", "file", "function", "name")
     return [dict(zip(keys, row, strict=True)) for row in dict.fromkeys(rows)]
 
 
-def _collect(node, file, function, public, rows):
+def names_below(node, file, function):
+    """Yield the names of a syntax tree, in order."""
     for child in ast.iter_child_nodes(node):
-        inner = function
-        if isinstance(child, ast.FunctionDef | ast.AsyncFunctionDef):
-            inner = f"{function}.{child.name}".strip(".")
-            if child.name not in public and not child.name.startswith("__"):
-                rows.append(("function", file, function, child.name))
-            arguments = child.args
-            for argument in (*arguments.posonlyargs, *arguments.args, *arguments.kwonlyargs):
-                if child.name not in public and argument.arg not in ("self", "cls"):
-                    rows.append(("parameter", file, inner, argument.arg))
-        elif isinstance(child, ast.ClassDef):
-            inner = f"{function}.{child.name}".strip(".")
-            if child.name not in public:
-                rows.append(("record", file, function, child.name))
+        inner, name = function, getattr(child, "name", "")
+        if isinstance(child, FUNCTIONS | ast.ClassDef):
+            inner = f"{function}.{name}".strip(".")
+        if isinstance(child, FUNCTIONS) and name not in PUBLIC:
+            if not name.startswith("__"):
+                yield "function", file, function, name
+            arguments = (*child.args.posonlyargs, *child.args.args, *child.args.kwonlyargs)
+            yield from (("parameter", file, inner, each.arg) for each in arguments if each.arg not in ("self", "cls"))
+        elif isinstance(child, ast.ClassDef) and name not in PUBLIC:
+            yield "record", file, function, name
         elif isinstance(child, ast.Name) and isinstance(child.ctx, ast.Store) and function and child.id != "_":
-            rows.append(("variable", file, function, child.id))
-        _collect(child, file, inner, public, rows)
+            yield "variable", file, function, child.id
+        yield from names_below(child, file, inner)
 
 
 def texts():
-    """Docstrings and sentences: [{kind, file, text}]."""
+    """Return docstrings and sentences: [{kind, file, text}]."""
     rows = []
     for source in MODULES.values():
         for node, text in source.docstrings:
