@@ -3,38 +3,28 @@
 import builtins
 import os
 import shutil
-import subprocess
-import sys
 from collections import namedtuple
-from pathlib import Path
 
 import pytest
 
 from jaxvibro.output.atomic_write import atomic_file, require_writable_folder
 
-# Writes a file while links lie wherever its process can be guessed to put a part of it.
-PLANTED = """
-import os, sys
-from pathlib import Path
-from jaxvibro.output.atomic_write import atomic_file
-folder, victim = Path(sys.argv[1]), Path(sys.argv[2])
-for name in (f".{os.getpid()}-mine", f"{os.getpid()}-mine", f"mine.{os.getpid()}", ".mine", "mine.part", "mine.tmp"):
-    (folder / name).symlink_to(victim)
-with atomic_file(folder / "mine") as file:
-    getattr(file, "write_bytes", getattr(file, "write", None))(b"new")
-assert (folder / "mine").read_bytes() == b"new"
-"""
-
 
 def test_a_planted_link_is_not_followed(tmp_path):
-    folder, victim = tmp_path / "shared", tmp_path / "victim"
+    """Links lie wherever the name of a part of the file can be guessed."""
+    folder, victim, process = tmp_path / "shared", tmp_path / "victim", os.getpid()
     folder.mkdir()
     victim.write_text("theirs")
-    subprocess.run([sys.executable, "-c", PLANTED, folder, victim], check=True, cwd=Path(__file__).parents[1])
-    assert victim.read_text() == "theirs" and not (folder / "mine").is_symlink()
+    names = f".{process}-mine", f"{process}-mine", f"mine.{process}", ".mine", "mine.part", "mine.tmp"
+    for name in names:
+        (folder / name).symlink_to(victim)
+    with atomic_file(folder / "mine") as file:
+        file.write(b"new")
+    assert (folder / "mine").read_bytes() == b"new" and victim.read_text() == "theirs"
+    assert not (folder / "mine").is_symlink()
 
 
-def test_a_name_that_is_there_already_is_no_way_in(tmp_path, monkeypatch):
+def test_an_existing_file_under_the_temporary_name_is_not_written(tmp_path, monkeypatch):
     monkeypatch.setattr("secrets.token_hex", lambda size: "guessed")
     (tmp_path / ".guessed.part").symlink_to(tmp_path / "victim")
     (tmp_path / "victim").write_text("theirs")
@@ -44,12 +34,11 @@ def test_a_name_that_is_there_already_is_no_way_in(tmp_path, monkeypatch):
     assert {one.name for one in tmp_path.iterdir()} == {".guessed.part", "victim"}
 
 
-def test_no_two_parts_have_a_name_in_common(tmp_path):
+def test_temporary_names_differ(tmp_path):
     seen = set()
     for _ in range(50):
         with atomic_file(tmp_path / ("a" * 255), overwrite=True) as file:  # as long as a name may be
-            (part,) = (one.name for one in tmp_path.iterdir() if one.name.startswith("."))
-            seen.add(part)
+            seen |= {one.name for one in tmp_path.iterdir() if one.name.startswith(".")}
             file.write(b"new")
     assert len(seen) == 50
 
