@@ -1,6 +1,7 @@
 """Pictures of motions, orbits and branches: drawn into given Axes, distinct in grey, with symbols and units."""
 
 from dataclasses import replace
+from functools import cache
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -11,11 +12,9 @@ from matplotlib.figure import Figure
 
 import jaxvibro as jv
 from jaxvibro.attractors.find import Attractor
-from jaxvibro.branches.branch import Branch, Segment, make_special
-from jaxvibro.plot import impact_insertion, style
 from jaxvibro.plot.smooth_line import SUBDIVISIONS, smooth_line
-from jaxvibro.problem.end import End
-from jaxvibro.problem.orbit_curve import dataset_row
+from jaxvibro.plot.style import COLOURS, WALL_COLOUR, parameter_label
+from tests.scene_files import refusal
 
 SCENE = jv.make_scene(3.0, 2.1, 0.05, 0.7, (-1.0, jv.Wall(1.0, 0.5, motion=jv.Motion(0.3, 0.5, 2))))
 
@@ -32,6 +31,7 @@ def swept(legs=2, count=7, kept=3):
 
 
 def attractor(label, mirror, x):
+    """An attractor with the fields that its mark shows."""
     points = np.array([[x, -x]])
     found = "periodic", 0.4, (0.3, 0.5), 10, jv.State(x, -x), 1, ("LR",), points, 1.0, -0.1, mirror, ""
     return Attractor(label, *found)
@@ -41,10 +41,10 @@ def numbers(line):
     return tuple(np.asarray(part) for part in line.get_data())
 
 
-@pytest.mark.parametrize("variable", ["x", "v"])
-def test_a_diagram_holds_every_state_of_every_leg(variable):
-    data = swept()
-    ax = jv.plot.diagram(data, variable, Figure().subplots())
+@pytest.mark.parametrize(("variable", "walls"), [("x", [-1.1]), ("v", [])])
+def test_a_diagram_holds_every_state_of_every_leg_and_walls_at_rest(variable, walls):
+    data, ax = swept(), Figure().subplots()
+    assert jv.plot.diagram(data, variable, ax) is ax and plt.get_fignums() == []
     dots = [line for line in ax.lines if line.get_rasterized()]
     for line, leg in zip(dots, data["leg"].values, strict=True):
         across, up = numbers(line)
@@ -52,21 +52,11 @@ def test_a_diagram_holds_every_state_of_every_leg(variable):
         np.testing.assert_array_equal(up, one[variable].values.ravel())
         np.testing.assert_array_equal(across, np.repeat(one["amplitude"].values, 3))
     assert len({line.get_color() for line in dots}) == len({line.get_markersize() for line in dots}) == 2
-    assert ("A = F" in ax.get_xlabel()) and ("/" in ax.get_ylabel())
+    assert "A = F" in ax.get_xlabel() and "/" in ax.get_ylabel()
+    assert [line.get_ydata()[0] for line in ax.lines if line.get_color() == WALL_COLOUR] == walls
 
 
-def test_a_diagram_is_drawn_into_axes_with_walls_at_rest_and_may_be_faint():
-    ax = Figure().subplots()
-    assert jv.plot.diagram(swept(), "x", ax) is ax and plt.get_fignums() == []
-    walls = {
-        variable: [
-            line.get_ydata()[0]
-            for line in jv.plot.diagram(swept(), variable, Figure().subplots()).lines
-            if line.get_color() == style.WALL_COLOUR
-        ]
-        for variable in "xv"
-    }
-    assert walls == {"x": [-1.1], "v": []}
+def test_a_diagram_may_be_faint_or_have_axes_of_its_own():
     new = jv.plot.diagram(swept(), "v")
     assert len(plt.get_fignums()) == 1
     plt.close(new.figure)
@@ -135,8 +125,14 @@ def test_an_orbit_with_another_phase_is_marked_at_phase_0(orbits):
     np.testing.assert_allclose(ax.lines[-1].get_ydata(), [one.state.v], atol=1e-9)
 
 
-FREE = jv.make_scene(3.0, 2.1, 0.05, 0.7, (-1.0, 1.0))
 PERIOD = 2 * np.pi / 2.1
+
+
+@cache
+def followed():
+    """A branch of which the tests use all but the numbers."""
+    scene = jv.make_scene(3.0, 2.1, 0.05, 0.7, (-1.0, 1.0))
+    return jv.follow(jv.find_orbit(scene, jv.State(0.9, -1.1)), "amplitude", (2.9, 3.1))
 
 
 def branch(label="P111", periods=1, change=7):
@@ -164,13 +160,14 @@ def branch(label="P111", periods=1, change=7):
     data |= {key: (("point", "impact"), value) for key, value in impacts.items()}
     data |= {"x": (("point", "period"), x), "v": (("point", "period"), -x)}
     data = xr.Dataset(data, attrs={"parameter": "amplitude"})
-    segments = (Segment(0, change - 1, label, ("RL",)), Segment(change, 8, "P112", ("RLR",)))
+    one, (first, *_) = followed(), followed().segments
+    segments = replace(first, first=0, last=change - 1, label=label), replace(first, first=change, last=8, label="P112")
     kinds = {"EP": 0, "SN": 3, "PD": 6, "fast": 8}
-    special = [
-        make_special(FREE, "amplitude", (0.0, 9.0), place, dataset_row(data, place), kind, 0.0)
+    special = tuple(
+        replace(one.special[0], kind=kind, place=place, value=float(data["amplitude"][place]))
         for kind, place in kinds.items()
-    ]
-    return Branch("amplitude", (0.0, 9.0), FREE, data, segments, tuple(special), ("", ""), {}, (End.BOUND, End.BOUND))
+    )
+    return replace(one, bounds=(0.0, 9.0), data=data, segments=segments, special=special)
 
 
 def kept(ax, kind):
@@ -231,8 +228,8 @@ def test_curves_are_arrays_ready_to_plot():
     assert list(one.points) == ["SN", "PD", "fast"]
     np.testing.assert_allclose(one.points["PD"].values, [4.0])
     np.testing.assert_allclose(one.points["PD"].columns, [[0.3]])
-    with pytest.raises(jv.ArgumentError, match="variable: must be one of x, v, clearance, speed, least_speed, peak"):
-        branch().curves("clearence")
+    expected = "variable: must be one of x, v, clearance, speed, least_speed, peak"
+    assert refusal(branch().curves, "clearence").startswith(expected)
 
 
 def test_special_points_have_a_marker_a_kind_and_branches_share_a_legend():
@@ -244,20 +241,11 @@ def test_special_points_have_a_marker_a_kind_and_branches_share_a_legend():
     jv.plot.branch(one, "x", ax)
     jv.plot.branch(branch("P121", change=6), "x", ax)
     told = ax.get_legend_handles_labels()[1]
-    assert sorted(told) == sorted(
-        [
-            "P111, P112",
-            "stable",
-            "unstable",
-            "SN: saddle-node",
-            "PD: period doubling",
-            "fast",
-            "P121, P112",
-        ]
-    )
+    kinds = ["SN: saddle-node", "PD: period doubling", "fast"]
+    assert sorted(told) == sorted(["P111, P112", "P121, P112", "stable", "unstable", *kinds])
     colours = [line.get_color() for line in kept(ax, "branch")]
     assert len(set(colours[:2])) == 1 and len(set(colours)) == 2  # the same lines are not drawn again
-    walls = [line for line in ax.lines if line.get_color() == style.WALL_COLOUR and len(line.get_xdata())]
+    walls = [line for line in ax.lines if line.get_color() == WALL_COLOUR and len(line.get_xdata())]
     assert [line.get_ydata()[0] for line in walls] == [1.0]  # once; that at -1 is far off
 
 
@@ -272,41 +260,38 @@ def test_special_points_are_told_along_the_top():
     assert tick.get_text() == "SN 2.5\nPD 4.0\nfast 5.0"
 
 
-def test_a_path_breaks_at_impacts_and_obeys_the_impact_law():
+@pytest.fixture(scope="module")
+def motion():
+    """A motion with impacts on both walls, and the path that is drawn of it: time, x, v."""
     trajectory = jv.simulate(SCENE, jv.State(0.0, 0.0), 6, 300)
-    time, x, v, places = impact_insertion.insert_impacts(trajectory, SCENE)
+    drawn = [draw(trajectory, SCENE, Figure().subplots()) for draw in (jv.plot.trace, jv.plot.portrait)]
+    times, places = (next(line for line in ax.lines if line.get_color() == COLOURS[0]) for ax in drawn)
+    return trajectory, drawn, (PERIOD * numbers(times)[0], *numbers(places))
+
+
+def test_a_path_breaks_at_impacts_and_obeys_the_impact_law(motion):
+    trajectory, _, (time, x, v) = motion
+    places = np.flatnonzero(np.isnan(x)) - 1
     assert len(places) == trajectory.sizes["impact"] > 5
-    assert np.isnan(x[places + 1]).all() and np.all(np.diff(time) >= 0)
+    assert np.all(np.diff(time) >= 0)
     for at, gap in ((places, -1), (places + 2, 1)):
         step = time[at + gap] - time[at]
         assert abs(x[at + gap] - x[at] - v[at] * step).max() < 20 * abs(step).max() ** 2
         assert abs(v[at + gap] - v[at]).max() < 20 * abs(step).max()
 
 
-def test_a_wall_in_a_picture_is_where_and_as_fast_as_it_is():
-    phase, wall, small = np.linspace(0.0, 7.0, 50), SCENE.right, 1e-6
-    np.testing.assert_allclose(impact_insertion.wall_position(wall, phase), 1.0 + 0.3 * np.cos(2 * phase + 0.5))
-    rate = (
-        impact_insertion.wall_position(wall, phase + 2.1 * small)
-        - impact_insertion.wall_position(wall, phase - 2.1 * small)
-    ) / (2 * small)
-    np.testing.assert_allclose(impact_insertion.wall_velocity(wall, 2.1, phase), rate, atol=1e-8)
-    assert (impact_insertion.wall_position(SCENE.left, phase) == -1.0).all()
-
-
-@pytest.mark.parametrize("draw", [jv.plot.portrait, jv.plot.trace])
-def test_a_trajectory_is_drawn_whole(draw):
-    trajectory = jv.simulate(SCENE, jv.State(0.0, 0.0), 6, 300)
-    ax = Figure().subplots()
-    assert draw(trajectory, SCENE, ax) is ax
-    drawn = np.concatenate([numbers(line)[1] for line in ax.lines])
-    wanted = trajectory["v" if draw is jv.plot.portrait else "x"].values
-    assert np.isin(wanted, drawn).all()
-    assert "/" in ax.get_xlabel() and "/" in ax.get_ylabel()
+def test_a_trajectory_is_drawn_whole_between_its_walls(motion):
+    trajectory, drawn, _ = motion
+    for ax, name in zip(drawn, "xv", strict=True):
+        assert np.isin(trajectory[name].values, np.concatenate([numbers(line)[1] for line in ax.lines])).all()
+        assert "/" in ax.get_xlabel() and "/" in ax.get_ylabel()
+    left, right = (numbers(line)[1] for line in drawn[0].lines if line.get_color() == WALL_COLOUR)
+    np.testing.assert_allclose(right, 1.0 + 0.3 * np.cos(2 * trajectory["phase"] + 0.5))
+    assert (left == -1.0).all()
 
 
 def test_parameters_have_labels_and_neighbouring_colours_differ_in_grey():
     for name in (*SCENE.names, "left.motion.amplitude"):
-        assert "$" in style.parameter_label(name) or "rad" in style.parameter_label(name)
-    grey = [np.dot(to_rgb(colour), (0.2126, 0.7152, 0.0722)) for colour in style.COLOURS]
+        assert "$" in parameter_label(name) or "rad" in parameter_label(name)
+    grey = [np.dot(to_rgb(colour), (0.2126, 0.7152, 0.0722)) for colour in COLOURS]
     assert np.min(abs(np.diff(grey))) > 0.14
