@@ -34,10 +34,3 @@ def refusal(call, *given, **settings):
     assert "\n" not in line and 0 < len(line) <= 300, line
     assert line.startswith(" ".join(error.value.key.split()) + ": "), line
     return line
-
-
-def check_refusal(path, change, key, said):
-    """Check that a run of a file with a change is refused before any work, in one clear line."""
-    line = refusal(jv.run, path, "nowhere", [change])
-    assert line.startswith(" ".join(key.split()) + ": ") and said in line, line
-    assert not Path("nowhere").exists()

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 import jaxvibro as jv
 from jaxvibro.plot.branch import find_covering_line
-from jaxvibro.problem.end import End, parse_end, rescale_reason_text
+from jaxvibro.problem.end import End, parse_end
 from jaxvibro.problem.impact_loads import largest_speed, work_rate
 from jaxvibro.problem.stability_descriptions import stability_around, stability_words
 from tests.scene_files import refusal
@@ -178,11 +178,12 @@ def test_tables_have_stability_and_names_of_other_programs(followed):
     assert refusal(followed[0].table, labels="coco") == expected
 
 
-def test_reasons_of_ends_are_read_and_rescaled():
+def test_reasons_of_ends_are_read_and_rescaled(followed):
     for end in End:
         reason = end.reason(2.0, "SN").text
-        assert parse_end(rescale_reason_text(reason, 3.0)) is end
-        assert ("6" in rescale_reason_text(reason, 3.0)) == ("2" in reason)
+        assert parse_end(reason) is end
+        *_, line = replace(followed[0], reasons=(reason, reason)).table(units="physical").splitlines()
+        assert line.startswith("last point: ") and (" 30" in line) == (" 2" in reason), line
 
 
 def test_the_work_rate_is_the_work_of_drive_and_damper(followed):

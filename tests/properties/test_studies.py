@@ -14,7 +14,7 @@ import pytest
 import xarray as xr
 
 import jaxvibro as jv
-from jaxvibro.studies import scene_file
+from jaxvibro.studies.scene_file import parse_tables, read_scene_file, write_scene_file
 from tests.kinds import KINDS
 from tests.mutations import CHANGES, mutate
 from tests.mutations import KINDS as MUTATIONS
@@ -86,7 +86,7 @@ def write_tables(kind, path, scene=SCENE):
 def read_or_refuse(path, changes=()):
     """Return the tables of a scene file and None, or None and the error, which is one line."""
     try:
-        return scene_file.read_scene_file(path, changes), None
+        return read_scene_file(path, changes), None
     except jv.ArgumentError as error:
         line = str(error)
         assert 0 < len(line) <= 300 and "\n" not in line, line
@@ -138,11 +138,11 @@ def test_writing(kind, number):
     with TemporaryDirectory() as folder:
         path, again = Path(folder) / "study.toml", Path(folder) / "again.toml"
         tables = write_tables(kind, path)
-        file = scene_file.read_scene_file(path)
+        file = read_scene_file(path)
         read = json.loads(msgspec.json.encode(file)).get(kind.name, {})  # without the values that are defaults
         assert all(read[key] == value for key, value in kind.table.items() if key in read)
-        scene_file.write_scene_file(file, again)
-        assert scene_file.read_scene_file(again) == file and tables["scene"]["frequency"] == file.scene.frequency
+        write_scene_file(file, again)
+        assert read_scene_file(again) == file and tables["scene"]["frequency"] == file.scene.frequency
 
 
 def scene_of(number):
@@ -172,8 +172,8 @@ def test_runs(kind, number):
         with pytest.raises(FileExistsError):
             jv.run(path, out, csv=True)
         data = jv.load_data(files["study.nc"])
-        job = msgspec.convert(done.summary["job"], type(scene_file.read_scene_file(path)))
-        assert job == scene_file.read_scene_file(path) == scene_file.parse_tables(tomllib.loads(data.attrs["job"]))
+        job = msgspec.convert(done.summary["job"], type(read_scene_file(path)))
+        assert job == read_scene_file(path) == parse_tables(tomllib.loads(data.attrs["job"]))
         (Path(folder) / "again.toml").write_text(data.attrs["job"])
         jv.run(Path(folder) / "again.toml", out)
         again = jv.load_data(out / "again.nc")
