@@ -56,7 +56,9 @@ STUDIES = {
     "branch": BRANCH,
     "explore": {"parameter": "amplitude", "bounds": [0.1, 9.0], "at": {"damping": 0.06}, "max_period": 1, "seed": 1}
     | {"budget": 1, "max_seconds": 9999.0},
-    "locus": PLANE | {"kinds": ["SN", "GR"], "largest_step": 0.1, "max_seconds": 9999.0},
+    "locus": PLANE
+    | {"bounds": {"amplitude": [0.1, 9.0], "frequency": [2.05, 2.15]}, "kinds": ["SN", "GR"], "largest_step": 0.1}
+    | {"max_seconds": 9999.0},
     "margin": {"free": {"amplitude": 0.1}, "bounds": {"amplitude": [0.1, 9.0]}, "kinds": ["SN"], "start": START}
     | {"at": {"damping": 0.06}, "settle": 200, "directions": 8, "seed": 1, "max_seconds": 9999.0},
     "fit": {"record": "fit.csv", "sigma": 1e-3, "free": {"damping": 0.01}, "bounds": {"damping": [0.01, 0.2]}}
