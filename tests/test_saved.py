@@ -14,10 +14,8 @@ import xarray as xr
 
 import jaxvibro as jv
 from jaxvibro.output.checksums import HEADER_ATTRIBUTES, fill_in_checksum
-from tests.properties.test_output import DataFile, branch_of, check_refusal, make_diagram, make_held, make_locus
+from tests.properties.test_output import OWN_KINDS, branch_of, check_refusal, make_diagram, make_held
 from tests.scene_files import refusal
-
-LOADERS = {"branch": jv.load_branch, "held": jv.load_held_branch, "locus": jv.load_locus, "index": jv.load_diagram}
 
 
 @pytest.fixture(scope="module")
@@ -30,19 +28,16 @@ def branch():
 def files(branch, tmp_path_factory):
     """Return {kind: file} of every kind of file that is read again."""
     out = tmp_path_factory.mktemp("saved")
-    records = {"branch": branch, "held": make_held(branch), "locus": make_locus(branch), "index": make_diagram(branch)}
-    for kind, record in records.items():
-        record.save(out / kind)
-    paths = {kind: out / kind for kind in records} | {"index": out / "index" / "diagram.json"}
-    DataFile(branch.data).save(out / "data.nc")
-    return paths | {"data": out / "data.nc"}
+    for kind in OWN_KINDS.values():
+        kind.make(branch).save(out / kind.name)
+    return {name: out / name for name in OWN_KINDS} | {"diagram": out / "diagram" / "diagram.json"}
 
 
 def refused(path, kind, content):
     """Check that a file with this content is refused; then restore the file."""
     before = path.read_bytes()
     try:
-        check_refusal(LOADERS[kind], path.parent if kind == "index" else path, path, content)
+        check_refusal(OWN_KINDS[kind].load, path.parent if kind == "diagram" else path, path, content)
     finally:
         path.write_bytes(before)
 
@@ -124,13 +119,13 @@ WRONG = {
         "settings": ("{}", "[]", '{"first_step": 1}', '{"first_step": NaN}', STEPS.replace("0.1", "-1.0")),
         "format": (3, "new", [1, 2]),
     },
-    "held": {"held": ("speed",), "value": (np.nan,)},
+    "held_branch": {"held": ("speed",), "value": (np.nan,)},
     "locus": {
         "special": ("[]", '[["CP", 1000000, 0.0]]', '[["", 1, 0.0]]'),
         "kind": ("EP",),
         "periods": (0,),
     },
-    "index": {
+    "diagram": {
         "name": ("mass",),
         "bounds": ([1.0],),
         "left": ([[0, 99]], [[-1, 0]], [[0.5, 1]]),
@@ -147,14 +142,14 @@ PLANE = {
     "scene": ("", "amplitude = 1", 3.0),
     "reasons": ("[1, 2]",),
 }
-WRONG["held"] |= PLANE
+WRONG["held_branch"] |= PLANE
 WRONG["locus"] |= PLANE
 FIELDS = [(kind, {key: value}) for kind, row in WRONG.items() for key, values in row.items() for value in values]
 
 
 @pytest.mark.parametrize(("kind", "fields"), FIELDS, ids=lambda value: str(value)[:40])
 def test_invalid_fields_are_refused_though_the_checksum_fits(files, kind, fields):
-    if kind == "index":
+    if kind == "diagram":
         index = json.loads(files[kind].read_bytes()) | fields | {"checksum": HEADER_ATTRIBUTES["checksum"]}
         content = fill_in_checksum(json.dumps(index | ({"branches": {}} if fields == {"scene": None} else {})).encode())
     else:
@@ -176,10 +171,10 @@ COLUMNS = {
 }
 
 
-@pytest.mark.parametrize("kind", ["branch", "held", "locus"])
+@pytest.mark.parametrize("kind", ["branch", "held_branch", "locus"])
 def test_invalid_columns_are_refused(files, kind):
     files[kind].write_bytes(content_of(files[kind]))
-    LOADERS[kind](files[kind])  # the checksum fits
+    OWN_KINDS[kind].load(files[kind])  # the checksum fits
     for name, change in COLUMNS.items():
         if kind != "locus" or name not in ("text", "nan", "stable"):
             refused(files[kind], kind, content_of(files[kind], change))

@@ -73,7 +73,7 @@ STUDIES = {
     "panels": {"amplitude": [2.0, 3.0], "damping": [0.1, 0.2]},
 }
 OWN_KINDS = {name: StudyKind(name, table) for name, table in STUDIES.items()}
-OWN_KINDS["locus"] = StudyKind("locus", STUDIES["locus"], {"branch": BRANCH})
+OWN_KINDS["locus"] = StudyKind("locus", STUDIES["locus"], {"branch": BRANCH | {"bounds": [0.1, 4.0]}})
 OWN_KINDS |= {name: TextKind(name) for name in MUTATIONS}
 
 
