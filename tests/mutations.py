@@ -100,6 +100,12 @@ def _values(content, draw):
             lambda: "panels = {" + ",".join(f"a{k} = [1.0]" for k in range(count)) + "}",
             lambda: f"scene.left.motion = {{amplitude = 0.1, harmonic = {count}}}",
             lambda: f"sweep.count = {count}",
+            lambda: f"'{'a' * count}' = 1",
+            lambda: f"sweep.parameter = '{'b' * count}'",
+            lambda: "c" * count,
+            lambda: "scene = 1" + "0" * count,
+            lambda: "scene.amplitude = [" + "1.0," * count + "]",
+            lambda: f"scene.damping = '{'b' * 50 * count}'",
         ],
         draw,
     )

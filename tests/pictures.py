@@ -4,8 +4,7 @@ finer ones to look at, each in colour and in grey.
 """
 
 import sys
-from collections.abc import Callable
-from functools import lru_cache
+from functools import lru_cache, wraps
 from pathlib import Path
 
 import jax
@@ -23,6 +22,7 @@ STYLE = {"font.size": 7.0, "axes.linewidth": 0.6, "savefig.facecolor": "white"}
 RIG = {"mass": 0.5, "stiffness": 3e4, "restitution": 0.7, "damping_ratio": 0.05}
 BOUNDS = {"amplitude": (0.0, 6.0), "frequency": (1.6, 2.6)}
 LANDING = jv.State(0.9, -1.1)
+PICTURES = []
 
 
 def tube():
@@ -40,161 +40,160 @@ def orbits():
 
 @lru_cache
 def branches():
-    return jv.follow(jv.find_orbit(tube(), LANDING), "amplitude", (0.0, 6.0)), jv.follow(
-        jv.find_orbit(tube().replace(amplitude=2.0), jv.State(0.0, 0.0)), "amplitude", (0.0, 6.0)
-    )
+    starts = jv.find_orbit(tube(), LANDING), jv.find_orbit(tube().replace(amplitude=2.0), jv.State(0.0, 0.0))
+    return [jv.follow(start, "amplitude", (0.0, 6.0)) for start in starts]
 
 
 @lru_cache
 def swept():
-    ways = np.stack([np.linspace(0.3, 5.7, 46), np.linspace(5.7, 0.3, 46)], -1)
-    return jv.sweep(tube(), "amplitude", ways, jv.State(0.1, 0.0), settle=200, keep=2).rename(lane="leg")
+    legs = np.stack([np.linspace(0.3, 5.7, 46), np.linspace(5.7, 0.3, 46)], -1)
+    return jv.sweep(tube(), "amplitude", legs, jv.State(0.1, 0.0), settle=200, keep=2).rename(lane="leg")
 
 
-def saddles():
-    return [one for one in orbits() if abs(one.multipliers[0]) > 1.0 > abs(one.multipliers[1])]
+def saddle():
+    return next(one for one in orbits() if abs(one.multipliers[0]) > 1.0 > abs(one.multipliers[1]))
 
 
-def axes(rows=1, high=2.6):
-    return Figure(figsize=(WIDE, high), layout="constrained").subplots(rows, 1, squeeze=False)[:, 0]
+def picture(rows=1, high=2.6):
+    """Make a picture of a function that draws into Axes, one below the other: a function that returns the Figure."""
+
+    def decorate(draw):
+        @wraps(draw)
+        def drawn():
+            figure = Figure(figsize=(WIDE, high), layout="constrained")
+            draw(*figure.subplots(rows, 1, squeeze=False)[:, 0])
+            return figure
+
+        PICTURES.append(drawn)
+        return drawn
+
+    return decorate
 
 
-def diagram():
-    (ax,) = axes()
-    return jv.plot.diagram(swept(), "x", ax, units="physical").legend()
+@picture()
+def diagram(ax):
+    jv.plot.diagram(swept(), "x", ax, units="physical").legend()
 
 
-def over_branches():
-    (ax,) = axes(high=4.4)
+@picture(high=4.4)
+def over_branches(ax):
     jv.plot.diagram(swept(), "x", ax, faint=True)
     for one in branches():
         jv.plot.branch(one, "x", ax)
     jv.plot.mark(jv.find_attractors(tube(), starts=40), 4.65, "x", ax)
     jv.plot.mark_points(branches(), ax)
-    return ax.figure.legend(loc="outside lower center", fontsize="x-small", ncols=2, frameon=False)
+    ax.figure.legend(loc="outside lower center", fontsize="x-small", ncols=2, frameon=False)
 
 
-def _speeds(variable, **more):
-    (ax,) = axes()
+@picture()
+def speed(ax):
     for one in branches():
-        jv.plot.branch(one, variable, ax, **more)
-    return ax.legend()
+        jv.plot.branch(one, "speed", ax, units="physical", labels="auto")
+    ax.legend()
 
 
-def speed():
-    return _speeds("speed", units="physical", labels="auto")
+@picture()
+def clearance(ax):
+    for one in branches():
+        jv.plot.branch(one, "clearance", ax)
+    ax.legend()
 
 
-def clearance():
-    return _speeds("clearance")
+@picture(2, 4.6)
+def orbit(above, below):
+    jv.plot.orbit(next(one for one in orbits() if one.stable), above)
+    jv.plot.orbit(saddle(), below)
 
 
-def orbit():
-    places = axes(2, 4.6)
-    stable = next(one for one in orbits() if one.stable)
-    for ax, one in zip(places, (stable, saddles()[0]), strict=True):
-        jv.plot.orbit(one, ax)
-    return places[0]
-
-
-def marked_orbits():
-    (ax,) = axes()
+@picture()
+def marked_orbits(ax):
     jv.plot.diagram(swept(), "v", ax)
-    return jv.plot.mark_orbits(orbits(), 4.65, "v", ax).legend(fontsize="x-small", loc="upper left")
+    jv.plot.mark_orbits(orbits(), 4.65, "v", ax).legend(fontsize="x-small", loc="upper left")
 
 
-def motion():
-    places = axes(2, 4.2)
-    found = jv.simulate(unlike(), LANDING, 3, 300)
-    jv.plot.portrait(found, unlike(), places[0])
-    return jv.plot.trace(found, unlike(), places[1])
+@picture(2, 4.2)
+def motion(above, below):
+    path = jv.simulate(unlike(), LANDING, 3, 300)
+    jv.plot.portrait(path, unlike(), above)
+    jv.plot.trace(path, unlike(), below)
 
 
-def basins():
-    (ax,) = axes(high=3.6)
-    found = jv.basins(tube(), np.linspace(-0.999, 0.999, 121), np.linspace(-6.0, 6.0, 121))
-    return jv.plot.basins(found, ax)
+@picture(high=3.6)
+def basins(ax):
+    jv.plot.basins(jv.basins(tube(), np.linspace(-0.999, 0.999, 121), np.linspace(-6.0, 6.0, 121)), ax)
 
 
-def manifolds():
-    (ax,) = axes()
+@picture()
+def manifolds(ax):
     for kind in ("stable", "unstable"):
-        jv.plot.manifold(jv.manifold(saddles()[0], kind, length=6.0, phase=0.0), ax)
-    return ax.legend()
+        jv.plot.manifold(jv.manifold(saddle(), kind, length=6.0, phase=0.0), ax)
+    ax.legend()
 
 
-def sections():
-    places = axes(2, 4.2)
+@picture(2, 4.2)
+def sections(above, below):
     slow = jv.make_scene(3.1, 1.9, 0.002, 0.97, (-1.1, 0.9))  # long on its way to where it settles
-    found = jv.sections(slow, LANDING, periods=300, settle=0)
-    jv.plot.section(found, "sigma", places[0])
-    return jv.plot.section(found, "right", places[1])
+    points = jv.sections(slow, LANDING, periods=300, settle=0)
+    jv.plot.section(points, "sigma", above)
+    jv.plot.section(points, "right", below)
 
 
-def spectrum():
-    (ax,) = axes()
-    found = jv.spectrum(tube(), "amplitude", np.linspace(4.2, 5.3, 12), LANDING, error=0.02)
-    return jv.plot.spectrum(found, ax).legend()
+@picture()
+def spectrum(ax):
+    exponents = jv.spectrum(tube(), "amplitude", np.linspace(4.2, 5.3, 12), LANDING, error=0.02)
+    jv.plot.spectrum(exponents, ax).legend()
 
 
-def shares():
-    (ax,) = axes(high=3.4)
-    return jv.plot.fractions(jv.fractions(tube(), "amplitude", np.linspace(4.5, 5.0, 6), 60), ax, units="physical")
+@picture(high=3.4)
+def shares(ax):
+    jv.plot.fractions(jv.fractions(tube(), "amplitude", np.linspace(4.5, 5.0, 6), 60), ax, units="physical")
 
 
-def loci():
-    (ax,) = axes(high=3.4)
-    points = [branches()[1].points(kind)[0] for kind in ("SN", "GR")]
-    both = [jv.locus(one, ("amplitude", "frequency"), BOUNDS) for one in points]
+@picture(high=3.4)
+def loci(ax):
+    both = [jv.locus(branches()[1].points(kind)[0], ("amplitude", "frequency"), BOUNDS) for kind in ("SN", "GR")]
     for one in both:
         jv.plot.locus(one, ax)
     jv.plot.region(*both, "P100 and P111", ax)
     jv.plot.held(jv.follow(jv.find_orbit(tube(), LANDING), tuple(BOUNDS), BOUNDS, hold={"least_speed": 2.8}), ax)
-    return ax.legend(fontsize="x-small")
+    ax.legend(fontsize="x-small")
 
 
-def margins():
-    places = axes(2, 5.0)
-    one = jv.find_orbit(tube(), LANDING)
-    for ax, more in zip(places, ({}, {"damping": 0.01}), strict=True):
-        jv.plot.margin(jv.margin(one, {"amplitude": 0.1, "frequency": 0.05} | more, directions=16), ax)
-    return places[0]
+@picture(2, 5.0)
+def margins(above, below):
+    for ax, more in ((above, {}), (below, {"damping": 0.01})):
+        free = {"amplitude": 0.1, "frequency": 0.05} | more
+        jv.plot.margin(jv.margin(jv.find_orbit(tube(), LANDING), free, directions=16), ax)
 
 
-def fit():
-    (ax,) = axes()
+@picture()
+def fit(ax):
     rng = np.random.default_rng(3)
     _, impacts = jv.strobe(unlike(), LANDING, periods=20, slots=64)
     sides = np.asarray(impacts.side)[: int(impacts.count)]
     times = np.asarray(impacts.time)[: sides.size] + 1e-3 * rng.normal(size=sides.size)
     record = jv.ImpactRecord(times, sides, sigma=1e-3)
-    return jv.plot.fit(jv.fit(unlike().replace(damping=0.07), record, free={"damping": 0.01}), record, ax)
-
-
-PICTURES: tuple[Callable, ...] = (diagram, over_branches, speed, clearance, orbit, marked_orbits, motion)
-PICTURES += (basins, manifolds, sections, spectrum, shares, loci, margins, fit)
+    jv.plot.fit(jv.fit(unlike().replace(damping=0.07), record, free={"damping": 0.01}), record, ax)
 
 
 def write(draw, path, dots):
-    """One picture into a file."""
+    """Write a picture into a file."""
     with mpl.rc_context({"figure.dpi": dots, **STYLE}):
-        draw().figure.savefig(path, dpi=dots)
+        draw().savefig(path, dpi=dots)
 
 
-def grey(path):
-    """A picture's file beside it, in shades of grey as a printer makes them."""
-    shades = plt.imread(path)[..., :3] @ [0.299, 0.587, 0.114]
-    plt.imsave(path.with_suffix(".grey.png"), shades, cmap="gray", vmin=0.0, vmax=1.0)
+def main(command, folder=KEPT):
+    """Write all pictures: those to keep, or finer ones and others in shades of grey, as a printer makes them."""
+    Path(folder).mkdir(parents=True, exist_ok=True)
+    for draw in PICTURES:
+        path = Path(folder) / f"{draw.__name__}.png"
+        write(draw, path, DOTS if command == "keep" else FINE)
+        if command != "keep":
+            shades = plt.imread(path)[..., :3] @ [0.299, 0.587, 0.114]
+            plt.imsave(path.with_suffix(".grey.png"), shades, cmap="gray", vmin=0.0, vmax=1.0)
+        print(path.name, flush=True)
 
 
 if __name__ == "__main__":
     jax.config.update("jax_enable_x64", True)
-    what, *rest = sys.argv[1:]
-    folder = KEPT if what == "keep" else Path(*rest)
-    folder.mkdir(parents=True, exist_ok=True)
-    for draw in PICTURES:
-        file = folder / f"{draw.__name__}.png"
-        write(draw, file, DOTS if what == "keep" else FINE)
-        if what != "keep":
-            grey(file)
-        print(file.name, flush=True)
+    main(*sys.argv[1:])

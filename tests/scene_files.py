@@ -1,10 +1,11 @@
-"""Scene files for the tests: the scene of figure 4, and the check that a broken rule is reported in one clear line."""
+"""Scene files and the command line for the tests: the scene of figure 4, a call, and the check of a refusal."""
 
 from pathlib import Path
 
 import pytest
 
 import jaxvibro as jv
+from jaxvibro.studies.command import main
 
 SCENES = Path(__file__).parents[1] / "scenes"
 SCENE = """
@@ -20,11 +21,16 @@ position = 1.0
 """
 
 
-def check_refusal(path, change, key, said):
-    """Check that a run of a file with a change is refused before any work, in one clear line."""
-    with pytest.raises(jv.ArgumentError) as caught:
-        jv.run(path, "nowhere", [change])
-    line = str(caught.value)
-    assert caught.value.key == key
-    assert line.startswith(" ".join(key.split()) + ": ") and said in line, line
-    assert "\n" not in line and len(line) < 300 and not Path("nowhere").exists(), line
+def call_command(*words):
+    """Return the exit code of a command line."""
+    return main([str(word) for word in words])
+
+
+def refusal(call, *given, **settings):
+    """Return the message of a refused call, which is one line that is not too long."""
+    with pytest.raises(jv.ArgumentError) as error:
+        call(*given, **settings)
+    line = str(error.value)
+    assert "\n" not in line and 0 < len(line) <= 300, line
+    assert line.startswith(" ".join(error.value.key.split()) + ": "), line
+    return line

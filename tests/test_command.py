@@ -1,6 +1,5 @@
 """The command line: what it writes, what it refuses, and that it leaves nothing half-written."""
 
-import io
 import json
 import os
 import re
@@ -8,32 +7,26 @@ import subprocess
 import sys
 from pathlib import Path
 
-import msgspec
 import numpy as np
 import pytest
 
 import jaxvibro as jv
-from jaxvibro.studies import jax_settings
-from jaxvibro.studies.command import main
-from jaxvibro.studies.scene_file import read_scene_file
-from tests.scene_files import SCENES
+from jaxvibro.studies.jax_settings import load_page_token, user_cache_folder
+from tests.properties.test_output import StopAt
+from tests.scene_files import SCENES, call_command
 
 ROOT = Path(__file__).parents[1]
 SCENE_FILE = SCENES / "branches.toml"
 PLAIN = "[scene]\namplitude = 1.0\nfrequency = 2.1\ndamping = 0.05\nrestitution = 0.7\n"
 QUICK = [f"sweep.{key}=5" for key in ("count", "settle", "keep")] + ["attractors.starts=5"]
+LEGS = ["down", "up"]
 QUICK += ["branch.bounds=[1.9, 2.1]", "branch.settle=30"]
-
-
-def called(*arguments):
-    """Return the exit code of a command line."""
-    return main([str(argument) for argument in arguments])
 
 
 def quick(out, *arguments, scene=SCENE_FILE):
     """Return the exit code of a small run of a scene file."""
     changes = [word for change in QUICK for word in ("--set", change)] if scene == SCENE_FILE else []
-    return called("run", scene, "--out", out, *changes, *arguments)
+    return call_command("run", scene, "--out", out, *changes, *arguments)
 
 
 @pytest.fixture(scope="module")
@@ -92,31 +85,16 @@ def test_nothing_is_overwritten_without_force_and_the_scene_never_is(tmp_path, c
     assert (tmp_path / "branches.nc").read_bytes().startswith(b"CDF")
     assert str(tmp_path / "branches.png") in out and "P111" in out
     scene.write_text(PLAIN)
-    assert called("run", scene, "--out", tmp_path, "--force") == 2
+    assert call_command("run", scene, "--out", tmp_path, "--force") == 2
     assert "mine.txt is a folder or the scene file" in capsys.readouterr().err and scene.read_text() == PLAIN
 
 
 @pytest.mark.parametrize(("error", "code"), [(KeyboardInterrupt, 130), (OSError(28, "No space left"), 2)])
-@pytest.mark.parametrize("where", ["write", "replace"])
-def test_an_interrupted_write_leaves_all_as_it_was(tmp_path, monkeypatch, capsys, error, code, where):
+@pytest.mark.parametrize("calls", [1, 3], ids=["second write", "first renaming"])
+def test_an_interrupted_write_leaves_all_as_it_was(tmp_path, capsys, error, code, calls):
     before = {name: (tmp_path / name).write_text("mine") for name in ("branches.png", "branches.nc", "branches.txt")}
-    opened = []
-
-    class Halfway(io.FileIO):
-        def write(self, content):
-            super().write(content[: len(content) // 2])
-            if len(opened) == 2:
-                raise error
-
-    def halfway(*given):
-        if where == "replace":
-            raise error
-        opened.append(given)
-        return Halfway(*given)
-
-    target = "jaxvibro.output.atomic_write.open" if where == "write" else "os.replace"
-    monkeypatch.setattr(target, halfway, raising=False)
-    assert quick(tmp_path, "--force") == code
+    with StopAt(calls, error).patch():
+        assert quick(tmp_path, "--force") == code
     line = capsys.readouterr().err.splitlines()[-1]
     assert len(line) < 300 and (code == 130 or re.search(r"/branches\.\w+: No space left", line))
     assert {one.name for one in tmp_path.iterdir()} == set(before)
@@ -125,20 +103,17 @@ def test_an_interrupted_write_leaves_all_as_it_was(tmp_path, monkeypatch, capsys
 
 def test_init_writes_a_scene_that_runs(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    assert called("init") == 0
-    written, expected = read_scene_file("scene.toml"), read_scene_file(SCENE_FILE, TO_STARTER)
-    assert written == msgspec.structs.replace(expected, branch=None)
-    assert called("init") == 2
+    assert call_command("init") == 0
+    assert jv.load_scene("scene.toml").numbers == jv.load_scene(SCENE_FILE).replace(amplitude=3.0).numbers
+    assert call_command("init") == 2
     assert "scene.toml already exists" in capsys.readouterr().err
-    assert called("init", "--force", "scene.toml") == 0
+    assert call_command("init", "--force", "scene.toml") == 0
     assert Path("scene.toml").read_text().count("#") > 20
+    small = [word for change in QUICK[:4] for word in ("--set", change)]
+    assert call_command("run", "scene.toml", "--out", tmp_path / "out", *small, "--json") == 0
+    job = json.loads(capsys.readouterr().out.split("\n", 1)[1])["job"]
+    assert job["attractors"]["at"] == {"amplitude": 3.0} and [leg["name"] for leg in job["sweep"]["legs"]] == LEGS
 
-
-TO_STARTER = [
-    "scene.amplitude=3.0",
-    *("sweep.count=301", "sweep.settle=200", "sweep.keep=50"),
-    *("attractors.starts=50", "attractors.at.amplitude=3.0"),
-]
 
 # Arguments after `run SCENE` (or, beginning with a command, all of them), and what the one line must name.
 BAD = [
@@ -163,29 +138,26 @@ BAD = [
     (["run", "FILE"], "taken: must be a TOML file"),
     (["walk"], "invalid choice: 'walk'"),
     ([], "required: COMMAND"),
+    (["--" + 2000 * "c"], "unrecognized arguments: --ccc"),
     (["init", "FILE/below"], "taken is not a folder"),
     (["init", "no/where.toml"], "no is not a folder"),
     (["init", "FILE"], "already exists"),
 ]
 
 
-@pytest.mark.parametrize(("arguments", "says"), BAD, ids=lambda one: " ".join(one) if isinstance(one, list) else "")
+@pytest.mark.parametrize(
+    ("arguments", "says"), BAD, ids=lambda one: " ".join(one)[:60] if isinstance(one, list) else ""
+)
 def test_bad_command_lines_get_one_line(tmp_path, monkeypatch, capsys, arguments, says):
     monkeypatch.chdir(tmp_path)
     Path("taken").write_text("= no TOML")
     whole = not arguments or arguments[0] in ("run", "walk", "init")
     words = [word.replace("FILE", "taken") for word in arguments]
-    assert called(*([] if whole else ["run", SCENE_FILE]), *words) == 2
+    assert call_command(*([] if whole else ["run", SCENE_FILE]), *words) == 2
     out, err = capsys.readouterr()
-    assert out == "" and err.count("\n") == 1
+    assert out == "" and err.count("\n") == 1 and len(err) < 320
     assert says in err
     assert [one.name for one in tmp_path.iterdir()] == ["taken"]
-
-
-def test_a_folder_that_cannot_be_written_to_is_refused_before_any_work(tmp_path, monkeypatch):
-    monkeypatch.setattr(os, "access", lambda path, mode: False)  # root may write everywhere
-    with pytest.raises(PermissionError, match="cannot be written to"):
-        jv.run(SCENE_FILE, tmp_path / "out")
 
 
 def started(*arguments, **environment):
@@ -196,9 +168,8 @@ def started(*arguments, **environment):
 
 
 def test_help_and_version_load_nothing_heavy():
-    code = (
-        "import sys; from jaxvibro.studies import command; command.main(['run', '--help']); print(sorted(sys.modules))"
-    )
+    code = "import sys, jaxvibro; dir(jaxvibro); from jaxvibro.studies import command; "
+    code += "command.main(['run', '--help']); print(sorted(sys.modules))"
     shown = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True).stdout
     assert "--force" in shown
     assert not {"jax", "numpy", "matplotlib", "xarray", "msgspec"} & set(re.findall(r"'(\w+)'", shown))
@@ -218,40 +189,39 @@ def test_the_command_itself_turns_double_precision_on_and_keeps_compiled_code(tm
 def test_a_cache_folder_that_cannot_be_made_is_left_out(tmp_path, monkeypatch):
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
-    assert jax_settings.user_cache_folder() is None
+    assert user_cache_folder() is None
     monkeypatch.setenv("XDG_CACHE_HOME", "relative")
     monkeypatch.setenv("HOME", str(tmp_path))
-    assert jax_settings.user_cache_folder() == tmp_path / ".cache" / "jaxvibro" / jax_settings.processor_fingerprint()
-    assert jax_settings.user_cache_folder().stat().st_mode & 0o777 == 0o700
-    for mode, found in ((0o777, None), (0o1777, jax_settings.user_cache_folder())):
+    folder = user_cache_folder()
+    assert folder.parent == tmp_path / ".cache" / "jaxvibro" and folder.stat().st_mode & 0o777 == 0o700
+    for mode, expected in ((0o777, None), (0o1777, folder), (0o700, folder)):
         tmp_path.chmod(mode)
-        assert jax_settings.user_cache_folder() == found
-    tmp_path.chmod(0o700)
+        assert user_cache_folder() == expected
     monkeypatch.setenv("HOME", str(tmp_path / "nobody"))
-    assert jax_settings.user_cache_folder() is None and not (tmp_path / "nobody").exists()
+    assert user_cache_folder() is None and not (tmp_path / "nobody").exists()
 
 
 def test_the_token_of_the_explorer_persists_and_is_replaced_if_damaged(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    first = jax_settings.load_page_token()
-    assert re.fullmatch(r"[\w-]{43}", first) and jax_settings.load_page_token() == first
+    first = load_page_token()
+    assert re.fullmatch(r"[\w-]{43}", first) and load_page_token() == first
     (file,) = (tmp_path / "jaxvibro").glob("*token*")
     assert file.stat().st_mode & 0o777 == 0o600
     for damage in (b"", b"half", b"\xff" * 43):  # as a process that was killed while it wrote would leave it
         file.write_bytes(damage)
-        again = jax_settings.load_page_token()
-        assert again not in (first, None) and jax_settings.load_page_token() == again
+        again = load_page_token()
+        assert again not in (first, None) and load_page_token() == again
     assert list((tmp_path / "jaxvibro").glob("*token*")) == [file]
 
 
 def test_the_first_of_two_processes_that_make_a_token_wins(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    plain, others = os.link, []
+    link, others = os.link, []
 
     def late(part, place):
-        monkeypatch.setattr(os, "link", plain)
-        others.append(jax_settings.load_page_token())
-        plain(part, place)
+        monkeypatch.setattr(os, "link", link)
+        others.append(load_page_token())
+        link(part, place)
 
     monkeypatch.setattr(os, "link", late)
-    assert [jax_settings.load_page_token()] == others and others[0] is not None
+    assert [load_page_token()] == others and others[0] is not None

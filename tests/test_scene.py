@@ -1,8 +1,6 @@
 """Scenes: refusals, batches, names, tracing, and the gap of moving walls."""
 
 import pickle
-import subprocess
-import sys
 
 import jax
 import jax.numpy as jnp
@@ -12,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import jaxvibro as jv
+from tests.scene_files import refusal
 
 GOOD = {"amplitude": 2.0, "frequency": 2.1, "damping": 0.05, "restitution": 0.7, "walls": (-1.0, 1.0)}
 MOVING = jv.Motion(0.5)
@@ -20,6 +19,12 @@ MOVING = jv.Motion(0.5)
 def good_scene(**changes):
     """Return the usual scene with other arguments."""
     return jv.make_scene(**{**GOOD, **changes})
+
+
+def physical(**changes):
+    """Return a scene from SI quantities with other arguments."""
+    given = {"mass": 2.0, "damping": 3.0, "stiffness": 8.0, "force": 5.0, "frequency": 3.0, "restitution": 0.7}
+    return jv.scene_from_physical(**{**given, "walls": (-0.75, 0.5), **changes})
 
 
 def right(**changes):
@@ -34,10 +39,8 @@ def test_walls_with_restitutions_of_their_own_need_no_other():
     rigid, soft = jv.Wall(-1e-3, 0.65), jv.Wall(1.2e-3, stiffness=5e6)
     scene = jv.make_scene(2.0, 2.1, 0.05, walls=(rigid, soft))
     assert scene.parameter("left.restitution") == 0.65
-    rig = jv.scene_from_physical(
-        0.42, None, 6e4, 38.0, damping_ratio=0.01, frequency_hz=64.0, walls=(rigid, soft), length=1.0
-    )
-    assert rig.parameter("left.restitution") == 0.65
+    made = physical(restitution=None, walls=(rigid, soft), length=1.0)
+    assert made.parameter("left.restitution") == 0.65
 
 
 BAD = [
@@ -74,12 +77,13 @@ BAD = [
 
 @pytest.mark.parametrize(("key", "changes", "said"), BAD)
 def test_bad_scene_is_one_clear_line(key, changes, said):
-    with pytest.raises(jv.SceneError) as caught:
-        good_scene(**changes)
-    line = str(caught.value)
-    assert caught.value.key == key and line.startswith(f"{key}: ") and said in line
-    assert "\n" not in line and len(line) < 250
-    assert str(pickle.loads(pickle.dumps(caught.value))) == line  # it can be sent to another process
+    line = refusal(good_scene, **changes)
+    assert line.startswith(f"{key}: ") and said in line
+
+
+def test_an_error_can_be_sent_to_another_process():
+    error = jv.SceneError("damping", "must not be negative", -1.0)
+    assert str(pickle.loads(pickle.dumps(error))) == str(error)
 
 
 def test_double_precision_is_asked_for():
@@ -91,11 +95,6 @@ def test_double_precision_is_asked_for():
     assert {leaf.dtype for leaf in jax.tree.leaves(good_scene())} == {np.dtype(np.float64)}
     with pytest.raises(jv.SceneError, match=r"right\.position"):
         good_scene(walls=(1.0, 1.0 + 1e-9), dtype=jnp.float32)
-
-
-def test_import_leaves_jax_alone():
-    code = "import sys, jaxvibro; dir(jaxvibro); assert 'jax' not in sys.modules"
-    subprocess.run([sys.executable, "-c", code], check=True)
 
 
 @pytest.mark.parametrize("walls", [(-1.0, 1.0), (None, 1.0), (-1.0, None), (None, None)])
@@ -124,10 +123,8 @@ def test_a_list_is_no_batch_and_no_pair_of_walls(kind):
     for key in ("mass", "damping", "stiffness", "force", "frequency", "restitution", "length"):
         calls += [(key, physical, {key: two})]
     for key, make, arguments in calls:
-        with pytest.raises(jv.SceneError) as error:
-            make(**arguments)
-        line = str(error.value)
-        assert line.startswith(f"{key}: must be a number or an array, not a {kind.__name__}") and len(line) <= 300
+        line = refusal(make, **arguments)
+        assert line.startswith(f"{key}: must be a number or an array, not a {kind.__name__}")
         assert "walls=(Wall(...), Wall(...))" in line and "np.array([...])" in line
 
 
@@ -140,8 +137,7 @@ def test_an_array_of_two_positions_is_the_pair_of_walls():
 
 
 def test_batches_broadcast():
-    scene = good_scene(amplitude=np.zeros((3, 1)), walls=(-1.0, np.ones(2)))
-    assert scene.shape == (3, 2)
+    assert good_scene(amplitude=np.zeros((3, 1)), walls=(-1.0, np.ones(2))).shape == (3, 2)
     assert good_scene(amplitude=np.zeros((0,))).shape == (0,)
 
 
@@ -202,6 +198,15 @@ def test_walls_that_move_together_or_touch_at_a_flat_minimum():
         assert is_accepted((4.0, 0.0, 1), (1.0, 0.0, 2), 3.0 + more) == opens
 
 
-def physical(**changes):
-    given = {"mass": 2.0, "damping": 3.0, "stiffness": 8.0, "force": 5.0, "frequency": 3.0, "restitution": 0.7}
-    return jv.scene_from_physical(**{**given, "walls": (-0.75, 0.5), **changes})
+def test_a_start_beyond_a_rigid_wall_is_refused():
+    draw = np.random.default_rng(1)
+    for _ in range(10):
+        motion, phase = jv.Motion(draw.uniform(-0.4, 0.4), draw.uniform(0.0, 6.0), 2), draw.uniform(0.0, 9.0)
+        scene = good_scene(frequency=draw.uniform(0.3, 5.0), walls=(None, jv.Wall(1.0, 0.5, motion=motion)))
+        position = 1.0 + motion.amplitude * np.cos(2.0 * phase + motion.phase)
+        for x, rule in ((position + draw.choice([1e-12, 0.1, 5.0]), "lie between the walls"), (np.nan, "be finite")):
+            state = jv.State(float(x), draw.normal(), phase)
+            for call in (jv.find_orbit, jv.simulate, jv.sections):
+                assert refusal(call, scene, state).startswith(f"state.x: must {rule}")
+            for call in (jv.sweep, jv.spectrum):
+                assert refusal(call, scene, "amplitude", np.ones(3), state).startswith(f"state.x: must {rule}")

@@ -1,40 +1,34 @@
-"""Files that are complete or absent: links beside them, permissions, and what an error leaves."""
+"""Files that are complete or absent: links beside them, permissions, and a full disk.
 
-import builtins
+What an interrupted write leaves is tested in test_command.py and tests/properties/test_output.py.
+"""
+
 import os
 import shutil
-import subprocess
-import sys
 from collections import namedtuple
-from pathlib import Path
 
 import pytest
 
-from jaxvibro.output.atomic_write import atomic_file, require_writable_folder
-
-# Writes a file while links lie wherever its process can be guessed to put a part of it.
-PLANTED = """
-import os, sys
-from pathlib import Path
+import jaxvibro as jv
 from jaxvibro.output.atomic_write import atomic_file
-folder, victim = Path(sys.argv[1]), Path(sys.argv[2])
-for name in (f".{os.getpid()}-mine", f"{os.getpid()}-mine", f"mine.{os.getpid()}", ".mine", "mine.part", "mine.tmp"):
-    (folder / name).symlink_to(victim)
-with atomic_file(folder / "mine") as file:
-    getattr(file, "write_bytes", getattr(file, "write", None))(b"new")
-assert (folder / "mine").read_bytes() == b"new"
-"""
+from tests.scene_files import SCENES
 
 
 def test_a_planted_link_is_not_followed(tmp_path):
-    folder, victim = tmp_path / "shared", tmp_path / "victim"
+    """Links lie wherever the name of a part of the file can be guessed."""
+    folder, victim, process = tmp_path / "shared", tmp_path / "victim", os.getpid()
     folder.mkdir()
     victim.write_text("theirs")
-    subprocess.run([sys.executable, "-c", PLANTED, folder, victim], check=True, cwd=Path(__file__).parents[1])
-    assert victim.read_text() == "theirs" and not (folder / "mine").is_symlink()
+    names = f".{process}-mine", f"{process}-mine", f"mine.{process}", ".mine", "mine.part", "mine.tmp"
+    for name in names:
+        (folder / name).symlink_to(victim)
+    with atomic_file(folder / "mine") as file:
+        file.write(b"new")
+    assert (folder / "mine").read_bytes() == b"new" and victim.read_text() == "theirs"
+    assert not (folder / "mine").is_symlink()
 
 
-def test_a_name_that_is_there_already_is_no_way_in(tmp_path, monkeypatch):
+def test_an_existing_file_under_the_temporary_name_is_not_written(tmp_path, monkeypatch):
     monkeypatch.setattr("secrets.token_hex", lambda size: "guessed")
     (tmp_path / ".guessed.part").symlink_to(tmp_path / "victim")
     (tmp_path / "victim").write_text("theirs")
@@ -44,12 +38,11 @@ def test_a_name_that_is_there_already_is_no_way_in(tmp_path, monkeypatch):
     assert {one.name for one in tmp_path.iterdir()} == {".guessed.part", "victim"}
 
 
-def test_no_two_parts_have_a_name_in_common(tmp_path):
+def test_temporary_names_differ(tmp_path):
     seen = set()
     for _ in range(50):
         with atomic_file(tmp_path / ("a" * 255), overwrite=True) as file:  # as long as a name may be
-            (part,) = (one.name for one in tmp_path.iterdir() if one.name.startswith("."))
-            seen.add(part)
+            seen |= {one.name for one in tmp_path.iterdir() if one.name.startswith(".")}
             file.write(b"new")
     assert len(seen) == 50
 
@@ -66,20 +59,7 @@ def test_the_mask_of_the_user_is_kept(tmp_path, mask):
     assert (tmp_path / "mine").stat().st_mode & 0o777 == 0o666 & ~mask
 
 
-@pytest.mark.parametrize("error", [KeyboardInterrupt, SystemExit, OSError(28, "No space left on device"), ValueError])
-def test_an_error_leaves_what_was_there(tmp_path, error):
-    (tmp_path / "mine").write_text("old")
-    with (
-        pytest.raises(error if isinstance(error, type) else OSError) as caught,
-        atomic_file(tmp_path / "mine", True) as file,
-    ):
-        file.write(b"half")
-        raise error
-    assert [one.name for one in tmp_path.iterdir()] == ["mine"] and (tmp_path / "mine").read_text() == "old"
-    assert isinstance(error, type) or caught.value.filename == str(tmp_path / "mine")
-
-
-def test_a_link_that_leads_nowhere_is_there_already(tmp_path):
+def test_a_link_that_leads_nowhere_already_exists(tmp_path):
     (tmp_path / "mine").symlink_to(tmp_path / "nowhere")
     with pytest.raises(FileExistsError), atomic_file(tmp_path / "mine"):
         pass
@@ -88,20 +68,12 @@ def test_a_link_that_leads_nowhere_is_there_already(tmp_path):
     assert not (tmp_path / "mine").is_symlink() and not (tmp_path / "nowhere").exists()
 
 
-def test_a_full_disk_names_the_file(tmp_path, monkeypatch):
-    def full(path, mode):
-        os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY))
-        return builtins.open("/dev/full", "wb", buffering=0)
-
-    monkeypatch.setattr("jaxvibro.output.atomic_write.open", full, raising=False)
-    with pytest.raises(OSError, match="No space left on device") as caught, atomic_file(tmp_path / "mine") as file:
-        file.write(b"new")
-    assert caught.value.filename == str(tmp_path / "mine") and not list(tmp_path.iterdir())
-
-
-def test_a_folder_on_a_full_disk_is_refused(tmp_path, monkeypatch):
-    require_writable_folder(tmp_path / "new" / "below")
-    monkeypatch.setattr(shutil, "disk_usage", lambda path: namedtuple("Usage", "free")(1000))
-    with pytest.raises(OSError, match="No space left on device") as caught:
-        require_writable_folder(tmp_path / "new")
-    assert caught.value.filename == str(tmp_path / "new")
+def test_a_folder_on_a_full_disk_or_that_cannot_be_written_to_is_refused_before_any_work(tmp_path, monkeypatch):
+    with monkeypatch.context() as patch, pytest.raises(OSError, match="No space left on device") as caught:
+        patch.setattr(shutil, "disk_usage", lambda path: namedtuple("Usage", "free")(1000))
+        jv.run(SCENES / "branches.toml", tmp_path)
+    assert caught.value.filename == str(tmp_path)
+    monkeypatch.setattr(os, "access", lambda path, mode: False)  # root may write everywhere
+    with pytest.raises(PermissionError, match="cannot be written to"):
+        jv.run(SCENES / "branches.toml", tmp_path / "new" / "below")
+    assert list(tmp_path.iterdir()) == []
