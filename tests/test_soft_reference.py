@@ -8,28 +8,11 @@ from flint import arb, arb_mat, ctx
 
 from tests import truths
 from tests.kinds import KINDS, LANES
-from tests.properties.motions import take
+from tests.properties.motions import lane_of
 from tests.reference import ball, soft
 from tests.reference.scene import Motion, Scene, Soft, Wall
 from tests.reference.search import Discard
 from tests.reference.spring import Press, way_out
-
-
-def draws(kind, numbers):
-    """Yield (scene, x, v, phase) and the record of random motions that rounding does not decide."""
-    for number in numbers:
-        scene, state = KINDS[kind].draw(number)
-        for lane in range(LANES):
-            start = truths.plain(take(scene, lane)), *(float(each[lane]) for each in (state.x, state.v, state.phase))
-            try:
-                yield start, soft.strobe(*start)
-            except Discard:
-                continue
-
-
-def largest_rate(scene):
-    """Return the largest rate of a contact."""
-    return max(math.sqrt(1 + w.stiffness) + 2 * w.damping for _, w in scene.walls() if isinstance(w, Soft))
 
 
 @pytest.mark.parametrize("damping", [0.0, 0.3, math.sqrt(50.0), 21.0])
@@ -69,38 +52,39 @@ def test_half_a_swing_is_known(stiffness, share):
         root, z = (k - arb(damping) ** 2).sqrt(), arb(damping) / k.sqrt()
         time, speed = record.exits[0][0], (-arb.pi() * z / (1 - z**2).sqrt()).exp() * record.speeds[0]
         assert abs(time - record.times[0] - arb.pi() / root) < 1e-38
-        assert float(speed) == pytest.approx(record.least_exit, rel=1e-14)
         end = ball.flow(0.1, 2.2, 0.0, 0.0, arb(0), -speed, 2 * arb.pi() / arb(2.2) - time, 300)
         assert abs(end[0] - record.x) < 1e-38 and abs(end[1] - record.v) < 1e-38
 
 
 def test_jacobian_against_differences():
-    stiff = 0
-    for (scene, x, v, phase), record in draws("soft_moving", range(2)):
+    stiff, step = 0, arb(2) ** -106
+    for number, lane in np.ndindex(2, LANES):
+        scene, x, v, phase = lane_of(*KINDS["soft_moving"].draw(number), lane)
+        scene = truths.plain(scene)
+        try:
+            record = soft.strobe(scene, x, v, phase)
+        except Discard:
+            continue
         with ctx.workprec(400):
-            step = arb(10) ** -32
             for column, (dx, dv) in enumerate(((step, 0), (0, step))):
-                ahead, behind = (
-                    soft.strobe(scene, arb(x) + sign * dx, arb(v) + sign * dv, phase, precision=400) for sign in (1, -1)
-                )
+                ahead, behind = (soft.strobe(scene, x + s * dx, v + s * dv, phase, precision=400) for s in (1, -1))
                 for row, name in enumerate("xv"):
                     slope = (getattr(ahead, name) - getattr(behind, name)) / (2 * step)
                     assert abs(slope - record.jacobian[row][column]) < 1e-28 * (1 + record.norm)
-        stiff += len(record.exits) > 0 and largest_rate(scene) > 100
+        stiff += len(record.exits) > 0 and scene.left.stiffness > 1e3
     assert stiff > 1
 
 
 def test_a_ring_at_the_way_out_is_refused():
     scene = Scene(0.0, 1.1, 2.0, None, Soft(-3.0, 1e4, 0.0))
     with ctx.workprec(200):
-        for depth, refused in ((5e-11, True), (5e-9, False)):
+        presses = []
+        for depth in (5e-9, 5e-11):
             back = Press(scene, 1, scene.right, arb(depth), arb(0), arb(0.3))(arb(-0.004))
-            press = Press(scene, 1, scene.right, *back, arb(0.3) + arb(1.1) * arb(-0.004))
-            if refused:
-                with pytest.raises(Discard, match="release"):
-                    way_out(press, arb(0.008))
-            else:
-                assert way_out(press, arb(0.008))[0] is None
+            presses.append(Press(scene, 1, scene.right, *back, arb(0.3) + arb(1.1) * arb(-0.004)))
+        assert way_out(presses[0], arb(0.008))[0] is None
+        with pytest.raises(Discard, match="release"):
+            way_out(presses[1], arb(0.008))
 
 
 @pytest.mark.parametrize("share", [0.0, 0.5, 3.0])
