@@ -80,7 +80,10 @@ def test_gradients_of_solved_orbits():
     """In reverse mode, of a spring and of the same spring as a force: the loops of a contact run forward alone."""
     force = jv.Force("polynomial", {"c1": 1.0, "damping": 0.05})
     soft = [jv.Wall(1.0, stiffness=10.0, damping=damping) for damping in (0.15, 0.1)]  # it adds to that of a force
-    scenes = jv.make_scene(1.5, 1.3, 0.05, walls=(None, soft[0])), jv.make_scene(1.5, 1.3, walls=(None, soft[1]), force=force)
+    scenes = (
+        jv.make_scene(1.5, 1.3, 0.05, walls=(None, soft[0])),
+        jv.make_scene(1.5, 1.3, walls=(None, soft[1]), force=force),
+    )
     rows = []
     for scene in scenes:
 
