@@ -107,13 +107,6 @@ def differences(function, point):
 
 
 @mpmath.workdps(DIGITS)
-def orbit(one, sides, frequency, contacts):
-    """The contacts (time, speed, stay) of the orbit near some."""
-    start = [number for each in contacts for number in each]
-    return triples(solved(lambda numbers: residuals(one, sides, mpf(frequency), numbers), start))
-
-
-@mpmath.workdps(DIGITS)
 def grazing(one, sides, frequency, contacts, row, late):
     """The frequency of the grazing from within near some contacts; late: the touch's time since that in a row began."""
 
