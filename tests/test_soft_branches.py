@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import jaxvibro as jv
-from jaxvibro.loci.point_continuation import continue_to_values, make_continued_point
+from jaxvibro.loci.point_continuation import make_continued_point
 from jaxvibro.reproduction.special_point_fitting import fit_parameters
 from tests.reference import soft_orbits
 
@@ -203,8 +203,8 @@ def test_slopes_of_a_fold_along_the_hardness(folded):
     expected = (exact_fold_of_hardness(step) - exact_fold_of_hardness(-step)) / (2 * step)
     assert slope == pytest.approx(expected, rel=1e-7)
     assert by_amplitude == pytest.approx(float(jv.sensitivity(point, NAMES)[0]), rel=1e-11)
-    harder, share = continue_to_values(make_continued_point(point, ("hardness",)), [1.05])
-    assert share == 1.0 and harder.value == pytest.approx(exact_fold_of_hardness(0.05), abs=1e-12)
+    harder = float(jv.located(point)(point.scene.replace(hardness=1.02)))
+    assert harder == pytest.approx(exact_fold_of_hardness(0.02), abs=1e-12)
     names, bounds = ("hardness", "left.stiffness"), {"hardness": (0.5, 2.0), "left.stiffness": (5.0, 20.0)}
     for call in (lambda: jv.sensitivity(point, names), lambda: jv.locus(point, names, bounds)):
         with pytest.raises(jv.ArgumentError, match=r"^names: must not contain the hardness together"):
@@ -224,8 +224,8 @@ def test_a_grazing_moves_as_the_closed_form(free):
     by_damping = soft_orbits.free_grazing(A, FITTED + step) - soft_orbits.free_grazing(A, FITTED - step)
     expected = [float(each) / (2 * step) for each in (by_amplitude, by_damping)] + [0.0]
     assert jv.sensitivity(graze, NAMES).values == pytest.approx(expected, abs=1e-8)
-    point, share = continue_to_values(make_continued_point(graze, NAMES), [0.4, 0.05, 0.1])
-    assert share == 1.0 and point.value == pytest.approx(float(soft_orbits.free_grazing(0.4, 0.05)), abs=1e-13)
+    value = float(jv.located(graze)(graze.scene.replace(amplitude=0.32, damping=0.07)))
+    assert value == pytest.approx(float(soft_orbits.free_grazing(0.32, 0.07)), abs=1e-13)
 
 
 def test_fits_of_figure_10_are_the_reference(folded, free):

@@ -11,7 +11,6 @@ import pytest
 from scipy.interpolate import CubicHermiteSpline
 
 import jaxvibro as jv
-from jaxvibro.scene.codes import Status
 
 OMEGA, DAMPING, R = 2.1, 0.05, 0.7
 RNG = np.random.default_rng(5)
@@ -118,7 +117,7 @@ def test_errors_of_a_motion_much_smaller_than_its_scene_are_relative_to_the_moti
     end, impacts = jv.strobe(swings, jv.State(0.0, speed, 0.0, -1.0), slots=8)
     rate = np.sqrt(spring - damping**2)
     time = np.pi / rate * np.arange(1, 6)
-    assert (int(impacts.status), int(impacts.count)) == (Status.OK, 5)
+    assert (int(impacts.status), int(impacts.count)) == (0, 5)
     np.testing.assert_allclose(impacts.time[:5], time, rtol=0, atol=2e-4)
     np.testing.assert_allclose(impacts.speed[:5], speed * np.exp(-damping * time) * bounce ** np.arange(5), rtol=1e-4)
     late = 4.0 * np.pi - time[-1]
@@ -141,7 +140,7 @@ def test_solvers_agree_with_the_exact_flow(name):
     }[name]
     (end, impacts), (expected, others) = (jax.device_get(jv.strobe(each, STARTS)) for each in (given, other))
     hits = (others.side == -1).sum(-1) if name == "kink" else others.count
-    assert (impacts.status == others.status).all() and (impacts.status < Status.CAP).all()
+    assert (impacts.status == others.status).all() and (impacts.status < 2).all()
     assert (impacts.count == hits).all() and impacts.count.sum() > 2
     norm = np.linalg.norm(np.asarray(jv.monodromy(other, STARTS)), axis=(1, 2))
     assert (np.maximum(abs(end.x - expected.x), abs(end.v - expected.v)) / (1.0 + norm)).max() < 80 * error
@@ -166,5 +165,5 @@ def test_a_force_that_is_not_finite_ends_with_a_status():
         return jnp.where(x > 0.9999, jnp.nan, -x)
 
     end, impacts = jv.strobe(scene(hole, {}), jv.State([0.3, -0.2], [-1.1, 0.4]))
-    assert int(impacts.status[1]) == Status.CAP
+    assert impacts.status[1] == 2
     assert np.isnan(end.x[1])
