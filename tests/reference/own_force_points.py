@@ -1,6 +1,6 @@
-"""Orbits and special points of impact oscillators under forces that are no spring, by Newton's method on the map of a
-period in as many digits as mpmath is set to; derivatives by differences in these. Walls with a contact law have equal
-numbers, those of the left one."""
+"""Special points of impact oscillators under forces that are no spring: their equations by the map of a period, in as
+many digits as mpmath is set to; derivatives by differences in these. Walls with a contact law have equal numbers, those
+of the left one."""
 
 from dataclasses import dataclass, replace
 
@@ -11,8 +11,7 @@ from . import own_force
 APART = mpf(10) ** -11  # of states, for the map's derivative: right to 22 digits
 STEP = mpf(10) ** -8  # of unknowns and numbers, for derivatives of equations: right to 13
 SHALLOW = mpf(10) ** -5  # no impact where the mass turns back so little behind a wall
-DIGITS, CLOSE = 30, mpf(10) ** -15
-TRIES = 8
+DIGITS = 30
 
 
 @dataclass(frozen=True)
@@ -77,20 +76,11 @@ class Case:
         ends = [self.equations(*at(sign)) for sign in (1, -1)]
         return [(a - b) / (2 * STEP) for a, b in zip(*ends, strict=True)]
 
-    def solved(self, x, v, value):
-        """(x, v, value) by Newton's method from near; raises ArithmeticError where it does not converge."""
-        unknowns = [mpf(x), mpf(v), mpf(value)]
-        slopes = self.slopes(unknowns)
-        for _ in range(TRIES):
-            step = mp.lu_solve(slopes, mp.matrix(self.equations(unknowns)))
-            unknowns = [unknowns[k] - step[k] for k in range(3)]
-            if max(map(abs, step)) < CLOSE:
-                return unknowns
-        raise ArithmeticError("Newton's method does not converge")
-
     def gradient(self, unknowns, ways):
-        """{name: the derivative of the parameter's value} along ways {name: [(number, weight)]}."""
-        slopes, found = self.slopes(unknowns), {}
+        """{name: the derivative of the parameter's value} along ways {name: [(number, weight)]}, and the value's change
+        in a Newton step as "value"."""
+        slopes = self.slopes(unknowns)
+        found = {"value": mp.lu_solve(slopes, mp.matrix(self.equations(unknowns)))[2]}
         for name, way in ways.items():
 
             def at(sign, way=way):
