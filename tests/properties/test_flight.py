@@ -252,11 +252,11 @@ def test_special_points(kind, number):
 
 @of_numbers
 def test_grazing_within(kind, number):
-    """Where contacts split or join, a branch continues; the orbit there is one by closed forms in 40 digits."""
+    """Where contacts split or join, a branch continues; the grazing there is that of 40 digits."""
     for seed in range(3 + 10 * number, 13 + 10 * number):
         scene, oscillator = graze_within.drawn(seed)
         points = graze_within.grazings_of(scene)
         if points:
             break
     assert points or number
-    assert all(graze_within.residual(point, oscillator) < 1e-9 for point in points)
+    assert all(graze_within.error(point, oscillator) < 1e-9 for point in points)

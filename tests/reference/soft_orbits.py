@@ -1,7 +1,8 @@
 """Orbits between soft walls at rest by closed forms, in mpmath to 40 digits: nothing is shared with the package.
 
 Unknowns are, of each contact, when it begins, how fast, and how long it lasts; the motion free and within a wall is the
-textbook's closed form. A saddle-node adds the frequency, and has a singular Jacobian.
+textbook's closed form. A grazing from within adds the frequency, and the time within one contact at which the mass is
+at its wall without speed. A saddle-node adds the frequency, and has a singular Jacobian.
 """
 
 from typing import NamedTuple
@@ -104,6 +105,20 @@ def differences(function, point):
         ends = [function([each + sign * STEP * (j == k) for j, each in enumerate(point)]) for sign in (1, -1)]
         columns.append([(up - down) / (2 * STEP) for up, down in zip(*ends, strict=True)])
     return matrix(columns).T
+
+
+@mpmath.workdps(DIGITS)
+def grazing(one, sides, frequency, contacts, row, late):
+    """The frequency of the grazing from within near some contacts; late: the touch's time since that in a row began."""
+
+    def function(numbers):
+        *rest, frequency, late = numbers
+        time, speed, _ = triples(rest)[row]
+        wall = mpf(one.walls[sides[row]][0])
+        x, v = flown(one, sides[row], frequency, time, late, wall, sides[row] * speed)
+        return [*residuals(one, sides, frequency, rest), x - wall, v]
+
+    return solved(function, [*(number for each in contacts for number in each), frequency, late])[-2]
 
 
 @mpmath.workdps(DIGITS + 20)
