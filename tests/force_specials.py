@@ -1,8 +1,10 @@
-"""Special points under user-defined forces against Newton's method in 40 digits, and of a ball that bounces on a table
+"""Special points under user-defined forces against their equations in 30 digits, and of a ball that bounces on a table
 against closed forms."""
 
 import jax
+import mpmath
 import numpy as np
+from mpmath import mpf
 
 import jaxvibro as jv
 
@@ -22,21 +24,27 @@ def duffing(walls=(-1.0, 1.0), amplitude=2.0, cubic=0.5, damping=0.05, frequency
 def case_of(point):
     """Return the reference's form of a special point; each wall has a restitution of its own there."""
     scene = point.scene
+    assert point.orbit.state.phase == 0.0
     numbers = {name: float(scene.parameter(name)) for name in scene.names if name != "restitution"}
     for side, wall in scene.walls.items():
         own = scene.restitution if wall.restitution is None else wall.restitution
-        numbers[f"{side}.restitution"] = float(own)
+        if wall.law is None:
+            numbers[f"{side}.restitution"] = float(own)
     return reference.Case(point.kind, scene.force.function.__name__, numbers, point.name, point.spot.periods)
 
 
-def solved(point):
-    """Return the `Case` of a special point and [x, v, value] in many digits."""
+def case_and_start(point):
+    """Return the `Case` of a special point and (x, v, value)."""
     case, state = case_of(point), point.orbit.state
-    assert state.phase == 0.0
-    given = float(state.x), float(state.v), point.value
-    if point.kind == "GR":
-        case = reference.touching(case, *given)
-    return case, case.solved(*given)
+    given = tuple(map(mpf, (float(state.x), float(state.v), point.value)))
+    return (reference.touching(case, *given) if point.kind == "GR" else case), given
+
+
+def residual(point):
+    """Return how far a special point and its orbit are from their equations, by series in many digits."""
+    with mpmath.workdps(reference.DIGITS):
+        case, given = case_and_start(point)
+        return max(abs(float(each)) for each in case.equations(given))
 
 
 def special_point(rng):
@@ -66,9 +74,12 @@ def special_point(rng):
 
 def gradient_errors(point):
     """Return {name: relative error of the derivative by a parameter}, and the error of the value as "value"."""
-    case, unknowns = solved(point)
-    slopes, directions = jax.grad(jv.located(point))(point.scene), directions_of(point, case)
-    exact, errors = case.gradient(unknowns, directions), {"value": abs(float(unknowns[2] - point.value))}
+    slopes = jax.grad(jv.located(point))(point.scene)
+    with mpmath.workdps(reference.DIGITS):
+        case, given = case_and_start(point)
+        directions = directions_of(point, case)
+        exact = case.gradient(given, directions)
+        errors = {"value": abs(float(exact.pop("value")))}
     for name, direction in directions.items():
         computed = sum(sign * float(slopes.parameter(each)) for each, sign in direction)
         errors[name] = float(abs(computed - exact[name]) / (1 + abs(exact[name])))
@@ -76,14 +87,15 @@ def gradient_errors(point):
 
 
 def directions_of(point, case):
-    """Return {name: [(parameter, weight)]}: in a symmetric scene both walls change together."""
+    """Return {name: [(parameter, weight)]}: in a symmetric scene, and of contact laws, both walls change together."""
     directions = {}
     for name in case.numbers:
         side, _, own = name.partition(".")
-        if name == point.name or (point.kind == "SB" and side == "left"):
+        both = point.kind == "SB" or own.startswith("law.")
+        if name == point.name or (both and side == "left"):
             continue
         directions[name] = [(name, 1)]
-        if point.kind == "SB" and side == "right":
+        if both and side == "right":
             directions[name].append((f"left.{own}", -1 if own == "position" else 1))
     return directions
 

@@ -1,23 +1,15 @@
-"""Branches through grazings from within a soft wall, where contacts split or join, against 34 digits.
-
-Random scenes with soft walls at rest are followed in the frequency. The grazing and the nearest orbits of the branch on
-both sides are solved again by tests/reference/graze_within.py.
-"""
-
-from itertools import pairwise
+"""Branches through grazings from within a soft wall, where contacts split or join, against closed forms."""
 
 import numpy as np
 
 import jaxvibro as jv
-from tests.reference.graze_within import Oscillator, flown, grazing, orbit
+from tests.reference import soft_orbits
 
-NEAR, SLOW = 1e-3, 0.05  # speeds: of rows that are not used; below which a hop is computed without samples
-SAMPLES = 4000  # of a drive period
 BOUNDS = 0.75, 1.2  # of the frequency at which a branch starts
 
 
 def drawn(seed):
-    """Return a scene and its reference: one soft wall or two, with damping up to 0.3 of critical."""
+    """Return a scene and its reference: one soft wall or two at rest, with damping up to 0.3 of critical."""
     rng = np.random.default_rng([seed, 7])
     frequency, gamma = float(rng.uniform(0.3, 0.7)), float(rng.uniform(0.02, 0.2))
     right, left = float(rng.uniform(-0.1, 0.4)), -float(rng.uniform(0.8, 2.0))
@@ -27,90 +19,35 @@ def drawn(seed):
         walls[side] = position, stiffness, float(rng.uniform(0.02, 0.3) * (1 + stiffness) ** 0.5)
     amplitude = float(rng.uniform(0.5, 2.0))
     ours = [walls.get(side) and jv.Wall(walls[side][0], None, *walls[side][1:]) for side in (-1, 1)]
-    return jv.make_scene(amplitude, frequency, gamma, 0.7, tuple(ours)), Oscillator(amplitude, gamma, walls)
+    return jv.make_scene(amplitude, frequency, gamma, 0.7, tuple(ours)), soft_orbits.Oscillator(amplitude, gamma, walls)
 
 
-def branch_of(scene):
-    """Return the branch of the attractor of a scene, None if that is no simple orbit."""
+def grazings_of(scene):
+    """Return the grazings from within on the branch of the attractor of a scene along the frequency."""
     state, _ = jv.strobe(scene, jv.State(-0.1, 0.0), 300)
     try:
         start = jv.find_orbit(scene, state)
     except jv.OrbitError:
-        return None
+        return []
     if start.periods > 1 or not 0 < int(start.impacts.count) < 5:
-        return None
+        return []
     value = float(scene.frequency)
-    return jv.follow(start, "frequency", bounds=(BOUNDS[0] * value, BOUNDS[1] * value))
+    branch = jv.follow(start, "frequency", bounds=(BOUNDS[0] * value, BOUNDS[1] * value))
+    inner = [point for point in branch.special if 0 < point.place < len(branch) - 1]
+    return [point for point in inner if point.kind == "GR" and point.normal_form is None]
 
 
-def contacts_at(scene, oscillator, data, row):
-    """Return (time, speed, approximate duration) of each contact of a row of a branch, and the sides."""
-    row = data.isel(point=row)
-    keep = row["side"].values != 0
-    times, speeds, sides = (row[name].values[keep].tolist() for name in ("time", "speed", "side"))
-    frequency = float(row["frequency"])
-    scene, contacts = scene.replace(frequency=frequency), []
-    for k, (time, speed, side) in enumerate(zip(times, speeds, sides, strict=True)):
-        after = (k + 1) % len(times)
-        later = times[after] + (2 * np.pi / frequency if after <= k else 0.0)
-        wall = oscillator.walls[side][0]
-        if sides[after] == side and after != k and speeds[after] < SLOW:
-            pull = side * (oscillator.amplitude * np.cos(frequency * later) - wall)
-            guess = 2 * speeds[after] / pull
-            duration = later - time - hop(oscillator, side, frequency, later, speeds[after], guess)
-        else:
-            duration = first_exit(scene, jv.State(wall, side * speed, frequency * time, 3.0 * side), side)
-        contacts.append((time, speed, duration))
-    return contacts, sides
-
-
-def hop(oscillator, side, frequency, end, speed, guess):
-    """Return the approximate duration of a short flight that returns to a wall at a time with a speed."""
-    wall = oscillator.walls[side][0]
-    for _ in range(5):
-        x, v = flown(oscillator, 0, frequency, end, -guess, wall, side * speed)
-        guess += float((x - wall) / v)
-    return guess
-
-
-def first_exit(scene, start, side):
-    """Return the approximate duration of a contact."""
-    times = np.arange(1, SAMPLES) * 2 * np.pi / float(scene.frequency) / SAMPLES
-    path, _ = jv.sample(scene, start, times)
-    gone = side * (np.asarray(path.x) - float(start.x)) <= 0
-    return float(times[int(np.argmax(gone))] - 0.5 * times[0])
-
-
-def adjacent_orbits(branch):
-    """Yield (row with fewer contacts, row with more, frequency) next to each grazing from within of a branch."""
-    ends = [(segment.last, following.first) for segment, following in pairwise(branch.segments)]
-    for point in branch.special:
-        if point.kind != "GR" or point.normal_form is not None:
-            continue
-        last, first = next(pair for pair in ends if point.place in pair)
-        if not 0 < last < first + 1 < len(branch.data["segment"]):  # the branch ends at it
-            continue
-        rows = sorted((last - 1, first + 1), key=lambda k: int((branch.data["side"].values[k] != 0).sum()))
-        forward = rows[1] == first + 1
-        speed, segment = branch.data["speed"].values, branch.data["segment"].values
-        same = np.flatnonzero((segment == segment[rows[1]]) & (np.nanmin(speed, axis=1) > NEAR))
-        if len(same):
-            rows[1] = int(same[0] if forward else same[-1])
-            yield *rows, point.value
-
-
-def errors(branch, scene, oscillator, fewer, more, value):
-    """Return the errors of the frequency of the grazing, of the orbit with fewer contacts, and of that with more."""
-    first, sides = contacts_at(scene, oscillator, branch.data, fewer)
-    second, other_sides = contacts_at(scene, oscillator, branch.data, more)
-    orbit_errors = []
-    for row, given, walls in ((fewer, first, sides), (more, second, other_sides)):
-        exact = orbit(oscillator, walls, 1, float(branch.data["frequency"][row]), given)
-        pairs = zip(given, exact, strict=True)
-        orbit_errors.append(max(abs(float(ours[k] - true[k])) for ours, true in pairs for k in (0, 1)))
-    slow = min((second[k][1], k) for k in range(len(second)) if other_sides[k - 1] == other_sides[k])[1]
-    span = 2 * np.pi / value
-    apart = [abs((contact[0] - second[slow - 1][0] + span / 2) % span - span / 2) for contact in first]
-    late = (second[slow][0] - second[slow - 1][0]) % span
-    exact, _, _ = grazing(oscillator, sides, 1, value, first, int(np.argmin(apart)), late)
-    return [abs(float(exact) - value), *orbit_errors]
+def error(point, oscillator):
+    """Return the error of the frequency of a grazing, solved again with one contact that goes on after the touch."""
+    spot, frequency = point.spot, point.value
+    rows = list(zip(spot.times.tolist(), spot.speeds.tolist(), spot.sides.tolist(), strict=True))
+    touch = min(range(len(rows)), key=lambda k: rows[k][1])
+    contacts = [
+        [time, speed, soft_orbits.duration(oscillator, side, frequency, time, speed)] for time, speed, side in rows
+    ]
+    late = (rows[touch][0] - rows[touch - 1][0]) % (2 * np.pi / frequency)
+    contacts[touch - 1][2] = late + contacts[touch][2]
+    sides = [side for _, _, side in rows]
+    del contacts[touch], sides[touch]
+    row = touch - 1 if touch else len(contacts) - 1
+    return abs(float(soft_orbits.grazing(oscillator, sides, frequency, contacts, row, late)) - frequency)

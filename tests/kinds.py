@@ -221,6 +221,6 @@ KINDS = {
         Kind("duffing", duffing, truths.series, 1e-12, exact=False),
         Kind("gravity", gravity, truths.series, 1e-12, exact=False),
         Kind("solver", solver, truths.series, 1e-10, exact=False),
-        Kind("contact_law", contact_law, truths.contact_series, 1e-12, exact=False),
+        Kind("contact_law", contact_law, truths.series, 1e-12, exact=False),
     )
 }

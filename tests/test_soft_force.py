@@ -1,11 +1,7 @@
-"""Soft walls with user-defined forces and contact laws: closed forms, the spring as a force, series by hand.
-
-`tests/properties/test_flight.py` compares flights and branches with those of the spring.
-"""
+"""Soft walls with user-defined forces and contact laws: closed forms, gradients, series by hand, invalid laws."""
 
 import jax
 import jax.numpy as jnp
-import mpmath
 import numpy as np
 import pytest
 from scipy.optimize import brentq
@@ -14,7 +10,7 @@ from scipy.special import gamma
 import jaxvibro as jv
 from jaxvibro.flight.flight_coefficients import flow_coefficients
 from jaxvibro.orbits.force_law_contact_map import depth_since_entry
-from tests.reference import soft_force_points as reference
+from tests import force_specials
 
 FORCE = jv.Force("polynomial", {"c1": 1.0, "damping": 0.05})
 HERTZ = jv.Push("hertz", {"stiffness": 40.0})
@@ -61,31 +57,6 @@ def test_one_contact_without_other_forces():
     assert abs(-end.v[lossy] / expected - 1.0).max() < 1e-11
 
 
-def mixed(moving=True):
-    """Return a scene of two laws: a Hertz wall, which may move, and a linear one."""
-    motion = jv.Motion(0.1, 0.3, 2) if moving else None
-    walls = jv.Wall(-0.6, law=HERTZ, motion=motion), jv.Wall(0.7, None, 60.0, 0.8)
-    force = jv.Force("duffing", {"cubic": 0.6, "damping": 0.05})
-    return jv.make_scene(1.7, 1.9, restitution=0.5, walls=walls, force=force)
-
-
-def test_derivatives_by_the_amplitude_and_the_stiffness_of_a_law():
-    scene, names, values = mixed(), ("amplitude", "left.law.stiffness"), (1.7, 40.0)
-
-    def end(*given):
-        state, _ = jv.strobe(scene.replace(**dict(zip(names, given, strict=True))), jv.State(0.1, -2.0))
-        return jnp.stack([state.x, state.v])
-
-    computed = np.stack(jax.jit(jax.jacfwd(end, (0, 1)))(*values))
-    step, ends = 1e-3, jax.jit(jax.vmap(end))
-    for row, size in enumerate(values):
-        shifts = step * size * np.array([1.0, -1.0, 2.0, -2.0, 3.0, -3.0])
-        given = [np.full(6, value) + (shifts if k == row else 0.0) for k, value in enumerate(values)]
-        one, two, three = (pair[0] - pair[1] for pair in np.asarray(ends(*given)).reshape(3, 2, 2))
-        expected = (0.75 * one - 0.15 * two + three / 60.0) / (step * size)
-        assert abs(computed[row] - expected).max() < 1e-7 * (1.0 + abs(expected).max())
-
-
 def test_the_slope_of_the_depth_at_an_entry():
     """There the root of the depth has no slope in time."""
     speed = 0.7
@@ -105,20 +76,16 @@ def test_the_slope_of_the_depth_at_an_entry():
     assert value == pytest.approx([0.0, speed], abs=1e-15) and slope == pytest.approx([speed, pull], abs=1e-12)
 
 
-def pair(numbers, damping, *walls):
-    """Return the same scene under spring and damper, and under them as a force; walls: (position, stiffness, damping).
-
-    Their damping adds to that of the flight.
-    """
-    soft = [[wall and jv.Wall(wall[0], None, wall[1], wall[2] + more) for wall in walls] for more in (damping, 0.0)]
-    force = jv.Force("polynomial", {"c1": 1.0, "damping": damping})
-    return jv.make_scene(*numbers, damping, walls=soft[0]), jv.make_scene(*numbers, walls=soft[1], force=force)
-
-
 def test_gradients_of_solved_orbits():
-    """In reverse mode: the loops of a contact go forward alone."""
+    """In reverse mode, of a spring and of the same spring as a force: the loops of a contact run forward alone."""
+    force = jv.Force("polynomial", {"c1": 1.0, "damping": 0.05})
+    soft = [jv.Wall(1.0, stiffness=10.0, damping=damping) for damping in (0.15, 0.1)]  # it adds to that of a force
+    scenes = (
+        jv.make_scene(1.5, 1.3, 0.05, walls=(None, soft[0])),
+        jv.make_scene(1.5, 1.3, walls=(None, soft[1]), force=force),
+    )
     rows = []
-    for scene in pair((1.5, 1.3), 0.05, None, (1.0, 10.0, 0.1)):
+    for scene in scenes:
 
         def solved(scene):
             orbits = jv.solve_orbits(scene, jv.State(1.534, 5.03), ("R",))
@@ -132,50 +99,12 @@ def test_gradients_of_solved_orbits():
     assert abs(rows[0]).max() > 1.0 and abs(np.subtract(*rows)).max() < 1e-12
 
 
-def test_orbits_from_many_starts():
-    pairs = pair((4.0, 2.6), 0.03, (-0.8, 20.0, 0.3), (0.9, 30.0, 0.4))
-    exact, found = (jv.find_orbits(scene, 1, 60) for scene in pairs)
-    assert len(exact) >= 1 and [orbit.label for orbit in exact] == [orbit.label for orbit in found]
-    for orbit, other in zip(exact, found, strict=True):
-        assert abs(other.state.x - orbit.state.x) + abs(other.state.v - orbit.state.v) < 1e-11
-
-
-def test_symmetry_breaking_and_period_doubling():
-    scenes = pair((2.0, 2.1), 0.05, (-1.0, 100.0, 0.5), (1.0, 100.0, 0.5))
-    whole = [jv.follow(jv.find_orbit(scene, jv.State(0.9, -1.1)), "amplitude", (1.0, 9.0)) for scene in scenes]
-    tilted = [jv.switch(branch.points("SB")[0])[0] for branch in whole]
-    doubled = [jv.switch(branch.points("PD")[0])[0] for branch in tilted]
-    assert [point.kind for point in doubled[0].special] == ["EP", "GR", "PD", "EP"]
-    for exact, found in (whole, tilted, doubled):
-        assert [point.kind for point in exact.special] == [point.kind for point in found.special]
-        assert np.allclose([p.value for p in exact.special], [p.value for p in found.special], rtol=0, atol=1e-11)
-    assert abs(np.subtract(*(np.asarray(jv.peaks(branch)) for branch in tilted))).max() < 1e-9
-
-
-def test_a_fold_between_hertz_walls_in_many_digits():
-    """Its orbit, frequency, multipliers and gradient."""
-    force = jv.Force("duffing", {"cubic": 0.5, "damping": 0.05})
+def test_a_fold_between_hertz_walls_and_its_gradient():
     walls = tuple(jv.Wall(place, law=HERTZ) for place in (-0.9, 0.8))
-    scene = jv.make_scene(1.0, 2.0, restitution=0.5, walls=walls, force=force)
-    (fold,) = jv.follow(jv.find_orbit(scene, jv.State(0.0, 0.0)), "frequency", (0.8, 4.0)).points("SN")
-    own = jax.grad(jv.located(fold))(fold.scene)
-    names = {"amplitude": "amplitude", "cubic": "force.cubic", "damping": "force.damping", "right": "right.position"}
-    orbit = fold.orbit
-    with mpmath.workdps(reference.DIGITS):
-        given = {"amplitude": 1.0, "cubic": 0.5, "damping": 0.05, "stiffness": 40.0, "left": -0.9, "right": 0.8}
-        given = {name: mpmath.mpf(value) for name, value in given.items()}
-        exact = reference.solved("hertz", 1, given, (float(orbit.state.x), float(orbit.state.v), fold.value))
-        for value, other, near in zip(
-            (orbit.state.x, orbit.state.v, fold.value), exact, (1e-12, 1e-12, 1e-14), strict=True
-        ):
-            assert abs(float(value) - other) < near
-        (a, _), (_, d) = reference.matrix("hertz", given, *exact)
-        assert abs(orbit.multipliers[1] - float(a + d - 1)) < 1e-7
-        true = reference.gradient("hertz", 1, given, exact, [*names, "stiffness"])
-    for name, mine in names.items():
-        assert abs(float(own.parameter(mine)) - true[name]) < 1e-8
-    stiffness = sum(float(own.parameter(f"{side}.law.stiffness")) for side in ("left", "right"))
-    assert abs(stiffness - true["stiffness"]) < 1e-10
+    scene = force_specials.duffing(walls, 1.0, frequency=2.0)
+    branch = jv.follow(jv.find_orbit(scene, jv.State(0.0, 0.0)), "frequency", (0.8, 4.0), stop="SN")
+    errors = force_specials.gradient_errors(branch.points("SN")[0])
+    assert errors.pop("value") < 1e-13 and max(errors.values()) < 1e-8 and "right.law.stiffness" in errors
 
 
 @pytest.mark.parametrize(
@@ -209,7 +138,8 @@ def test_a_law_that_is_no_series_is_refused(power):
 
 
 def test_parameters_and_files(tmp_path):
-    scene = mixed(False)
+    walls = jv.Wall(-0.6, law=HERTZ), jv.Wall(0.7, None, 60.0, 0.8)
+    scene = jv.make_scene(1.7, 1.9, walls=walls, force=FORCE)
     assert {"left.law.stiffness", "right.stiffness", "right.damping"} < set(scene.names)
     assert not {"hardness", "left.stiffness", "damping"} & set(scene.names)
     assert scene.replace(**{"left.law.stiffness": 7.0}).parameter("left.law.stiffness") == 7.0

@@ -13,7 +13,6 @@ from continuation.numpy_evaluation import NumpyEvaluator
 from jaxvibro.flight.flight_coefficients import make_flow_coefficients
 from jaxvibro.maps.contact_duration import contact_duration_of, solve_contact_end
 from jaxvibro.orbits.contact_maps import evaluate_contact_map
-from jaxvibro.scene.codes import Contact
 
 WALLS = {
     "unlike": (jv.Wall(-1.0, stiffness=30.0, damping=0.2), jv.Wall(1.0, stiffness=5e4, damping=300.0)),
@@ -23,7 +22,7 @@ WALLS = {
 }
 FAST = 40.0, 9.0  # the drive turns within a step: the mass may be out and in again at its end
 LANES = 40
-PERIODS = 8.0  # the longest contact
+PERIODS, ENTERED = 8.0, 4.0  # the longest contact; the code of a mass that has just entered a wall
 
 
 def entries(kind, seed=5):
@@ -39,7 +38,7 @@ def entries(kind, seed=5):
 def certified(scene, side, cosine, sine, speed):
     coefficients = make_flow_coefficients(scene)
     longest = PERIODS * coefficients.period + 0.0 * speed
-    return contact_duration_of(coefficients, side * Contact.ENTERED, 0.0 * speed, side * speed, cosine, sine, longest)
+    return contact_duration_of(coefficients, side * ENTERED, 0.0 * speed, side * speed, cosine, sine, longest)
 
 
 def moved(function, scene, side, cosine, sine, speed, near):

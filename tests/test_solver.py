@@ -11,7 +11,6 @@ import pytest
 from scipy.interpolate import CubicHermiteSpline
 
 import jaxvibro as jv
-from jaxvibro.scene.codes import Status
 
 OMEGA, DAMPING, R = 2.1, 0.05, 0.7
 RNG = np.random.default_rng(5)
@@ -27,22 +26,13 @@ def looped(t, x, v, p):
     return -jax.lax.fori_loop(0, 1, lambda k, pull: pull + x, 0.0 * x) - 2.0 * p["damping"] * v
 
 
-def scene(function, numbers=None, tolerance=1e-10, solver=None, walls=(-1.0, 1.0), amplitude=2.0, drive=()):
+def scene(function, numbers=None, tolerance=1e-10, solver=None, walls=(-1.0, 1.0), amplitude=2.0):
     force = jv.Force(function, {"damping": DAMPING} if numbers is None else numbers, tolerance, solver)
-    return jv.make_scene(amplitude, OMEGA, restitution=R, walls=walls, force=force, drive=drive)
+    return jv.make_scene(amplitude, OMEGA, restitution=R, walls=walls, force=force)
 
 
 def linear(damping=DAMPING, amplitude=2.0, walls=(-1.0, 1.0)):
     return jv.make_scene(amplitude, OMEGA, damping, R, walls)
-
-
-def apart(scene, other):
-    """Return the largest difference of the ends of two maps over 1 + the norm of the derivative; impacts agree."""
-    (end, impacts), (expected, others) = (jax.device_get(jv.strobe(each, STARTS)) for each in (scene, other))
-    assert (impacts.status == others.status).all() and (impacts.status < Status.CAP).all()
-    assert (impacts.count == others.count).all() and impacts.count.sum() > 4
-    norm = np.linalg.norm(np.asarray(jv.monodromy(other, STARTS)), axis=(1, 2))
-    return (np.maximum(abs(end.x - expected.x), abs(end.v - expected.v)) / (1.0 + norm)).max()
 
 
 def test_a_scene_says_how_it_flies():
@@ -117,8 +107,7 @@ def test_a_scene_file_names_a_solver(tmp_path):
         jv.save_scene(scene("pendulum", solver=own), path, force=True)
 
 
-@pytest.mark.parametrize("gap", [1.0, 2000.0])
-@pytest.mark.parametrize("speed", [1e-5, 1e-14, 1e-40])
+@pytest.mark.parametrize(("gap", "speed"), [(1.0, 1e-5), (2000.0, 1e-5), (1.0, 1e-14), (2000.0, 1e-40)])
 def test_errors_of_a_motion_much_smaller_than_its_scene_are_relative_to_the_motion(gap, speed):
     """A damped spring between impacts on a wall at 0: tolerance times gap is larger than the motion."""
     spring, damping, bounce = 1.68, 0.1, 0.6
@@ -128,7 +117,7 @@ def test_errors_of_a_motion_much_smaller_than_its_scene_are_relative_to_the_moti
     end, impacts = jv.strobe(swings, jv.State(0.0, speed, 0.0, -1.0), slots=8)
     rate = np.sqrt(spring - damping**2)
     time = np.pi / rate * np.arange(1, 6)
-    assert (int(impacts.status), int(impacts.count)) == (Status.OK, 5)
+    assert (int(impacts.status), int(impacts.count)) == (0, 5)
     np.testing.assert_allclose(impacts.time[:5], time, rtol=0, atol=2e-4)
     np.testing.assert_allclose(impacts.speed[:5], speed * np.exp(-damping * time) * bounce ** np.arange(5), rtol=1e-4)
     late = 4.0 * np.pi - time[-1]
@@ -136,44 +125,24 @@ def test_errors_of_a_motion_much_smaller_than_its_scene_are_relative_to_the_moti
     np.testing.assert_allclose(end.x, away * np.sin(rate * late) / rate, rtol=1e-3)
 
 
-def equal_scenes():
-    """Return {name: (scene, equal scene with another flow, allowed error)}."""
+@pytest.mark.parametrize("name", ["loop", "table", "kink", "stiff"])
+def test_solvers_agree_with_the_exact_flow(name):
+    """stiff: boundary layers of 1e-3, and long times on the walls. kink: the spring is that of a soft wall."""
     line = {f"{letter}{k}": x for k, x in enumerate(np.linspace(-1.5, 1.5, 7)) for letter in "xf"}
-    duffing, damping = {"cubic": 0.5, "damping": DAMPING}, {"damping": DAMPING}
-    walls = jv.Wall(-1.2, 0.5), jv.Wall(0.9, motion=jv.Motion(0.1, 0.4, 2))
-    more = {"walls": walls, "drive": [(0.4, 3, 0.5), (0.2, 0, 0.0)]}
-    taylor = scene("duffing", duffing, 1e-14, **more)
-    solvers = {"Tsit5": 1e-8, "Dopri8": 1e-12, "Kvaerno5": 1e-8}
-    equal = {name: (scene("duffing", duffing, error, name, **more), taylor, error) for name, error in solvers.items()}
-    soft = jv.Wall(0.4, stiffness=3.0, damping=DAMPING)
-    return equal | {
+    line["damping"] = DAMPING
+    more = {"walls": (-1.0, jv.Wall(0.4, stiffness=3.0, damping=DAMPING))}
+    stiff = {"c1": 1.0, "damping": 500.0}
+    given, other, error = {
         "loop": (scene(looped), linear(), 1e-10),
-        "table": (scene("tabulated", line | damping), linear(), 1e-10),
-        "stiff": (
-            scene("duffing", {"cubic": 0.0, "damping": 500.0}, 1e-9, "Kvaerno5", amplitude=2000.0),
-            linear(500.0, 2000.0),
-            1e-6,
-        ),
-        "kink": (
-            scene(bilinear, damping | {"stiffness": 3.0}, walls=(-1.0, None)),
-            linear(walls=(-1.0, soft)),
-            1e-10,
-        ),
-    }
-
-
-@pytest.mark.parametrize("name", ["Tsit5", "Dopri8", "Kvaerno5", "loop", "table", "stiff"])
-def test_solvers_agree_with_other_flows(name):
-    """Taylor steps, or the exact flow of the spring. stiff: boundary layers of 1e-3, and long times on the walls."""
-    given, other, error = equal_scenes()[name]
-    assert apart(given, other) < 80 * error
-
-
-def test_a_kink_is_that_of_a_soft_wall():
-    given, other, error = equal_scenes()["kink"]
+        "table": (scene("tabulated", line), linear(), 1e-10),
+        "kink": (scene(bilinear, {"damping": DAMPING, "stiffness": 3.0}, walls=(-1.0, None)), linear(**more), 1e-10),
+        "stiff": (scene("polynomial", stiff, 1e-9, "Kvaerno5", amplitude=2000.0), linear(500.0, 2000.0), 1e-6),
+    }[name]
     (end, impacts), (expected, others) = (jax.device_get(jv.strobe(each, STARTS)) for each in (given, other))
+    hits = (others.side == -1).sum(-1) if name == "kink" else others.count
+    assert (impacts.status == others.status).all() and (impacts.status < 2).all()
+    assert (impacts.count == hits).all() and impacts.count.sum() > 2
     norm = np.linalg.norm(np.asarray(jv.monodromy(other, STARTS)), axis=(1, 2))
-    assert (impacts.count == (others.side == -1).sum(-1)).all() and impacts.count.sum() > 2
     assert (np.maximum(abs(end.x - expected.x), abs(end.v - expected.v)) / (1.0 + norm)).max() < 80 * error
 
 
@@ -191,22 +160,10 @@ def test_a_table_is_a_cubic_interpolation():
     assert abs(pull + forces[-1] + 0.5 * slope) < 1e-12
 
 
-def test_derivatives_through_a_solver_are_those_of_taylor_steps():
-    numbers = {"cubic": 0.5, "damping": DAMPING}
-
-    def end(cubic, x, solver):
-        return jv.strobe(scene("duffing", {**numbers, "cubic": cubic}, 1e-12, solver), jv.State(x, -1.1))[0].v
-
-    found, true = (jax.grad(end, (0, 1))(0.5, 0.3, solver) for solver in ("Dopri8", None))
-    np.testing.assert_allclose(found, true, rtol=0, atol=1e-9)
-    forward = jax.jacfwd(end, (0, 1))(0.5, 0.3, "Dopri8")
-    np.testing.assert_allclose(forward, found, rtol=0, atol=1e-12)
-
-
 def test_a_force_that_is_not_finite_ends_with_a_status():
     def hole(t, x, v, p):
         return jnp.where(x > 0.9999, jnp.nan, -x)
 
     end, impacts = jv.strobe(scene(hole, {}), jv.State([0.3, -0.2], [-1.1, 0.4]))
-    assert int(impacts.status[1]) == Status.CAP
+    assert impacts.status[1] == 2
     assert np.isnan(end.x[1])

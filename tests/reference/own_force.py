@@ -1,7 +1,9 @@
 """Impact oscillators under forces that are no spring: Taylor series by hand, in as many digits as mpmath is set to.
 
-x'' = f(t, x, v) + A cos(omega t + phase), rigid walls. Each force's recurrence is written out here. A number u is held
-as the whole number nearest to u 2^bits, as Python multiplies these many times faster than mpmath its own.
+x'' = f(t, x, v) + A cos(omega t + phase) between rigid walls, or between soft ones at rest that push as k depth^1.5
+(1 + d rate), the law of Hunt and Crossley, and of Hertz for d = 0. Within a wall the series are in s, depth = e^2 and
+dt = 2 e ds. Each force's recurrence is written out here. A number u is held as the integer nearest to u 2^bits, as
+Python multiplies these many times faster than mpmath its own.
 """
 
 from operator import mul
@@ -21,8 +23,9 @@ class RunsAwayError(ArithmeticError):
 
 
 class Flown(NamedTuple):
-    """end: (x, v); hits: [(time, side, speed)] of the impacts; least: the slowest of these; nearest: the least
-    clearance at turning points towards a wall, and at the end; turns: [(time, side, clearance)] of the former."""
+    """end: (x, v); hits: [(time, side, speed)] of impacts and entries; least: the slowest of these and of the exits;
+    nearest: the least clearance at turning points towards a wall, and at the end, and the least depth at turning points
+    within one; turns: [(time, side, clearance or depth)] of the turning points."""
 
     end: tuple
     hits: list
@@ -130,12 +133,60 @@ def series(n, force, p, drive, x, v):
     return place
 
 
-def flown(force, p, amplitude, frequency, walls, restitution, x, v, periods=1, phase=0, shallow=0, most=MOST):
+def within(n, force, p, push, drive, wall, side, e, w, count):
+    """Taylor coefficients in s of e, of the rate of the depth, and of the time since, within the wall on a side."""
+    (amplitude, frequency, angle), (stiffness, dissipation) = drive, push
+    root, rate, time, turn, memory = [e], [w], [0], [], {}
+    cosine, sine = [n.of(mp.cos(angle))], [n.of(mp.sin(angle))]
+    square, cube, place, speed, pull = [], [], [], [], []
+    for k in range(count):
+        square.append(n.dot(root, root, k))
+        cube.append(n.dot(square, root, k))
+        place.append(side * square[k] + (wall if k == 0 else 0))
+        speed.append(side * rate[k])
+        if k:
+            turn.append(n.times(frequency, k * time[k]))
+            old = cosine[:]
+            cosine.append(-n.dot(turn, sine, k - 1) // k)
+            sine.append(n.dot(turn, old, k - 1) // k)
+        own = force(n, p, place, speed, k, memory) + n.times(amplitude, cosine[k])
+        pull.append(side * own - n.times(stiffness, cube[k] + n.times(dissipation, n.dot(cube, rate, k))))
+        root.append(rate[k] // (k + 1))
+        rate.append(2 * n.dot(pull, root, k) // (k + 1))
+        time.append(2 * root[k] // (k + 1))
+    return root, rate, time
+
+
+def contact(n, stay, rest, w, omega, angle):
+    """Return (time, rate of the depth, depth) at the exit from a wall or after the time that is left, and the turning
+    points [(time, depth)]; stay: `within` from an angle of the drive, e and w."""
+    late, e, turns = 0, 0, []
+    while True:
+        root_, rate, time = stay(angle + omega * n.back(late), e, w)
+        step = reach(n, (root_, rate), 1 << n.bits, {}, 0)
+        out, some = first(n, [-term for term in root_], step, 0)
+        turns += [(n.back(late + n.at(time, at)), n.back(value) ** 2) for at, value in some if out is None or at < out]
+        span = step if out is None else out
+        over = late + n.at(time, span) >= rest
+        if over:
+            time[0] = late - rest
+            span = root(n, time, derived(time), 0, span)
+        e, w = n.at(root_, span), n.at(rate, span)
+        if over:
+            return rest, w, n.times(e, e), turns
+        late += n.at(time, span)
+        if out is not None:
+            return late, w, 0, turns
+
+
+def flown(
+    force, p, amplitude, frequency, walls, restitution, x, v, periods=1, phase=0, shallow=0, most=MOST, push=None
+):
     """`Flown` of a state over so many periods of the drive.
 
     walls: left and right, None, a position or (position, amplitude, phase, harmonic) of one that moves as position +
     amplitude cos(harmonic (omega t + phase of the drive) + phase); restitution: one, or a pair. Where the mass turns
-    back at most so shallow behind a wall there is no impact, and a clearance below 0.
+    back at most so shallow behind a wall there is no impact, and a clearance below 0. push: (k, d) of soft walls.
 
     Raises ArithmeticError where there are more than the most impacts, or turning points that cannot be told apart, and
     RunsAwayError where it goes off to infinity within the time.
@@ -146,7 +197,8 @@ def flown(force, p, amplitude, frequency, walls, restitution, x, v, periods=1, p
     amplitude, frequency, shallow = n.of(given), n.of(omega), n.of(shallow)
     bounce = [n.of(each) for each in (restitution if isinstance(restitution, tuple) else (restitution,) * 2)]
     t, end, x, v = 0, n.of(periods * 2 * mp.pi / omega), n.of(x), n.of(v)
-    hits, turns, touched = [], [], 0
+    drive, push = (amplitude, frequency), push and [n.of(each) for each in push]
+    hits, exits, turns, touched = [], [], [], 0
     while t < end:
         angle = mpf(phase) + omega * n.back(t)
         terms = series(n, force, p, wave(n, amplitude, frequency, angle, count - 1), x, v)
@@ -172,12 +224,23 @@ def flown(force, p, amplitude, frequency, walls, restitution, x, v, periods=1, p
         if side:
             x, moving = n.at(ways[side], late), n.at(derived(ways[side]), late)
             hits.append((n.back(t), side, n.back(side * (v - moving))))
-            v = moving - n.times(bounce[side > 0], v - moving)
             if len(hits) > most:
                 raise ArithmeticError("too many impacts")
+            if not push:
+                v = moving - n.times(bounce[side > 0], v - moving)
+                continue
+
+            def stay(angle, e, w, wall=x, side=side):
+                return within(n, force, p, push, (*drive, angle), wall, side, e, w, count)
+
+            late, w, depth, some = contact(n, stay, end - t, side * v, omega, mpf(phase) + omega * n.back(t))
+            turns += [(n.back(t) + time, side, least) for time, least in some]
+            x, v, t = x + side * depth, side * w, t + late
+            if t < end:
+                exits.append(n.back(-w))
     last = [-n.at(clearance, late) for side, clearance in ahead.items() if side != touched]
     nearest = min([clear for _, _, clear in turns] + [n.back(each) for each in last], default=mp.inf)
-    least = min((speed for _, _, speed in hits), default=mp.inf)
+    least = min([speed for _, _, speed in hits] + exits, default=mp.inf)
     return Flown((n.back(x), n.back(v)), hits, least, nearest, turns)
 
 

@@ -1,7 +1,8 @@
-"""Orbits and special points of impact oscillators under forces that are no spring, by Newton's method on the map of a
-period in as many digits as mpmath is set to; derivatives by differences in these."""
+"""Special points of impact oscillators under forces that are no spring: their equations by the map of a period, in as
+many digits as mpmath is set to; derivatives by differences in these. Walls with a contact law have equal numbers, those
+of the left one."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from mpmath import mp, mpf
 
@@ -10,16 +11,16 @@ from . import own_force
 APART = mpf(10) ** -11  # of states, for the map's derivative: right to 22 digits
 STEP = mpf(10) ** -8  # of unknowns and numbers, for derivatives of equations: right to 13
 SHALLOW = mpf(10) ** -5  # no impact where the mass turns back so little behind a wall
-DIGITS, CLOSE = 40, mpf(10) ** -18
-TRIES = 8
+DIGITS = 30
 
 
 @dataclass(frozen=True)
 class Case:
     """A special point of an orbit.
 
-    kind: "SN", "PD", "SB", "GR", or "" for an orbit; force: its name; numbers: {name: value} of the scene, by its own
-    names; name: of the parameter; touch: of a GR the place of the touch among the orbit's turning points by the walls.
+    kind: "SN", "PD", "SB", "GR", "NS" or "NSA" (multipliers of product 1); force: its name; numbers: {name: value} of
+    the scene, by its own names; name: of the parameter; touch: of a GR the place of the touch among the orbit's turning
+    points by the walls.
     """
 
     kind: str
@@ -27,7 +28,6 @@ class Case:
     numbers: dict
     name: str
     periods: int
-    harmonic: int = 1
     touch: int | None = None
 
     def flown(self, x, v, value, periods, moved=()):
@@ -38,12 +38,12 @@ class Case:
         own = {name.removeprefix("force."): each for name, each in numbers.items() if name.startswith("force.")}
         walls, bounces = [], []
         for side in ("left", "right"):
-            place, swing = (numbers.get(f"{side}.{name}") for name in ("position", "motion.amplitude"))
-            moving = swing is not None and (place, swing, numbers[f"{side}.motion.phase"], self.harmonic)
-            walls.append(moving or place)
-            bounces.append(numbers.get(f"{side}.restitution", numbers.get("restitution", 0)))
+            walls.append(numbers.get(f"{side}.position"))
+            bounces.append(numbers.get(f"{side}.restitution", 0))
+        push = [numbers.get(f"left.law.{name}", 0) for name in ("stiffness", "dissipation")]
         given = numbers["amplitude"], numbers["frequency"], tuple(walls), tuple(bounces)
-        return own_force.flown(own_force.FORCES[self.force], own, *given, x, v, periods, shallow=SHALLOW)
+        more = {"shallow": SHALLOW, "push": push if push[0] else None}
+        return own_force.flown(own_force.FORCES[self.force], own, *given, x, v, periods, **more)
 
     def equations(self, unknowns, moved=()):
         """What is 0 at the point: of x, v and the parameter's value."""
@@ -59,39 +59,28 @@ class Case:
         found = [a - x, b - v]
         if self.kind == "GR":
             return [*found, by_walls(flight)[self.touch][2]]
-        if not self.kind:
-            return found
         rows = [end(x + APART, v)[0], end(x - APART, v)[0], end(x, v + APART)[0], end(x, v - APART)[0]]
         (a, c), (b, d) = ([(p - q) / (2 * APART) for p, q in zip(*pair, strict=True)] for pair in (rows[:2], rows[2:]))
+        if self.kind in ("NS", "NSA"):
+            return [*found, a * d - b * c - 1]
         eigen = 1 if self.kind == "SN" else -1
         return [*found, 1 - eigen * (a + d) + a * d - b * c]
 
     def slopes(self, unknowns):
         """The Jacobian by the unknowns, those that are looked for."""
-        count = 3 if self.kind else 2
-        columns = [self.change(unknowns, lambda sign, k=k: (moved(unknowns, k, sign * STEP), ())) for k in range(count)]
-        return mp.matrix([[column[row] for column in columns] for row in range(count)])
+        columns = [self.change(unknowns, lambda sign, k=k: (moved(unknowns, k, sign * STEP), ())) for k in range(3)]
+        return mp.matrix(columns).T
 
     def change(self, unknowns, at):
         """The derivative of the equations along a way."""
         ends = [self.equations(*at(sign)) for sign in (1, -1)]
         return [(a - b) / (2 * STEP) for a, b in zip(*ends, strict=True)]
 
-    def solved(self, x, v, value):
-        """(x, v, value) by Newton's method from near; raises ArithmeticError where it does not converge."""
-        unknowns = [mpf(x), mpf(v), mpf(value)]
-        count = 3 if self.kind else 2
-        slopes = self.slopes(unknowns)
-        for _ in range(TRIES):
-            step = mp.lu_solve(slopes, mp.matrix(self.equations(unknowns)))
-            unknowns = [unknowns[k] - step[k] if k < count else unknowns[k] for k in range(3)]
-            if max(map(abs, step)) < CLOSE:
-                return unknowns
-        raise ArithmeticError("Newton's method does not converge")
-
     def gradient(self, unknowns, ways):
-        """{name: the derivative of the parameter's value} along ways {name: [(number, weight)]}."""
-        slopes, found = self.slopes(unknowns), {}
+        """{name: the derivative of the parameter's value} along ways {name: [(number, weight)]}, and the value's change
+        in a Newton step as "value"."""
+        slopes = self.slopes(unknowns)
+        found = {"value": mp.lu_solve(slopes, mp.matrix(self.equations(unknowns)))[2]}
         for name, way in ways.items():
 
             def at(sign, way=way):
@@ -110,7 +99,7 @@ def touching(case, x, v, value):
     """The `Case` of a GR with the touch that is nearest to a wall."""
     turns = by_walls(case.flown(x, v, value, case.periods))
     touch = min(range(len(turns)), key=lambda k: abs(turns[k][2]))
-    return Case(case.kind, case.force, case.numbers, case.name, case.periods, case.harmonic, touch)
+    return replace(case, touch=touch)
 
 
 def moved(values, place, change):

@@ -24,27 +24,16 @@ class Record(orbit.Record):
     """The motion over a strobe: the fields of `orbit.Record`, and those of contacts with soft walls.
 
     An entry into a soft wall counts as an impact with a time, a side and a speed. exits: times since the strobe's start
-    and sides at which the mass left a soft wall. held: the side of the one it is
-    beyond at the end, or 0. least_release: the least d W at a turning point in contact, least_exit: the least speed
-    of an exit (floats). jacobian: rows of balls.
-
-    norm and product take x as it is, and each factor by itself: a stiff contact has factors as large as W that cancel.
-    sharp: as norm, but a change of x beyond a soft wall counts W times, as befits one who keeps d there. compact: as
-    product, but a whole contact, entry to exit, is one factor; a part of one counts x beyond the wall W times. counts:
-    how often x counts so at the start and at the end.
+    and sides at which the mass left a soft wall. jacobian: rows of balls. sharp: as norm, but a change of x beyond a
+    soft wall counts W times, as befits one who keeps d there.
     """
 
     exits: list = field(default_factory=list)
-    held: int = 0
-    least_release: float = float("inf")
-    least_exit: float = float("inf")
     sharp: float = 1.0
-    compact: float = 1.0
-    counts: tuple = (1.0, 1.0)
 
 
 class Factor(NamedTuple):
-    """A factor of the derivative, rows of balls; that of a PARTS-th of its time, if it takes any; W before and after.
+    """A factor of the derivative, rows of balls; that of a PARTS-th of its time, if it takes any; W before it.
 
     W is 1 but beyond a soft wall.
     """
@@ -52,7 +41,6 @@ class Factor(NamedTuple):
     rows: tuple
     part: tuple | None = None
     before: float = 1.0
-    after: float = 1.0
 
 
 def strobe(scene, x, v, phase=0.0, contact=0.0, periods=1, precision=200, slowest=SLOWEST):
@@ -118,7 +106,7 @@ class Way:
         self.t, self.touching = self.end, 0
         if self.look() != (0, self.held):
             raise Discard("on a wall to within rounding")
-        self.record.x, self.record.v, self.record.held = self.x, self.v, self.held
+        self.record.x, self.record.v = self.x, self.v
         self.measure()
         grow(self.record, self.factors)
         return self.record
@@ -166,12 +154,11 @@ class Way:
         place, pace, _ = self.place(wall)
         d = arb(0) if self.touching == side else side * (self.x - place)
         press = Press(self.scene, side, wall, d, side * (self.v - pace), self.theta())
-        hit, turns = way_out(press, self.end - self.t)
+        hit, _ = way_out(press, self.end - self.t)
         length = self.end - self.t if hit is None else hit
         d, speed = press(length)
         rate = float(press.ring.rate)
-        self.factors.append(Factor(*(press.ring.homogeneous(length / k) for k in (1, PARTS)), rate, rate))
-        self.record.least_release = min([self.record.least_release, *(float(turn.clearance) * rate for turn in turns)])
+        self.factors.append(Factor(*(press.ring.homogeneous(length / k) for k in (1, PARTS)), rate))
         self.t += length
         place, pace, _ = self.place(wall)
         self.x, self.v = place + (side * d if hit is None else 0), pace + side * speed
@@ -180,9 +167,8 @@ class Way:
         if depth_of_exit(press, hit) < press.near or not speed < 0:
             raise Discard("a slow exit")
         self.measure()
-        self.salt(arb(1), 2 * (press.ring.g - self.oscillator.gamma) * self.v / (side * speed), rate, 1.0)
+        self.salt(arb(1), 2 * (press.ring.g - self.oscillator.gamma) * self.v / (side * speed), rate)
         self.record.exits.append((self.t, side))
-        self.record.least_exit = min(self.record.least_exit, -float(speed))
         self.touching, self.held = side, 0
         return True
 
@@ -203,44 +189,31 @@ class Way:
         gamma = self.oscillator.gamma
         if soft:
             self.held = side
-            self.salt(arb(1), -2 * (arb(wall.damping) - gamma) * self.v / relative, 1.0, (1 + wall.stiffness) ** 0.5)
+            self.salt(arb(1), -2 * (arb(wall.damping) - gamma) * self.v / relative)
             return
         r, pull = arb(wall.restitution), self.oscillator.force(self.theta()) - self.x
         before, self.v = self.v, pace - r * relative
         shear = pull - 2 * gamma * self.v + r * (pull - 2 * gamma * before) - (1 + r) * change
-        self.salt(-r, shear / relative, 1.0, 1.0)
+        self.salt(-r, shear / relative)
         self.measure()
 
-    def salt(self, kept, shear, before, after):
+    def salt(self, kept, shear, before=1.0):
         """The factor of an entry, an exit (kept = 1) or a rebound (kept = -R).
 
         A soft wall: I + (f+ - f-) n^T / (n f-), the flow f seen from the wall. A state that is dx ahead comes there
         dx / (v - x_b') earlier and goes that long under the other force: dv gains (a+ - a-) dx / (v - x_b'). At depth
         0 the accelerations a differ by the damping alone.
         """
-        self.factors.append(Factor(((kept, arb(0)), (shear, kept)), None, before, after))
+        self.factors.append(Factor(((kept, arb(0)), (shear, kept)), None, before))
 
 
 def grow(record, factors):
     """The record's norms and jacobian from the factors in order of travel."""
-    product, block = (one := ((arb(1), arb(0)), (arb(0), arb(1)))), one
+    product = (arb(1), arb(0)), (arb(0), arb(1))
     for factor in reversed(factors):
         for step in [factor.part] * PARTS if factor.part else [factor.rows]:
             product = multiply(product, step)
-            record.norm = max(record.norm, norm(floats(product)))
-            record.sharp = max(record.sharp, norm(floats(product, factor.before)))
-    begin = factors[0].before
-    record.counts = begin, factors[-1].after
-    for factor in factors:
-        record.product *= norm(floats(factor.rows))
-        block = multiply(factor.rows, block)
-        if factor.after == 1 or factor is factors[-1]:
-            record.compact *= norm(floats(block, begin, factor.after))
-            block, begin = one, 1.0
+            (a, b), (c, d) = ((float(entry) for entry in row) for row in product)
+            record.norm = max(record.norm, norm(((a, b), (c, d))))
+            record.sharp = max(record.sharp, norm(((a / factor.before, b), (c / factor.before, d))))
     record.jacobian = product
-
-
-def floats(rows, before=1.0, after=1.0):
-    """A matrix of balls as floats, x before and after it counted so many times."""
-    (a, b), (c, d) = ((float(entry) for entry in row) for row in rows)
-    return (a * after / before, b * after), (c / before, d)

@@ -35,7 +35,7 @@ class Wall:
 
 @dataclass
 class Mode:
-    """x'' + 2 gamma x' + stiffness x = constant + sum of Re(force exp(i rate t)); forces: numbers or lanes."""
+    """x'' + 2 gamma x' + stiffness x = constant + sum of Re(force exp(i rate t)); forces: (force, rate)."""
 
     stiffness: float
     gamma: float
@@ -72,14 +72,9 @@ class Mode:
         total = self.constant - self.stiffness * x - 2 * self.gamma * v
         return total + sum((force * np.exp(1j * rate * time)).real for force, rate in self.forces)
 
-    def lanes(self, index):
-        """The mode of some lanes."""
-        forces = [(force[index] if np.ndim(force) else force, rate) for force, rate in self.forces]
-        return Mode(self.stiffness, self.gamma, self.constant, forces, self.step)
-
 
 class Lanes:
-    """Lanes on their way. amplitude: of each; walls: `Wall`s; x, v, mode (0, or the side of the wall around it),
+    """Lanes on their way. walls: `Wall`s; x, v, mode (0, or the side of the wall around it),
     time since the period began; tangents (2, 2, lanes); hits and within: impacts, entries among them, and time within,
     on the left and on the right."""
 
@@ -87,7 +82,6 @@ class Lanes:
         self.omega, self.walls = omega, {wall.side: wall for wall in walls}
         self.x, self.v = np.array(x, float), np.array(v, float)
         size = len(self.x)
-        amplitude = np.broadcast_to(np.asarray(amplitude, float), size)
         self.modes = {0: Mode(1.0, gamma, 0.0, [(amplitude, omega)], 2 * np.pi / omega / STEPS)}
         for side, wall in self.walls.items():
             if wall.restitution is None:
@@ -142,7 +136,7 @@ class Lanes:
 
     def fly(self, lanes, _, length):
         """A step of free lanes, up to the first wall that they meet."""
-        mode = self.modes[0].lanes(lanes)
+        mode = self.modes[0]
         span = np.minimum(mode.step, length - self.time[lanes])
         met = np.zeros(len(lanes), int)
         for side in self.walls:
@@ -163,9 +157,9 @@ class Lanes:
                 self.tangents[:, 1, some] += jump / (before - pace) * self.tangents[:, 0, some]
                 continue
             self.v[some] = pace - wall.restitution * (before - pace)
-            rate, own = wall.harmonic * self.omega, self.modes[0].lanes(some)
+            rate = wall.harmonic * self.omega
             bend = -rate * rate * (where - wall.position)
-            pulls = [own.pull(where, v, self.time[some]) for v in (self.v[some], before)]
+            pulls = [mode.pull(where, v, self.time[some]) for v in (self.v[some], before)]
             shear = (pulls[0] + wall.restitution * pulls[1] - (1 + wall.restitution) * bend) / (before - pace)
             a, b = self.tangents[:, 0, some].copy(), self.tangents[:, 1, some].copy()
             self.tangents[:, 0, some], self.tangents[:, 1, some] = (
@@ -178,15 +172,14 @@ class Lanes:
         x, v, start = self.x[lanes], self.v[lanes], self.time[lanes]
 
         def apart(time, some=slice(None)):
-            own = mode.lanes(some)
-            return self.gap(side, *own.flown(x[some], v[some], start[some], time), start[some] + time)
+            return self.gap(side, *mode.flown(x[some], v[some], start[some], time), start[some] + time)
 
         def bend(time, some):
-            own, rate = mode.lanes(some), self.walls[side].harmonic * self.omega
-            at = own.flown(x[some], v[some], start[some], time)
+            rate = self.walls[side].harmonic * self.omega
+            at = mode.flown(x[some], v[some], start[some], time)
             then = start[some] + time
             wall = -rate * rate * (self.place(side, then)[0] - self.walls[side].position)
-            return side * (wall - own.pull(*at, then))
+            return side * (wall - mode.pull(*at, then))
 
         first, closing = apart(0.0 * span)
         last, opening = apart(span)
@@ -204,17 +197,16 @@ class Lanes:
 
     def press(self, lanes, side, length):
         """A step of lanes within a wall, up to where they leave it."""
-        wall, mode = self.walls[side], self.modes[side].lanes(lanes)
+        wall, mode = self.walls[side], self.modes[side]
         span = np.minimum(mode.step, length - self.time[lanes])
         x, v, start = self.x[lanes], self.v[lanes], self.time[lanes]
         ends = mode.flown(x, v, start, span)
         out = self.gap(side, *ends, start + span)[0] > 0
         some = np.flatnonzero(out)
         if len(some):
-            own = mode.lanes(some)
 
             def depth(time):
-                at = own.flown(x[some], v[some], start[some], time)
+                at = mode.flown(x[some], v[some], start[some], time)
                 return tuple(-each for each in self.gap(side, *at, start[some] + time))
 
             span[some] = root(depth, np.zeros(len(some)), span[some])
