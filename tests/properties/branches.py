@@ -6,6 +6,7 @@ import numpy as np
 
 import jaxvibro as jv
 from jaxvibro.problem.end import End
+from jaxvibro.scene.codes import Contact
 
 from .orbits import settled_orbit
 
@@ -99,18 +100,24 @@ def assert_same_points(branch, other, tolerance):
 
 
 def is_on(orbit, diagram):
-    """Return whether an orbit is on a branch of a diagram: between two points of it, near the line between them."""
+    """Return whether an orbit is on a branch of a diagram: between two points of it, near the line between them.
+
+    Orbits that stick are compared by their fastest impacts, as a branch leaves out some of the slowest bounces.
+    """
     value, size = float(orbit.scene.parameter(diagram.name)), max(1.0, abs(orbit.impacts.speed).max(initial=0.0))
-    speeds = np.sort(orbit.impacts.speed)
     for branch in diagram.branches:
         data, values = branch.data, branch.values
         if data.sizes["period"] != orbit.periods:
             continue
         for k in np.flatnonzero((values[:-1] - value) * (values[1:] - value) <= 0):
-            rows = [np.sort(data["speed"].values[j][abs(data["side"].values[j]) == 1]) for j in (k, k + 1)]
-            share = (value - values[k]) / (values[k + 1] - values[k] or 1.0)
-            if len(rows[0]) == len(rows[1]) == len(speeds):
-                line = (1.0 - share) * rows[0] + share * rows[1]
+            rows = [data["speed"].values[j][abs(data["side"].values[j]) == 1] for j in (k, k + 1)]
+            rows = [np.sort(row)[::-1] for row in (*rows, orbit.impacts.speed)]
+            count = min(map(len, rows))
+            if orbit.rests == (abs(data["side"].values[k]) == Contact.STUCK).any() and (
+                orbit.rests or count == max(map(len, rows))
+            ):
+                first, second, speeds = (row[:count] for row in rows)
+                line = first + (second - first) * (value - values[k]) / (values[k + 1] - values[k] or 1.0)
                 if abs(line - speeds).max(initial=0.0) < 2e-2 * size:
                     return True
     return False

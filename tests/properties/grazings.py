@@ -7,6 +7,7 @@ from jaxvibro.branches.scenario import grazing_return_of
 from jaxvibro.problem.added_impact_orbits import added_impact_orbits
 from jaxvibro.problem.orbit_point import orbit_from_point
 from jaxvibro.scene.typical_scales import typical_length
+from tests.special_points import grazing_reference
 
 GRADUAL = "OVERLAPPING", "ADDING", "CHAOS"
 NAMES = "amplitude", "frequency", "damping", "right.position", "right.motion.amplitude"
@@ -62,11 +63,10 @@ def followed_window(point, window):
 
 
 def state_before(point):
-    """Return the State of the orbit without the contact, EARLY before its grazing."""
-    grazing_return = grazing_return_of(point)
-    time = grazing_return.omitted_grazings[0].time - EARLY
-    start = jv.State(grazing_return.z[0], grazing_return.z[1])
-    states, _ = jv.sample(point.scene, start, np.array([time % grazing_return.return_time]))
+    """Return the State of the motion without impacts, EARLY before its grazing."""
+    time = grazing_reference(point, False)[0] - EARLY
+    start = jv.State(float(point.spot.x), float(point.spot.v))
+    states, _ = jv.sample(point.scene, start, np.array([time % (2.0 * np.pi / float(point.scene.frequency))]))
     return jv.State(float(states.x[0]), float(states.v[0]), float(point.scene.frequency) * time)
 
 
