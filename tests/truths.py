@@ -11,7 +11,7 @@ import numpy as np
 from flint import ctx
 from mpmath import mpf
 
-from .reference import orbit, own_force, rests, sampled, soft, soft_force, special
+from .reference import orbit, own_force, records, rests, sampled, soft, soft_force, special
 from .reference.scene import Motion, Scene, Soft, Term, Wall
 from .reference.search import Discard, Undecided
 
@@ -83,7 +83,7 @@ def resting(scene, x, v, phase, periods=1):
         if hit is None or hit.time >= end:
             place = special.fly(given, *start, end)
         else:
-            if hit.speed < orbit.SLOWEST or end - hit.time < orbit.EDGE:
+            if hit.speed < records.SLOWEST or end - hit.time < records.EDGE:
                 raise Discard("a slow impact, or one at the end")
             again = special.restitution(given, hit.side) * hit.speed
             place = rests.state_after(given, hit.side, hit.time, again, end)
