@@ -179,8 +179,8 @@ def test_a_round_that_begins_on_a_wall_ends_with_the_impact_there(moving):
     scene = jv.make_scene(2.3, 2.05, 0.05, 0.7, (-1.0, right))
     orbit = jv.find_orbit(scene, jv.State(0.9, -1.1))
     assert orbit.label == "P111"
-    side, speed = int(orbit.impacts.side[moving]), float(orbit.impacts.speed[moving])
-    phase = float(scene.frequency) * float(orbit.impacts.time[moving])
+    side, speed = int(orbit.impacts.side[int(moving)]), float(orbit.impacts.speed[int(moving)])
+    phase = float(scene.frequency) * float(orbit.impacts.time[int(moving)])
     low, wall, high = (wall_ends(scene, phase + late)[int(side > 0)] for late in (-1e-5, 0.0, 1e-5))
     wall_velocity = float(scene.frequency) * (high - low) / 2e-5
     for error in (0.0, -1e-12, 1e-12, -1e-4, 1e-4):
