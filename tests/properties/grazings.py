@@ -24,15 +24,21 @@ def _strongly_damped(rng, low, high):
     return jv.make_scene(0.1, omega, gamma, r, (left, jv.Wall(position, r, motion=motion)))
 
 
-def draw_grazing(rng, damping, outcomes):
-    """Return a grazing of the motion without impacts, along a random parameter, with one of the outcomes."""
+def draw_grazing(rng, damping, outcomes, is_free=False):
+    """Return a first grazing along a random parameter, with one of the outcomes.
+
+    is_free: of the motion without impacts, at one wall.
+    """
     while True:
         scene = _strongly_damped(rng, *damping)
         point = _first_grazing(scene, "amplitude", (0.0, 40.0 * float(scene.frequency) ** 2))
         name = str(rng.choice([name for name in NAMES if name in scene.names]))
         if point is not None and name != "amplitude":
             point = _along(point, name)
-        if point is not None and jv.scenario(point).follows.name in outcomes:
+        if point is None or (is_free and len(point.spot.times)):
+            continue
+        scenario = jv.scenario(point)
+        if scenario.follows.name in outcomes and not (is_free and scenario.half):
             return point
 
 
