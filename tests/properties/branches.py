@@ -13,7 +13,7 @@ MOST_POINTS = 300
 FAILURES = {"STEP", "POINTS", "NUMBER"}
 SYMMETRIC_KINDS = "two_walls", "solver", "contact_law"
 FEW = 8  # impacts: towards complete chatter there is no end of special points
-STUCK = 2  # side of a row of a branch at which a wall releases the mass
+STUCK = 2  # from this side on a row of a branch is one at which a wall releases the mass
 
 
 def parameter(kind, number):
@@ -116,7 +116,7 @@ def is_on(orbit, diagram):
             rows = [data["speed"].values[j][abs(data["side"].values[j]) == 1] for j in (k, k + 1)]
             rows = [np.sort(row)[::-1] for row in (*rows, orbit.impacts.speed)]
             count = min(map(len, rows))
-            if orbit.rests == (abs(data["side"].values[k]) == STUCK).any() and (
+            if orbit.rests == (abs(data["side"].values[k]) >= STUCK).any() and (
                 orbit.rests or count == max(map(len, rows))
             ):
                 first, second, speeds = (row[:count] for row in rows)
