@@ -4,76 +4,140 @@ import mpmath
 import numpy as np
 from mpmath import mpf, workdps
 
-from jaxvibro.problem.grazing_contact import find_grazing_contacts
-from jaxvibro.problem.orbit_point import set_up_equations
 from jaxvibro.scene.codes import Contact
 from jaxvibro.scene.typical_scales import typical_length
-from tests.reference import rests
-from tests.reference import special as reference
-from tests.reference.bends import bend
-from tests.reference.special import exact, span, with_value
-from tests.truths import plain
+
+from .reference import rests
+from .reference import special as reference
+from .reference.bends import bend
+from .reference.special import exact, span, with_value
+from .truths import plain
 
 DIGITS = 50
+SLOW = 1e-7  # an impact of less speed is the touch of a grazing orbit
+LOOKS = 64  # at the clearance of a flight
 
 
-def reference_name(point):
-    """Return the parameter as the references name it: there "restitution" is that of both walls."""
-    shared = [key for key in ("left", "right") if (wall := getattr(point.scene, key)) and wall.restitution is None]
-    return f"{shared[0]}.restitution" if point.name == "restitution" and len(shared) == 1 else point.name
+def reference_name(scene, name):
+    """Return a parameter as the references name it: there "restitution" is that of both walls."""
+    shared = [key for key in ("left", "right") if (wall := getattr(scene, key)) and wall.restitution is None]
+    return f"{shared[0]}.restitution" if name == "restitution" and len(shared) == 1 else name
 
 
-def impacts_of(point):
-    """Return the times, speeds and sides of the impacts of a point as lists of numbers."""
-    return point.spot.times.tolist(), point.spot.speeds.tolist(), [int(side) for side in point.spot.sides]
+def rows_of(spot, keep=slice(None)):
+    """Return the times, speeds and sides of impacts of an orbit, as lists."""
+    times, speeds, sides = (np.asarray(part)[keep].tolist() for part in (spot.times, spot.speeds, spot.sides))
+    return times, speeds, [int(side) for side in sides]
+
+
+def impacts_of(spot):
+    """Return the times, speeds and sides of the impacts that are no touches."""
+    return rows_of(spot, np.asarray(spot.speeds) > SLOW)
+
+
+def find_touch(scene, spot, wall=None):
+    """Return (impact before, time, side) of the touch of a grazing orbit; wall: of several walls that are touched."""
+    times, speeds, sides = (np.asarray(part) for part in (spot.times, spot.speeds, spot.sides))
+    kept = np.flatnonzero(speeds > SLOW)
+    walls = [wall] if wall else ["left", "right"]
+    touches = [k for k in np.flatnonzero(speeds <= SLOW) if ("left", "right")[int(sides[k] > 0)] in walls]
+    if touches:
+        time, side = float(times[touches[0]]), int(sides[touches[0]])
+    else:
+        time, side = _nearest_approach(exact(scene), impacts_of(spot), spot.periods, walls)
+    before = [row for row, k in enumerate(kept) if times[k] < time]
+    return (before[-1] if before else max(0, len(kept) - 1)), time, side
+
+
+def _nearest_approach(scene, impacts, periods, walls):
+    """Return (time, side) of the least clearance of an orbit between its impacts, about."""
+    times, _, sides = impacts
+    begins, looks = times or [0.0], []
+    for k, begin in enumerate(begins):
+        end = begins[k + 1] if k + 1 < len(begins) else begins[0] + float(span(scene, periods))
+        for share in np.linspace(0.0, 1.0, LOOKS + 2)[1:-1]:
+            time = begin + share * (end - begin)
+            x = _state(scene, [part[k : k + 1] for part in impacts], time)[0]
+            for side, _ in scene.walls():
+                if ("left", "right")[side > 0] in walls and (share > 0.05 or not times or side != sides[k]):
+                    looks.append((float(side * (reference.place(scene, side, time).x - x)), float(time), side))
+    return min(looks)[1:]
+
+
+def _state(scene, impact, time):
+    """Return the state at a time after an impact ([time], [speed], [side]), or without one."""
+    if not impact[0]:
+        return reference.forced(scene, time)
+    (begin,), (speed,), (side,) = impact
+    wall = reference.place(scene, side, begin)
+    v = wall.v - side * reference.restitution(scene, side) * speed
+    return reference.fly(scene, begin, wall.x, v, time)
+
+
+def exact_value(scene, kind, name, value, spot, moves=(), wall=None, digits=40):
+    """Return the value of a parameter at a special point by the reference.
+
+    spot: the orbit, about. moves: (name, change) of numbers of the scene. wall: the one that a GR touches.
+    """
+    given = plain(scene)
+    with workdps(digits):
+        for other, change in moves:
+            other = reference_name(scene, other)
+            given = with_value(given, other, mpf(_number(given, other)) + change)
+        touch = find_touch(plain(scene), spot, wall) if kind == "GR" else None
+        rows = impacts_of(spot) if kind == "GR" else rows_of(spot)
+        return reference.special(given, reference_name(scene, name), kind, value, *rows, spot.periods, touch, digits)
+
+
+def _number(scene, name):
+    """Return a number of a reference's scene; "restitution" is that of both walls."""
+    if name == "restitution":
+        return next(wall.restitution for _, wall in scene.walls())
+    for part in name.split("."):
+        scene = getattr(scene, reference.FIELDS.get(part, part))
+    return scene
 
 
 def reference_error(point):
     """Return how far the value of an SN, SB, BP, PD or GR is from the reference's."""
-    contact = None
-    if point.kind == "GR":
-        problem, z = set_up_equations(point.scene, point.name, point.spot)
-        contacts = find_grazing_contacts(problem, z, typical_length(point.scene))
-        if not any(entry.is_impact for entry in contacts):
-            first = contacts[0]
-            begin = point.spot.times[first.row] if len(point.spot.times) else 0.0
-            contact = first.row, begin + first.time_since_impact, first.side
-    given = plain(point.scene), reference_name(point), point.kind, point.value
-    expected = reference.special(*given, *impacts_of(point), point.spot.periods, contact)
-    return abs(float(expected - point.value))
+    return abs(float(exact_value(point.scene, point.kind, point.name, point.value, point.spot) - point.value))
 
 
 def reference_bend(point):
     """Return the coefficient b of the normal form of an SN, PD or SB in many digits."""
-    given = plain(point.scene), reference_name(point), point.kind, point.value
-    return float(bend(*given, *impacts_of(point), point.spot.periods, typical_length(point.scene)))
+    given = plain(point.scene), reference_name(point.scene, point.name), point.kind, point.value
+    return float(bend(*given, *rows_of(point.spot), point.spot.periods, typical_length(point.scene)))
 
 
-def return_matrix(point, contact_time, is_half_orbit):
-    """Return the matrix M of a grazing by flights and rebounds in 60 digits, from impacts polished there."""
-    keep = [speed > 1e-7 for speed in point.spot.speeds]
-    times, speeds, sides = (
-        [number for number, kept in zip(row, keep, strict=True) if kept] for row in impacts_of(point)
-    )
+def grazing_reference(point, is_half_orbit):
+    """Return (time, acceleration, matrix) of the touch of a grazing in 60 digits, from impacts polished there."""
+    impacts, given = impacts_of(point.spot), plain(point.scene)
+    name = reference_name(point.scene, point.name)
+    row, guess, side = find_touch(given, point.spot)
     with workdps(60):
-        scene = exact(plain(point.scene))
-        given = plain(point.scene), reference_name(point), point.value, times, speeds, sides, point.spot.periods, 30
-        hits = reference.orbit(*given) if times else []
-        whole, start = span(scene, point.spot.periods), mpf(contact_time)
-        listed = sorted((start + (t - start) % whole, u, side) for (t, u), side in zip(hits, sides, strict=True))
+        scene, (times, speeds, sides) = exact(given), impacts
+        whole = span(scene, point.spot.periods)
+        if times:
+            hits = reference.orbit(given, name, point.value, *impacts, point.spot.periods, 30)
+            times, speeds = (list(part) for part in zip(*hits, strict=True))
+            guess = times[row] + (mpf(guess) - times[row]) % whole
+        before = [part[row : row + 1] for part in (times, speeds, sides)]
+        start = mpmath.findroot(lambda t: _state(scene, before, t)[1] - reference.place(scene, side, t).v, mpf(guess))
+        listed = sorted((start + (t - start) % whole, u, s) for t, u, s in zip(times, speeds, sides, strict=True))
         end = start + (whole / 2 if is_half_orbit else whole)
         matrix, last = mpmath.eye(2), start
-        for t, u, side in listed:
+        for t, u, impact_side in listed:
             if t < end:
-                matrix = reference.rebound(scene, side, t, u) / u * reference.free(scene.gamma, t - last) * matrix
-                last = t
+                flight = reference.free(scene.gamma, t - last)
+                matrix, last = reference.rebound(scene, impact_side, t, u) / u * flight * matrix, t
         matrix = reference.free(scene.gamma, end - last) * matrix
-        return np.array((-matrix if is_half_orbit else matrix).tolist(), float)
+        acceleration = -float(rests.press_alone(scene, side, start))
+        return float(start), acceleration, np.array((-matrix if is_half_orbit else matrix).tolist(), float)
 
 
 def _releases(spot):
     """Return the indices of the rows at which a wall lets go."""
-    return np.flatnonzero(abs(spot.sides) == Contact.STUCK)
+    return np.flatnonzero(abs(spot.sides) >= Contact.STUCK)
 
 
 def completion_value(point):

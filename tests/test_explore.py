@@ -5,16 +5,17 @@ import numpy as np
 import pytest
 
 import jaxvibro as jv
-from tests.properties.branches import is_on
-from tests.reference import closed
 
-GAMMA, OMEGA, R = 0.05, 2.1, 0.7
-BOUNDS, NARROW = (0.0, 6.0), (0.0, 4.0)
+from . import figure_4
+from .figure_4 import GAMMA, OMEGA, R
+from .reference import closed
+
+BOUNDS, NARROW = (0.0, 6.0), (0.0, 2.0)
 
 
 @pytest.fixture(scope="module")
 def scene():
-    return jv.make_scene(2.0, OMEGA, GAMMA, R, (-1.0, 1.0))
+    return figure_4.scene()
 
 
 @pytest.fixture(scope="module")
@@ -53,13 +54,6 @@ def test_the_same_again_in_two_parts_and_from_a_file(scene, diagram, tmp_path):
         values = [[each.value for each in branch.special] for branch in (one, other)]
         np.testing.assert_allclose(*values, rtol=1e-13, atol=1e-13)
     assert whole.table() == diagram.table()
-
-
-def test_what_random_starts_settle_on_is_on_it(scene, diagram):
-    for amplitude in (0.3, 1.5, 3.5, 4.65, 4.9, 5.6):
-        found = jv.find_attractors(scene.replace(amplitude=amplitude), 40, 3)
-        orbits = [one.orbit for one in found if one.periods and one.periods <= 2]
-        assert orbits and all(is_on(one, diagram) for one in orbits)
 
 
 def test_the_motion_that_meets_no_wall_is_there_where_no_start_settles_on_it():
@@ -103,40 +97,31 @@ def test_both_halves_of_symmetric_orbits_leave_a_breaking_that_is_come_to_from_a
     assert branch.stable[len(branch) // 2]
 
 
-def test_diagrams_are_those_that_explore_gives(scene):
-    values = [0.3, 0.05]
-    seen = []
-    found = jv.diagrams(scene, "amplitude", NARROW, "damping", values, max_period=1, progress=seen.append)
-    assert len(found) == 2 and max(seen) == max(map(len, found))
-    for gamma, one in zip(values, found, strict=True):
-        other = jv.explore(scene.replace(damping=gamma), "amplitude", NARROW, max_period=1)
-        assert float(one.scene.damping) == gamma and one.complete and one.settings == other.settings
-        assert one.left == other.left and len(one) == len(other)
-        for mine, theirs in zip(one.branches, other.branches, strict=True):
-            assert len(mine) == len(theirs) and mine.reasons == theirs.reasons
-            assert np.allclose(mine.values, theirs.values, rtol=0, atol=1e-9)
-        for mine, theirs in zip(one.special, other.special, strict=True):
-            assert mine.kind == theirs.kind and abs(mine.value - theirs.value) < 1e-9
+def assert_same_diagram(one, other):
+    assert one.settings == other.settings and one.left == other.left and len(one) == len(other)
+    assert float(one.scene.damping) == float(other.scene.damping) and one.complete and other.complete
+    for mine, theirs in zip(one.branches, other.branches, strict=True):
+        assert len(mine) == len(theirs) and mine.reasons == theirs.reasons
+        assert np.allclose(mine.values, theirs.values, rtol=0, atol=1e-9)
+    for mine, theirs in zip(one.special, other.special, strict=True):
+        assert mine.kind == theirs.kind and abs(mine.value - theirs.value) < 1e-9
+
+
+def test_diagrams_are_those_that_explore_gives_and_are_kept_in_a_store(scene, tmp_path):
+    asked, values, seen = ("amplitude", NARROW, "damping"), [0.3, 0.1], []
+    plain = jv.diagrams(scene, *asked, values, max_period=1)
+    for gamma, one in zip(values, plain, strict=True):
+        assert_same_diagram(one, jv.explore(scene.replace(damping=gamma), "amplitude", NARROW, max_period=1))
         with mpmath.workdps(30):
             fold = float(closed.fold(gamma, OMEGA, R, 1, symmetric=True).amplitude)
-            touch = float(closed.grazing(gamma, OMEGA, 1))
         assert abs(one.points("SN")[0].value - fold) < 1e-11
-        assert min(abs(each.value - touch) for each in one.points("GR")) < 1e-11
-
-
-def test_diagrams_are_kept_in_a_store(scene, tmp_path):
-    asked, seen = ("amplitude", (0.0, 2.0), "damping", [0.3, 0.1]), []
-    plain = jv.diagrams(scene, *asked, max_period=1)
+    store = {"store": jv.Store(tmp_path / "diagrams"), "progress": seen.append}
     for _ in range(2):
-        kept = jv.diagrams(scene, *asked, max_period=1, progress=seen.append, store=jv.Store(tmp_path / "diagrams"))
-        for mine, other in zip(kept, plain, strict=True):
-            assert mine.settings == other.settings and mine.left == other.left and len(mine) == len(other)
-            assert float(mine.scene.damping) == float(other.scene.damping)
-            for one, another in zip(mine.branches, other.branches, strict=True):
-                np.testing.assert_allclose(one.values, another.values, rtol=0, atol=1e-9)
+        for one, other in zip(jv.diagrams(scene, *asked, values, max_period=1, **store), plain, strict=True):
+            assert_same_diagram(one, other)
     assert seen == [0, 1, 2, 2]
     with pytest.raises(jv.ArgumentError, match="settings differs"):
-        jv.diagrams(scene, *asked, max_period=2, store=jv.Store(tmp_path / "diagrams"))
+        jv.diagrams(scene, *asked, values, max_period=2, **store)
 
 
 def test_bad_arguments(scene, diagram):

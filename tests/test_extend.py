@@ -29,13 +29,13 @@ def test_a_branch_that_closes_beyond_its_bounds_is_walked_once():
 
 def test_an_end_of_the_domain_is_not_a_bound_any_more():
     scene = jv.make_scene(2.0, 2.1, 0.05, 0.7, WALLS)
-    branch = jv.follow(jv.find_orbit(scene, jv.State(0.9, -1.1)), "damping", (0.0, 0.06))
+    orbit = jv.find_orbit(scene, jv.State(0.9, -1.1))
+    branch = jv.follow(orbit, "damping", (0.0, 0.06))
     assert End.BOUND in branch.ends
-    wide = jv.extend(branch, (-1.0, 0.06))
-    assert len(wide) == len(branch) and wide.ends == tuple(
-        End.DOMAIN if value == 0.0 else End.BOUND for value in branch.values[[0, -1]]
-    )
-    assert "the parameter's domain ends at 0" in wide.reasons
+    for wide in (jv.extend(branch, (-1.0, 0.06)), jv.follow(orbit, "damping", (-1.0, 0.06))):
+        assert len(wide) == len(branch) and wide.values.min() == 0.0
+        assert wide.ends == tuple(End.DOMAIN if value == 0.0 else End.BOUND for value in branch.values[[0, -1]])
+        assert "the parameter's domain ends at 0" in wide.reasons
 
 
 @pytest.mark.parametrize("one", End)

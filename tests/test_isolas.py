@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 import jaxvibro as jv
-from jaxvibro.branches.diagram import Diagram
 from jaxvibro.branches.isolas import _wall_orders
 from jaxvibro.orbits.deflation import solve_with_deflation
 from jaxvibro.orbits.impact_equations import ImpactSequence
@@ -22,7 +21,7 @@ def diagram():
     scene = jv.make_scene(AMPLITUDE, 2.4, GAMMA, R, (None, WALL))
     branch = jv.follow(jv.find_orbit(scene, jv.State(0.0, 0.0)), "frequency", BOUNDS)
     settings = {"max_period": 2, "seed": 0, "largest_step": 0.1}
-    return Diagram("frequency", BOUNDS, scene, (branch,), (), True, "all that was found has been followed", settings)
+    return jv.Diagram("frequency", BOUNDS, scene, (branch,), (), True, "all that was found has been followed", settings)
 
 
 def test_each_order_of_walls_is_there_once(diagram):

@@ -8,39 +8,37 @@ import numpy as np
 import pytest
 
 import jaxvibro as jv
-from jaxvibro.branches import normal_form as forms
+from jaxvibro.branches.normal_form import normal_form_fields, normal_form_of_unfolding
 from jaxvibro.output.checksums import netcdf_bytes
-from jaxvibro.problem.grazing_jumps import grazing_jumps
 from jaxvibro.problem.normal_forms import Unfolding
-from jaxvibro.problem.orbit_point import set_up_equations
-from tests.reference import closed
-from tests.special_points import reference_bend
 
-GAMMA, OMEGA, R = 0.05, 2.1, 0.7
+from . import figure_4
+from .figure_4 import GAMMA, OMEGA, R
+from .reference import closed, special
+from .special_points import reference_bend
+from .truths import plain
 
 
 @pytest.fixture(scope="module")
 def branch():
-    scene = jv.make_scene(2.0, OMEGA, GAMMA, R, (-1.0, 1.0))
-    return jv.follow(jv.find_orbit(scene, jv.State(0.9, -1.1)), "amplitude", (0.0, 6.0))
+    return figure_4.branch()
 
 
 @pytest.fixture(scope="module")
-def lopsided(branch):
-    return jv.switch(branch.points("SB")[0])[1]
+def asymmetric():
+    return figure_4.asymmetric()[1]
 
 
 def only(branch, kind):
     return branch.points(kind)[0].normal_form
 
 
-def bend_of_the_fold(frequency, symmetric):
-    """(b, how the time changes with the speed) at the fold of the orbits of `closed.orbits` about walls at 1: there
-    (1 - a u)^2 + (b u / omega)^2 = A^2 / D."""
+def test_a_fold_against_its_closed_form(branch):
+    """(1 - a u)^2 + (b u / omega)^2 = A^2 / D, with the speed u."""
     with mpmath.workdps(40):
-        a, b = closed.coefficients(GAMMA, frequency, R, 1, symmetric)
-        fold, d = closed.fold(GAMMA, frequency, R, 1, symmetric=symmetric), closed.denominator(GAMMA, frequency)
-        omega = mpmath.mpf(frequency)
+        a, b = closed.coefficients(GAMMA, OMEGA, R, 1, True)
+        fold, d = closed.fold(GAMMA, OMEGA, R, 1, symmetric=True), closed.denominator(GAMMA, OMEGA)
+        omega = mpmath.mpf(OMEGA)
 
         def amplitude(u):
             return mpmath.sqrt(d * ((1 - a * u) ** 2 + (b * u / omega) ** 2))
@@ -48,41 +46,28 @@ def bend_of_the_fold(frequency, symmetric):
         def time(u):
             return closed.phase_of(GAMMA, omega, amplitude(u), 1 - a * u, -b * u) / omega
 
-        late, bend = mpmath.diff(time, fold.speed), mpmath.diff(amplitude, fold.speed, 2) / 2
-        return float(bend / (late**2 + 1)), float(late)
-
-
-@pytest.mark.parametrize("symmetric", [True, False])
-def test_a_fold_against_its_closed_form(branch, symmetric):
-    frequency = OMEGA if symmetric else 1.7
-    if not symmetric:
-        scene = jv.make_scene(1.0, frequency, GAMMA, R, (None, 1.0))
-        branch = jv.follow(jv.find_orbit(scene, jv.State(0.0, 0.0)), "amplitude", (0.0, 6.0))
+        late, bend = float(mpmath.diff(time, fold.speed)), float(mpmath.diff(amplitude, fold.speed, 2) / 2)
     form = only(branch, "SN")
-    true, late = bend_of_the_fold(frequency, symmetric)
-    assert form.coefficient == pytest.approx(true, rel=1e-10) and form.side == 1
+    assert form.coefficient == pytest.approx(bend / (late**2 + 1), rel=1e-10) and form.side == 1
     count = len(form.null) // 2
     assert np.allclose(form.null[:count] / form.null[count:], late, rtol=1e-9, atol=0)
     assert form.consequence == "jump" and form.criticality == "" and np.isnan(form.rate) and form.depths == ()
 
 
-@pytest.fixture(scope="module")
-def lone():
-    """Branches of the motions that hit one wall: along the amplitude, and strongly damped along the frequency."""
-
-    def along(name, bounds, amplitude, frequency, damping, restitution, wall):
-        scene = jv.make_scene(amplitude, frequency, damping, restitution, (None, wall))
-        return jv.follow(jv.find_orbit(scene, jv.State(-0.5, 0.0)), name, bounds)
-
-    damped = along("frequency", (1.0, 4.0), 3.7, 3.2, 1.2, 0.62, 0.68)
-    return {"soft": along("amplitude", (0.05, 4.0), 2.0, 2.1, 0.2, 0.6, 0.8), "jump": damped}
+DOUBLINGS = {  # (amplitude, frequency, damping, restitution, right wall), name, bounds
+    ("soft", "supercritical"): ((2.0, 2.1, 0.2, 0.6, 0.8), "amplitude", (0.05, 4.0)),
+    ("jump", "subcritical"): ((3.7, 3.2, 1.2, 0.62, 0.68), "frequency", (1.0, 4.0)),
+}
 
 
-@pytest.mark.parametrize("consequence, critical", [("soft", "supercritical"), ("jump", "subcritical")])
-def test_period_doublings_of_one_impact(lone, consequence, critical):
-    (point,) = (one for one in lone[consequence].points("PD") if one.label == "P101")
+@pytest.mark.parametrize("expected", DOUBLINGS)
+def test_period_doublings_of_one_impact(expected):
+    (*numbers, wall), name, bounds = DOUBLINGS[expected]
+    scene = jv.make_scene(*numbers, (None, wall))
+    branch = jv.follow(jv.find_orbit(scene, jv.State(-0.5, 0.0)), name, bounds)
+    (point,) = (one for one in branch.points("PD") if one.label == "P101")
     form = point.normal_form
-    assert (form.consequence, form.criticality) == (consequence, critical)
+    assert (form.consequence, form.criticality) == expected
     assert form.coefficient == pytest.approx(reference_bend(point), rel=1e-10)
 
 
@@ -96,8 +81,8 @@ def test_coefficients_vanish_where_the_side_changes():
     found = [breaking(frequency).normal_form for frequency in (0.85, 0.87811842201733201397, 0.9)]
     assert [one.criticality for one in found[::2]] == ["supercritical", "subcritical"]
     assert abs(found[1].coefficient) < 1e-8 * min(abs(one.coefficient) for one in found[::2])
-    lopsided = jv.switch(breaking(0.94613199424931461124), (0.4, 0.65))[0]
-    assert abs(only(lopsided, "PD").coefficient) < 1e-9
+    asymmetric = jv.switch(breaking(0.94613199424931461124), (0.4, 0.65))[0]
+    assert abs(only(asymmetric, "PD").coefficient) < 1e-9
 
 
 def test_the_root_of_the_motion_without_impacts(branch):
@@ -116,16 +101,8 @@ def test_the_root_of_the_motion_without_impacts(branch):
     assert only(free, "GR").coefficient == roots[1] == pytest.approx(form.coefficient, rel=1e-11)
 
 
-@pytest.fixture(scope="module")
-def moving():
-    """P111 with a wall that moves, and restitutions of their own."""
-    walls = jv.Wall(-0.46, 0.6), jv.Wall(1.15, motion=jv.Motion(0.145, 5.53, 2))
-    scene = jv.make_scene(3.15, 2.5, 0.11, 0.55, walls)
-    return jv.follow(jv.find_orbit(scene, jv.State(0.7, 1.8)), "frequency", (1.6, 3.2))
-
-
-def test_the_consequence_of_a_grazing_is_that_of_the_stable_orbits(branch, lopsided, moving):
-    for point in (branch.points("GR")[0], lopsided.points("GR")[0], *moving.points("GR")):
+def test_the_consequence_of_a_grazing_is_that_of_the_stable_orbits(branch, asymmetric):
+    for point in (branch.points("GR")[0], asymmetric.points("GR")[0]):
         sides = {float(one.scene.parameter(point.name)) > point.value for one in point.meets if one.stable}
         assert len(sides) == 1 and point.normal_form.consequence == "jump"
     point = branch.points("GR")[0]
@@ -148,25 +125,13 @@ def test_grazings_of_soft_walls_are_harmless():
     assert branch.points("GR")
 
 
-def flown(scene, x, v, phase, time):
-    """(x, v) of the driven oscillator a time later or earlier, without walls: by its closed form."""
-    omega, gamma, force = (float(each) for each in (scene.frequency, scene.damping, scene.amplitude))
-    z = force / (1.0 - omega**2 + 2j * gamma * omega) * np.exp(1j * phase)
-    roots = np.roots([1.0, 2.0 * gamma, 1.0]).astype(complex)
-    a = np.linalg.solve(np.array([[1.0, 1.0], roots]), [x - z.real, v - (1j * omega * z).real])
-    e, z = a * np.exp(roots * time), z * np.exp(1j * omega * time)
-    return e.sum().real + z.real, (roots * e).sum().real + (1j * omega * z).real
-
-
 def test_a_soft_wall_that_moves_changes_the_velocity_at_once():
     """Where the motion without impacts touches it, as it would a rigid one: a period that begins there with a depth, by
     certified flights, brought back to its begin without the wall."""
-    motion = jv.Motion(0.2, 0.5)
-    scene = jv.make_scene(0.3, 0.7, 0.05, 0.7, (None, jv.Wall(1.0, motion=motion)))
-    point = jv.follow(jv.find_orbit(scene, jv.State(0.0, 0.0)), "amplitude", (0.1, 2.0), stop="GR").points("GR")[0]
-    wall = jv.Wall(1.0, stiffness=20.0, damping=0.6, motion=motion)
-    soft = jv.make_scene(point.value, 0.7, 0.05, 0.7, (None, wall))
-    (grazing,) = grazing_jumps(soft, *set_up_equations(soft, "amplitude", point.spot), 1.0)
+    wall = jv.Wall(1.0, stiffness=20.0, damping=0.6, motion=jv.Motion(0.2, 0.5))
+    soft = jv.make_scene(0.3, 0.7, 0.05, 0.7, (None, wall))
+    point = jv.follow(jv.find_orbit(soft, jv.State(0.0, 0.0)), "amplitude", (0.1, 2.0), stop="GR").points("GR")[0]
+    (grazing,), soft = point.normal_form.depths, soft.replace(amplitude=point.value)
     phases = np.linspace(0.0, 2.0 * np.pi, 4001)
     z = point.value / (1.0 - 0.7**2 + 2j * 0.05 * 0.7)
     gaps = 1.0 + 0.2 * np.cos(phases + 0.5) - (z * np.exp(1j * phases)).real
@@ -175,13 +140,15 @@ def test_a_soft_wall_that_moves_changes_the_velocity_at_once():
     phase = np.interp(0.0, rates, near)
     position, velocity = 1.0 + 0.2 * np.cos(phase + 0.5), -0.14 * np.sin(phase + 0.5)
 
+    free = plain(soft)
+
     def jump(h):
-        back = 2.0  # the period ends before the wall is touched again
-        start = flown(soft, position + h * h, velocity, phase, -back)
-        end, impacts = jv.strobe(soft, jv.State(*start, phase - 0.7 * back))
+        begin = phase / 0.7 - 2.0  # the period ends before the wall is touched again
+        start = special.fly(free, phase / 0.7, position + h * h, velocity, begin)
+        end, impacts = jv.strobe(soft, jv.State(*map(float, start), 0.7 * begin))
         assert impacts.count == 1
-        _, v = flown(soft, float(end.x), float(end.v), phase - 0.7 * back, back - 2.0 * np.pi / 0.7)
-        return abs(v - velocity) / h
+        _, v = special.fly(free, begin, float(end.x), float(end.v), phase / 0.7 - 2.0 * np.pi / 0.7)
+        return float(abs(v - velocity)) / h
 
     values = [jump(0.02 * 0.5**k) for k in range(6)]
     for order in range(1, 6):  # the limit of a series in h
@@ -192,42 +159,33 @@ def test_a_soft_wall_that_moves_changes_the_velocity_at_once():
 def test_orbits_that_are_unstable_on_both_sides_are_harmless():
     """No scene with damping has one, so the rule is asked alone."""
     found = Unfolding(0.5, np.ones(2), -1.0)
-    told = [
-        forms.normal_form_of_unfolding(kind, found, stable) for kind in ("SN", "PD", "SB") for stable in (True, False)
-    ]
+    told = [normal_form_of_unfolding(kind, found, stable) for kind in ("SN", "PD", "SB") for stable in (True, False)]
     assert [one.consequence for one in told] == ["jump", "harmless", "soft", "harmless", "jump", "harmless"]
-    assert forms.normal_form_of_unfolding("PD", found._replace(coefficient=np.nan), True) is None
+    assert normal_form_of_unfolding("PD", found._replace(coefficient=np.nan), True) is None
 
 
 def same(one, other):
     """Whether two normal forms have the same bits."""
-    return repr(forms.normal_form_fields(one)) == repr(forms.normal_form_fields(other))
+    return repr(normal_form_fields(one)) == repr(normal_form_fields(other))
 
 
-def test_files_have_them(lopsided, tmp_path):
-    lopsided.save(tmp_path / "new.nc")
+def test_files_have_them(asymmetric, tmp_path):
+    asymmetric.save(tmp_path / "new.nc")
     loaded = jv.load_branch(tmp_path / "new.nc")
-    assert all(same(a.normal_form, b.normal_form) for a, b in zip(lopsided.special, loaded.special, strict=True))
-    assert loaded.points("PD")[0].saved is not None and lopsided.points("PD")[0].saved is None
-    assert loaded.table() == lopsided.table()
+    assert all(same(a.normal_form, b.normal_form) for a, b in zip(asymmetric.special, loaded.special, strict=True))
+    assert loaded.points("PD")[0].saved is not None and asymmetric.points("PD")[0].saved is None
+    assert loaded.table() == asymmetric.table()
     data = jv.load_data(tmp_path / "new.nc")
-    old = dict(data.attrs)
-    del old["normal_forms"]
-    (tmp_path / "old.nc").write_bytes(netcdf_bytes(data.assign_attrs().drop_attrs().assign_attrs(old)))
+    text = data.attrs.pop("normal_forms")
+    (tmp_path / "old.nc").write_bytes(netcdf_bytes(data))
     before = jv.load_branch(tmp_path / "old.nc")
-    assert before.points("PD")[0].saved is None and before.table() == lopsided.table()
-
-
-@pytest.mark.parametrize("change", ['"soft"', '"supercritical"', "["])
-def test_normal_forms_that_cannot_be_are_refused(lopsided, tmp_path, change):
-    lopsided.save(tmp_path / "new.nc")
-    data = jv.load_data(tmp_path / "new.nc")
-    text = data.attrs["normal_forms"]
-    assert change in text
-    wrong = text.replace(change, {"[": "[null, "}.get(change, '"much"'), 1)
-    (tmp_path / "wrong.nc").write_bytes(netcdf_bytes(data.assign_attrs(normal_forms=wrong)))
-    with pytest.raises(jv.ArgumentError, match="must be a file of Branch"):
-        jv.load_branch(tmp_path / "wrong.nc")
+    assert before.points("PD")[0].saved is None and before.table() == asymmetric.table()
+    for change, wrong in (('"soft"', '"much"'), ('"supercritical"', '"much"'), ("[", "[null, ")):
+        assert change in text
+        wrong = text.replace(change, wrong, 1)
+        (tmp_path / "wrong.nc").write_bytes(netcdf_bytes(data.assign_attrs(normal_forms=wrong)))
+        with pytest.raises(jv.ArgumentError, match="must be a file of Branch"):
+            jv.load_branch(tmp_path / "wrong.nc")
 
 
 def test_other_kinds_have_none(branch):

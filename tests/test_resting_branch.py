@@ -1,6 +1,5 @@
 """Branches of orbits that rest: through complete chatter both ways, releases within a rest, in two parameters."""
 
-from dataclasses import fields
 from types import SimpleNamespace
 
 import numpy as np
@@ -8,9 +7,9 @@ import pytest
 from scipy.optimize import fsolve
 
 import jaxvibro as jv
-from jaxvibro.problem.end import End
-from jaxvibro.scene.codes import Contact
-from tests.special_points import completion_value, zero_force_value
+
+from .properties.branches import STUCK, end_names
+from .special_points import completion_value, zero_force_value
 
 ONE_WALL = {"frequency": 0.5, "damping": 0.05, "restitution": 0.5, "walls": (None, 0.5)}
 
@@ -36,6 +35,10 @@ def test_a_branch_goes_on_where_a_chatter_just_does_not_complete(from_rest):
     assert from_rest.stable[from_rest.values > point.value].all()
     assert not from_rest.multipliers[from_rest.values > point.value].any()
     assert [one.label for one in point.meets] == [labels[-2]]
+    orbit = from_rest.orbit(-1)
+    again = jv.find_orbit(orbit.scene, orbit.state, settle=0)
+    assert (again.label, again.rests, orbit.rests) == (orbit.label, True, True)
+    assert (again.state.x, again.state.v) == pytest.approx((orbit.state.x, orbit.state.v), abs=1e-11)
 
 
 def test_a_branch_that_starts_without_a_rest_has_the_same_completion(from_rest):
@@ -61,18 +64,9 @@ def test_grazings_approach_the_completion_as_the_scaling_says(from_rest):
     assert abs(limit[-1] - mu) < abs(ratios[-1] - mu)
 
 
-def test_its_orbits_are_those_of_the_motion(from_rest, tmp_path):
-    from_rest.save(tmp_path / "branch.nc")
-    loaded = jv.load_branch(tmp_path / "branch.nc")
-    assert loaded.table() == from_rest.table()
-    places = np.flatnonzero((abs(from_rest.data["side"].values) == Contact.STUCK).any(axis=1))
-    for place in places[:: max(1, len(places) // 3)]:
-        orbit = loaded.orbit(int(place))
-        again = jv.find_orbit(orbit.scene, orbit.state, settle=0)
-        assert (again.label, again.rests) == (orbit.label, True)
-        assert again.state.x == pytest.approx(orbit.state.x, abs=1e-11)
-        assert again.state.v == pytest.approx(orbit.state.v, abs=1e-11)
-        assert all(hasattr(orbit, each.name) for each in fields(jv.Orbit))
+def rests_of(branch):
+    """Return how often the mass sticks in the orbit of each point."""
+    return (abs(branch.data["side"].values) == STUCK).sum(axis=1)
 
 
 @pytest.fixture(scope="module")
@@ -85,9 +79,8 @@ def letting_go():
 def test_a_wall_that_lets_go_within_a_rest_is_a_point_of_its_own(letting_go):
     (point,), branch = letting_go.points("RL"), letting_go
     assert point.value == pytest.approx(-1.2, abs=1e-10)
-    releases = (abs(branch.data["side"].values) == Contact.STUCK).sum(axis=1)
-    assert (releases[branch.values > -1.2] == 1).all()
-    assert (releases[branch.values < -1.2 - 1e-6] == 2).all()
+    assert (rests_of(branch)[branch.values > -1.2] == 1).all()
+    assert (rests_of(branch)[branch.values < -1.2 - 1e-6] == 2).all()
     assert branch.values[[0, -1]] == pytest.approx([-1.4, -0.9])
 
 
@@ -178,33 +171,29 @@ def test_a_locus_of_grazings_ends_where_the_touch_has_no_acceleration():
     assert point.residual < 1e-12
 
 
-PLASTIC = {"frequency": 0.451214832, "damping": 0.160099801, "restitution": 0.0, "walls": (None, 0.709703876)}
+MOVING = (-0.554009691, jv.Wall(1.230039735, motion=jv.Motion(0.215097563, 1.033105633)))
+PLASTIC = {  # kind of the special points: labels, bounds, two starts, numbers of the scene
+    "RL": (("P101", "P102", "P101"), (1.22, 3.0), (2.5, 1.95), (0.451214832, 0.160099801, (None, 0.709703876))),
+    "CH": (("P111", "P111"), (0.9, 1.9), (1.7, 1.1), (0.677596525, 0.267945675, MOVING)),
+}
 
 
-def test_a_branch_with_r_0_goes_on_where_the_press_begins_at_an_impact():
-    """Between two RL the mass is drawn off its wall once more before it rests: whichever orbit one starts from."""
-    branches = [followed(amplitude, (1.22, 3.0), **PLASTIC) for amplitude in (2.5, 1.95)]
-    for branch in branches:
-        assert branch.ends == (End.BOUND, End.BOUND)
-        assert [part.label for part in branch.segments] == ["P101", "P102", "P101"]
-        assert [point.kind for point in branch.special] == ["EP", "RL", "RL", "EP"]
-        assert {one.label for point in branch.points("RL") for one in point.meets} <= {"P101", "P102"}
-        values = [point.value for point in branch.points("RL")]
-        assert values == pytest.approx([point.value for point in branches[0].points("RL")], abs=1e-12)
-    for point in branches[0].points("RL"):
+@pytest.mark.parametrize("kind", PLASTIC)
+def test_a_branch_with_r_0_goes_on_where_the_force_at_an_impact_vanishes(kind):
+    """Between two RL the mass is drawn off its wall once more before it rests; at a CH a rest comes to no length."""
+    labels, bounds, starts, (frequency, damping, walls) = PLASTIC[kind]
+    numbers = {"frequency": frequency, "damping": damping, "restitution": 0.0, "walls": walls}
+    first, second = (followed(amplitude, bounds, **numbers) for amplitude in starts)
+    for branch in (first, second):
+        assert end_names(branch) == ["BOUND", "BOUND"]
+        assert tuple(part.label for part in branch.segments) == labels
+        assert [point.kind for point in branch.special] == ["EP", *[kind] * (len(labels) - 1), "EP"]
+        values = [point.value for point in branch.points(kind)]
+        assert values == pytest.approx([point.value for point in first.points(kind)], abs=1e-12)
+        assert {one.label for point in branch.points("RL") for one in point.meets} <= set(labels)
+    for point in first.points(kind):
         assert zero_force_value(point) == pytest.approx(point.value, abs=1e-13)
-
-
-def test_a_branch_with_r_0_goes_on_where_a_rest_comes_to_no_length():
-    """From orbits that rest to such that do not, and back: the impact is at the release there."""
-    walls = (-0.554009691, jv.Wall(1.230039735, motion=jv.Motion(0.215097563, 1.033105633)))
-    numbers = {"frequency": 0.677596525, "damping": 0.267945675, "restitution": 0.0, "walls": walls}
-    for branch in [followed(amplitude, (0.9, 1.9), **numbers) for amplitude in (1.7, 1.1)]:
-        (point,) = branch.points("CH")
-        assert branch.ends == (End.BOUND, End.BOUND)
-        assert [part.label for part in branch.segments] == ["P111", "P111"]
-        assert zero_force_value(point) == pytest.approx(point.value, abs=1e-13)
+    if kind == "CH":
         for value in (1.21, 1.23):
-            place = int(np.argmin(abs(branch.values - value)))
-            rests = np.count_nonzero(abs(branch.data["side"].values[place]) == Contact.STUCK)
-            assert rests == (1 if branch.values[place] < point.value else 2)
+            place = int(np.argmin(abs(first.values - value)))
+            assert rests_of(first)[place] == (1 if first.values[place] < point.value else 2)

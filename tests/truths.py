@@ -11,7 +11,7 @@ import numpy as np
 from flint import ctx
 from mpmath import mpf
 
-from .reference import orbit, own_force, rests, sampled, soft, special
+from .reference import own_force, records, rests, sampled, soft, special
 from .reference.scene import Motion, Scene, Soft, Term, Wall
 from .reference.search import Discard, Undecided
 
@@ -65,11 +65,9 @@ def plain(scene):
 def closed_form(scene, x, v, phase, periods=1):
     """Return the motion of a linear oscillator: ball arithmetic, certified impacts."""
     given = plain(scene)
-    is_soft = any(isinstance(wall, Soft) for _, wall in given.walls())
-    record = (soft if is_soft else orbit).strobe(given, x, v, phase, periods=periods)
+    record = soft.strobe(given, x, v, phase, periods=periods)
     matrix = np.array([[float(entry) for entry in row] for row in record.jacobian])
-    norm = max(record.norm, getattr(record, "sharp", 0.0))
-    allowed = record.scale * (1.0 + norm)
+    allowed = record.scale * (1.0 + max(record.norm, record.sharp))
     events = record.times, [int(side) for side in record.sides], record.speeds
     return Truth(record.x, record.v, *events, matrix, allowed, record.least_minimum)
 
@@ -85,7 +83,7 @@ def resting(scene, x, v, phase, periods=1):
         if hit is None or hit.time >= end:
             place = special.fly(given, *start, end)
         else:
-            if hit.speed < orbit.SLOWEST or end - hit.time < orbit.EDGE:
+            if hit.speed < records.SLOWEST or end - hit.time < records.EDGE:
                 raise Discard("a slow impact, or one at the end")
             again = special.restitution(given, hit.side) * hit.speed
             place = rests.state_after(given, hit.side, hit.time, again, end)

@@ -7,6 +7,7 @@ from jaxvibro.branches.scenario import grazing_return_of
 from jaxvibro.problem.added_impact_orbits import added_impact_orbits
 from jaxvibro.problem.orbit_point import orbit_from_point
 from jaxvibro.scene.typical_scales import typical_length
+from tests.special_points import grazing_reference
 
 GRADUAL = "OVERLAPPING", "ADDING", "CHAOS"
 NAMES = "amplitude", "frequency", "damping", "right.position", "right.motion.amplitude"
@@ -23,15 +24,21 @@ def _strongly_damped(rng, low, high):
     return jv.make_scene(0.1, omega, gamma, r, (left, jv.Wall(position, r, motion=motion)))
 
 
-def draw_grazing(rng, damping, outcomes):
-    """Return a grazing of the motion without impacts, along a random parameter, with one of the outcomes."""
+def draw_grazing(rng, damping, outcomes, is_free=False):
+    """Return a first grazing along a random parameter, with one of the outcomes.
+
+    is_free: of the motion without impacts, at one wall.
+    """
     while True:
         scene = _strongly_damped(rng, *damping)
         point = _first_grazing(scene, "amplitude", (0.0, 40.0 * float(scene.frequency) ** 2))
         name = str(rng.choice([name for name in NAMES if name in scene.names]))
         if point is not None and name != "amplitude":
             point = _along(point, name)
-        if point is not None and jv.scenario(point).follows.name in outcomes:
+        if point is None or (is_free and len(point.spot.times)):
+            continue
+        scenario = jv.scenario(point)
+        if scenario.follows.name in outcomes and not (is_free and scenario.half):
             return point
 
 
@@ -62,11 +69,10 @@ def followed_window(point, window):
 
 
 def state_before(point):
-    """Return the State of the orbit without the contact, EARLY before its grazing."""
-    grazing_return = grazing_return_of(point)
-    time = grazing_return.omitted_grazings[0].time - EARLY
-    start = jv.State(grazing_return.z[0], grazing_return.z[1])
-    states, _ = jv.sample(point.scene, start, np.array([time % grazing_return.return_time]))
+    """Return the State of the motion without impacts, EARLY before its grazing."""
+    time = grazing_reference(point, False)[0] - EARLY
+    start = jv.State(float(point.spot.x), float(point.spot.v))
+    states, _ = jv.sample(point.scene, start, np.array([time % (2.0 * np.pi / float(point.scene.frequency))]))
     return jv.State(float(states.x[0]), float(states.v[0]), float(point.scene.frequency) * time)
 
 

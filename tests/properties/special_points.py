@@ -4,14 +4,14 @@ from functools import cache
 
 import mpmath
 import numpy as np
-from mpmath import mpf, workdps
+from mpmath import mpf
 
 import jaxvibro as jv
 from tests import truths
 from tests.kinds import KINDS, Kind
 from tests.reference import closed
-from tests.reference import special as reference
 from tests.reference.codim import codim
+from tests.special_points import SLOW, exact_value, find_touch, impacts_of, rows_of
 from tests.tiers import generator
 
 BIFURCATIONS = ("SN", "PD", "SB", "GR")
@@ -19,8 +19,6 @@ TRIES = 8  # scenes of a draw
 MOST = 3  # impacts of an orbit
 MOST_POINTS = 60  # of a branch
 WEAK = 0.1  # of the amplitude of a scene, where its branch begins
-SLOW = 1e-9  # an impact of less speed is a touch
-LOOKS = 64  # at the clearance of a flight
 
 
 def symmetric(n):
@@ -101,79 +99,6 @@ def bounds_around(scene, names, share=0.3):
         low, high = value - share * (0.1 + abs(value)), value + share * (0.1 + abs(value))
         bounds[name] = (low if "position" in name else max(low, 0.0), min(high, 1.0) if "restitution" in name else high)
     return bounds
-
-
-def rows_of(spot, keep=slice(None)):
-    """Return the times, speeds and sides of impacts of an orbit, as lists."""
-    times, speeds, sides = (np.asarray(part)[keep].tolist() for part in (spot.times, spot.speeds, spot.sides))
-    return times, speeds, [int(side) for side in sides]
-
-
-def impacts_of(spot):
-    """Return the times, speeds and sides of the impacts that are no touches."""
-    return rows_of(spot, np.asarray(spot.speeds) > SLOW)
-
-
-def find_touch(scene, spot, wall=None):
-    """Return (impact before, time, side) of the touch of a grazing orbit; wall: of several walls that are touched."""
-    times, speeds, sides = (np.asarray(part) for part in (spot.times, spot.speeds, spot.sides))
-    kept = np.flatnonzero(speeds > SLOW)
-    walls = [wall] if wall else ["left", "right"]
-    touches = [k for k in np.flatnonzero(speeds <= SLOW) if ("left", "right")[int(sides[k] > 0)] in walls]
-    if touches:
-        time, side = float(times[touches[0]]), int(sides[touches[0]])
-    else:
-        time, side = _nearest_approach(scene, impacts_of(spot), spot.periods, walls)
-    before = [row for row, k in enumerate(kept) if times[k] < time]
-    return (before[-1] if before else max(0, len(kept) - 1)), time, side
-
-
-def _nearest_approach(scene, impacts, periods, walls):
-    """Return (time, side) of the least clearance of an orbit between its impacts."""
-    times, speeds, sides = impacts
-    period = 2.0 * np.pi * periods / scene.omega
-    begins = times or [0.0]
-    looks = []
-    for k, begin in enumerate(begins):
-        end = begins[k + 1] if k + 1 < len(begins) else begins[0] + period
-        for share in np.linspace(0.0, 1.0, LOOKS + 2)[1:-1]:
-            time = begin + share * (end - begin)
-            if times:
-                x = reference.fly(reference.exact(scene), *_departure(scene, begin, speeds[k], sides[k]), time)[0]
-            else:
-                x = reference.forced(scene, time)[0]
-            for side, _ in scene.walls():
-                if ("left", "right")[side > 0] in walls and (share > 0.05 or not times or side != sides[k]):
-                    looks.append((float(side * (reference.place(scene, side, time).x - x)), float(time), side))
-    return min(looks)[1:]
-
-
-def _departure(scene, time, speed, side):
-    wall = reference.place(scene, side, time)
-    return time, wall.x, wall.v - side * reference.restitution(scene, side) * speed
-
-
-def exact_value(scene, kind, name, value, spot, moves=(), wall=None, digits=40):
-    """Return the value of a parameter at a special point by the reference.
-
-    spot: the orbit, about. moves: (name, change) of numbers of the scene. wall: the one that a GR touches.
-    """
-    given = truths.plain(scene)
-    with workdps(digits):
-        for other, change in moves:
-            given = reference.with_value(given, other, mpf(_number(given, other)) + change)
-        touch = find_touch(truths.plain(scene), spot, wall) if kind == "GR" else None
-        times, speeds, sides = impacts_of(spot) if kind == "GR" else rows_of(spot)
-        return reference.special(given, name, kind, value, times, speeds, sides, spot.periods, touch, digits)
-
-
-def _number(scene, name):
-    """Return a number of a reference's scene; "restitution" is that of both walls."""
-    if name == "restitution":
-        return next(wall.restitution for _, wall in scene.walls())
-    for part in name.split("."):
-        scene = getattr(scene, reference.FIELDS.get(part, part))
-    return scene
 
 
 def locus_error(locus, place, digits=40):

@@ -6,7 +6,6 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 import jaxvibro as jv
-from jaxvibro.problem.end import End
 from tests.kinds import LANES
 from tests.special_points import completion_value, reference_error, zero_force_value
 from tests.tiers import of_numbers
@@ -17,6 +16,7 @@ from .branches import (
     bounds_of,
     branch_of,
     branch_with,
+    end_names,
     is_on,
     is_whole,
     parameter,
@@ -64,21 +64,21 @@ def test_ends(kind, number):
     """A branch stays within its bounds, its special points are in order, and it ends where it says."""
     branch = branch_of(kind, number)
     low, high = branch.bounds
-    assert not FAILURES & set(branch.ends)
+    assert not FAILURES & set(end_names(branch))
     assert low <= branch.values.min() and branch.values.max() <= high
     places = [point.place for point in branch.special]
     assert places == sorted(places) and {0, len(branch) - 1} <= set(places)
     assert all(point.value == branch.values[point.place] for point in branch.special)
     assert [part.first for part in branch.segments[1:]] == [part.last + 1 for part in branch.segments[:-1]]
     assert (branch.segments[0].first, branch.segments[-1].last) == (0, len(branch) - 1)
-    for end, reason, value in zip(branch.ends, branch.reasons, branch.values[[0, -1]], strict=True):
-        if end is End.BOUND:
+    for end, reason, value in zip(end_names(branch), branch.reasons, branch.values[[0, -1]], strict=True):
+        if end == "BOUND":
             assert value in (low, high)
-        if end is End.DOMAIN:
+        if end == "DOMAIN":
             assert value == 0.0
-        if end not in (End.CLOSED, End.START):
+        if end not in ("CLOSED", "START"):
             assert f"{value:.12g}" in reason
-    if End.CLOSED in branch.ends:
+    if "CLOSED" in end_names(branch):
         speeds = [np.sort(branch.orbit(place).impacts.speed) for place in (0, len(branch) - 1)]
         np.testing.assert_allclose(*speeds, rtol=0, atol=1e-8)
 
@@ -139,8 +139,8 @@ def test_return(kind, number):
     place = max({len(branch) - 1, len(branch) - 2, 0} - special)
     back = jv.follow(branch.orbit(place), branch.name, branch.bounds, largest_step=0.07)
     assert_same_points(branch, back, _tolerance(kind))
-    if not {End.CLOSED, End.HALVED, End.GRAZE} & {*branch.ends, *back.ends}:
-        assert sorted(end.name for end in back.ends) == sorted(end.name for end in branch.ends)
+    if not {"CLOSED", "HALVED", "GRAZE"} & {*end_names(branch), *end_names(back)}:
+        assert sorted(end_names(back)) == sorted(end_names(branch))
         assert sorted(back.values[[0, -1]]) == sorted(branch.values[[0, -1]])
 
 
@@ -183,7 +183,7 @@ def test_switch(kind, number):
         assert len(branches) == (1 if point.kind == "PD" else 2)
         for branch in branches:
             assert abs(branch.values[0] - point.value) < 1e-8 * (1.0 + abs(point.value))
-            assert branch.ends[0] is End.LEFT and point.kind in branch.reasons[0]
+            assert end_names(branch)[0] == "LEFT" and point.kind in branch.reasons[0]
             if len(branch) < 4:
                 continue
             gaps = branch.values - point.value
@@ -194,9 +194,7 @@ def test_switch(kind, number):
             assert orbit.periods == point.orbit.periods * (2 if point.kind == "PD" else 1)
             back = jv.follow(orbit, point.name, branch.bounds)
             values = [
-                end
-                for end, kind_of_end in zip(back.values[[0, -1]], back.ends, strict=True)
-                if kind_of_end is End.HALVED
+                value for value, end in zip(back.values[[0, -1]], end_names(back), strict=True) if end == "HALVED"
             ]
             values += [other.value for other in back.points("SB")]
             assert min(abs(value - point.value) for value in values) < 1e-6 * (1.0 + abs(point.value))

@@ -1,6 +1,6 @@
 """The stroboscopic map between walls that may be soft, in ball arithmetic, and its derivative as a product.
 
-The rules by which a draw is too near a graze are those of `orbit`; depths beyond a soft wall are measured in 1 / W, W
+The rules by which a draw is too near a graze are those of `records`; depths beyond a soft wall are measured in 1 / W, W
 being the rate of a contact's ring (`spring`).
 """
 
@@ -9,9 +9,9 @@ from typing import NamedTuple
 
 from flint import arb, ctx
 
-from . import orbit
+from . import records
 from .ball import Oscillator
-from .orbit import EDGE, MOST, SLOWEST, keep_turns, multiply, norm
+from .records import EDGE, MOST, SLOWEST, keep_turns, multiply, norm
 from .scene import Soft, static_scale
 from .search import Course, Discard, Undecided, first_contact, sign
 from .spring import Press, depth_of_exit, way_out
@@ -20,8 +20,8 @@ PARTS = 4  # of a flight or a contact: so often the norm is taken on the way
 
 
 @dataclass
-class Record(orbit.Record):
-    """The motion over a strobe: the fields of `orbit.Record`, and those of contacts with soft walls.
+class Record(records.Record):
+    """The motion over a strobe: the fields of `records.Record`, and those of contacts with soft walls.
 
     An entry into a soft wall counts as an impact with a time, a side and a speed. exits: times since the strobe's start
     and sides at which the mass left a soft wall. jacobian: rows of balls. sharp: as norm, but a change of x beyond a

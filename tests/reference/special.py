@@ -28,7 +28,6 @@ ROUNDS = 20  # of Newton's method
 SHARP = 1e-9  # a step so much shorter than the one before: the Jacobian may stay
 FAR = 1e6  # a step with which there is no hope
 ASTRAY = 1e-3  # of 1 + |value|: farther away than that lies another point
-LOOKS = 96  # at the forced response, a period and harmonic
 FIELDS = {"frequency": "omega", "damping": "gamma"}
 
 
@@ -102,8 +101,8 @@ def special(scene, name, kind, value, times, speeds, sides, periods, touch=None,
     scene: a `Scene` of floats or mpfs. name: dotted, as in jaxvibro; "restitution" is that of both walls. kind: "SN",
     "SB", "BP", "PD" or "GR". value: the parameter to about 1e-6. times (since drive phase 0, rising), speeds (before
     impact, |v - wall's|) and sides (-1 left, 1 right): the orbit's impacts, about. periods: the drive periods it takes.
-    touch: (k, time, side) of a GR where the flight after impact k touches a wall; without it the slowest impact grazes,
-    and an orbit without impacts, the forced response, grazes where it comes nearest to a wall.
+    touch: (k, time, side) of a GR where the flight after impact k, or the forced response without impacts, touches a
+    wall; without it the slowest impact grazes.
 
     SB and BP are one to it. Whether the orbit passes through a wall on its way is for the caller to see.
     Raises ArithmeticError where Newton's method does not converge, goes elsewhere, or no branches cross (SB, BP).
@@ -138,10 +137,10 @@ def orbit(scene, name, value, times, speeds, sides, periods, digits=50):
 
 def build(branch, kind, y, touch, h):
     """(equations, first guess) of a kind of special point; the guess begins with y."""
-    if kind == "GR" and (touch or not branch.sides):
-        return touching(branch, y, touch or (0, *nearest(branch.at(y), branch.name)))
+    if kind == "GR" and touch:
+        return touching(branch, y, touch)
     if not branch.sides:
-        raise ValueError(f"an orbit without impacts has no {kind}")
+        raise ValueError(f"an orbit without impacts has no {kind} without a touch")
     if kind == "GR":
         slowest = min(range(len(branch.sides)), key=lambda k: fabs(y[2 * k + 1]))
         return lambda z: [*branch.equations(z), z[2 * slowest + 1]], y
@@ -294,19 +293,3 @@ def rebound(scene, side, t, u):
     pull = scene.amplitude * cos(scene.omega * t) - wall.x
     before, after = (pull - 2 * scene.gamma * (wall.v + factor * side * u) for factor in (1, -r))
     return matrix([[-r * u, 0], [side * (after + r * before - (1 + r) * wall.a), -r * u]])
-
-
-def nearest(scene, name):
-    """(time, side) at which the forced response comes nearest to a wall, or farthest through it, of so many looks.
-
-    Where the parameter is a wall's, to that wall: it does not move the forced response.
-    """
-    looks = []
-    for side, wall in scene.walls():
-        if name.startswith(("right.", "left.")[side > 0]):
-            continue
-        count = int(LOOKS * (wall.motion.harmonic if wall.motion else 1))
-        for k in range(count):
-            t = span(scene, 1) * k / count
-            looks.append((side * (place(scene, side, t).x - forced(scene, t)[0]), t, side))
-    return min(looks)[1:]
