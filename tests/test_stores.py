@@ -23,12 +23,11 @@ from distributed import LocalCluster
 import jaxvibro as jv
 from jaxvibro.output import atomic_folder, file_lock
 from jaxvibro.stores import zarr_store
-from jaxvibro.stores.study_completion import complete_study, spread_chunk_order
-from jaxvibro.stores.study_protocol import fingerprint_array
+from jaxvibro.stores.study_completion import spread_chunk_order
 
-from .stored_studies import Counted, bits, counts, keep
+from .stored_studies import Counted, bits, complete_study, counts, keep
 
-TOKEN = "0123456789abcdef"
+TOKEN, create = "0123456789abcdef", atomic_folder.create_folder_atomically
 
 
 def test_reports_and_the_data_that_are_read_from_a_store(tmp_path):
@@ -57,24 +56,18 @@ def test_the_cells_that_are_not_done_are_blank(tmp_path):
     assert counts(log) == dict.fromkeys(range(9), 1)
 
 
-@pytest.mark.parametrize("damage", ["flipped", "cut", "gone", "mark", "nonsense mark"])
-def test_a_damaged_chunk_is_named_and_recomputed(tmp_path, damage):
+def test_a_damaged_chunk_is_named_and_recomputed(tmp_path):
     path, log = tmp_path / "store", str(tmp_path / "log")
     keep(Counted(6), path)
-    before = bits(path)
-    file = path / "done" / "c" / "3" if "mark" in damage else path / "number" / "c" / "3" / "0" / "0"
-    content = file.read_bytes()
-    changed = {"flipped": content[:-1] + bytes([content[-1] ^ 4]), "cut": content[:7], "gone": None}
-    changed |= {"mark": bytes([content[0] ^ 8]) + content[1:], "nonsense mark": b"no number"}
-    file.unlink() if changed[damage] is None else file.write_bytes(changed[damage])
-    if damage == "nonsense mark":  # the chunk is not done
+    before, file = bits(path), path / "number" / "c" / "3" / "0" / "0"
+    file.write_bytes(file.read_bytes()[:7])
+    with pytest.raises(jv.ArgumentError, match=r"must be undamaged; run the study again.*chunk 3 of"):
+        jv.load_store(path)
+    with pytest.warns(UserWarning, match="chunk 3 is damaged and is recomputed"):
         keep(Counted(6, log=log), path)
-    else:
-        with pytest.raises(jv.ArgumentError, match=r"must be undamaged; run the study again.*chunk 3 of"):
-            jv.load_store(path)
-        with pytest.warns(UserWarning, match="chunk 3 is damaged and is recomputed"):
-            keep(Counted(6, log=log), path)
-    assert counts(log) == {3: 1} and bits(path) == before
+    (path / "done" / "c" / "3").write_bytes(b"no number")  # the chunk is not done
+    keep(Counted(6, log=log), path)
+    assert counts(log) == {3: 2} and bits(path) == before
 
 
 def test_another_study_is_refused(tmp_path):
@@ -86,12 +79,6 @@ def test_another_study_is_refused(tmp_path):
     with pytest.raises(jv.ArgumentError, match="rows differs; got '3 stored, 4 requested'"):
         keep(Counted(4), path)
     assert bits(path) == before
-
-
-def test_an_axis_is_described_in_plain_numbers():
-    assert fingerprint_array(np.linspace(1.5, 4.0, 10)).startswith("10, 1.5 to 4.0, ")
-    assert fingerprint_array(np.empty(0)).startswith("0, none")
-    assert fingerprint_array(np.array([1, 2])) != fingerprint_array(np.array([1.0, 2.0]))
 
 
 def test_other_versions_are_refused(tmp_path, monkeypatch):
@@ -210,9 +197,9 @@ def test_processes_that_create_one_store_at_once_share_it(rounds):
 
 def test_the_loser_of_a_race_leaves_the_folder_of_the_winner(tmp_path):
     path = tmp_path / "store"
-    with atomic_folder.create_folder_atomically(path) as slow:
+    with create(path) as slow:
         slow.mkdir()
-        with atomic_folder.create_folder_atomically(path) as fast:
+        with create(path) as fast:
             fast.mkdir()
             (fast / "winner").write_text("")
         assert slow != fast and slow.is_dir()
@@ -220,12 +207,12 @@ def test_the_loser_of_a_race_leaves_the_folder_of_the_winner(tmp_path):
 
 
 def test_the_loser_of_a_race_refuses_another_study(tmp_path, monkeypatch):
-    path, plain = tmp_path / "store", atomic_folder.create_folder_atomically
+    path = tmp_path / "store"
 
     def later(place):
         monkeypatch.undo()
         keep(Counted(3), path)
-        return plain(place)
+        return create(place)
 
     monkeypatch.setattr(zarr_store, "create_folder_atomically", later)
     with pytest.raises(jv.ArgumentError, match="must hold this study: scene differs"):
@@ -236,13 +223,13 @@ def test_the_loser_of_a_race_refuses_another_study(tmp_path, monkeypatch):
 
 
 def test_an_error_leaves_nothing_and_names_the_folder(tmp_path):
-    with pytest.raises(ArithmeticError), atomic_folder.create_folder_atomically(tmp_path / "store") as part:
+    with pytest.raises(ArithmeticError), create(tmp_path / "store") as part:
         part.mkdir()
         raise ArithmeticError
     assert list(tmp_path.iterdir()) == []
     (tmp_path / "file").write_text("")
     for path in (tmp_path / "file" / "store", tmp_path / ("a" * 300)):
-        with pytest.raises(OSError, match=re.escape(str(path))), atomic_folder.create_folder_atomically(path):
+        with pytest.raises(OSError, match=re.escape(str(path))), create(path):
             pass
 
 
@@ -258,19 +245,16 @@ def abandoned(folder, name):
 def test_folders_of_dead_processes_alone_are_removed(tmp_path):
     path = tmp_path / "a [b].zarr"
     dead, another = abandoned(tmp_path, path.name), abandoned(tmp_path, "c.zarr")
-    with atomic_folder.create_folder_atomically(path) as live:
+    with create(path) as live:
         live.mkdir()
         atomic_folder.remove_abandoned_folders(path)
         assert live.is_dir() and not dead.exists() and another.is_dir()
         assert sorted(file.suffix for file in tmp_path.glob(".a*")) == [".lock", ".partial"]
     atomic_folder.remove_abandoned_folders(tmp_path / "missing" / "store")
-
-
-def test_opening_a_store_removes_what_a_killed_creator_left(tmp_path):
-    for _ in range(2):
+    for _ in range(2):  # opening a store removes them as well
         abandoned(tmp_path, "store")
         keep(Counted(3), tmp_path / "store")
-    assert [file.name for file in tmp_path.iterdir()] == ["store"]
+    assert {file.name for file in tmp_path.iterdir()} >= {"store"} and not list(tmp_path.glob(".store*"))
 
 
 def test_a_name_that_is_taken_before_it_is_locked_is_given_up(tmp_path, monkeypatch):
@@ -284,7 +268,7 @@ def test_a_name_that_is_taken_before_it_is_locked_is_given_up(tmp_path, monkeypa
         return plain(descriptor)
 
     monkeypatch.setattr(atomic_folder, "try_lock", slow)
-    with atomic_folder.create_folder_atomically(tmp_path / "store") as part:
+    with create(tmp_path / "store") as part:
         part.mkdir()
         assert part.with_suffix(".lock").is_file() and part.with_suffix(".lock") not in removed
         monkeypatch.undo()
@@ -296,7 +280,7 @@ def test_a_name_that_is_taken_before_it_is_locked_is_given_up(tmp_path, monkeypa
 def test_without_locks_nothing_is_taken_for_abandoned(tmp_path, monkeypatch):
     monkeypatch.setattr(file_lock, "fcntl", None)
     path = tmp_path / "store"
-    with atomic_folder.create_folder_atomically(path) as part:
+    with create(path) as part:
         part.mkdir()
         assert not part.with_suffix(".lock").exists()
         dead = abandoned(tmp_path, "store")

@@ -9,7 +9,7 @@ through each cell, the points of all periods unknown. The map jumps where a peri
 along a wall need have no orbit.
 """
 
-from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy import sparse
@@ -17,72 +17,45 @@ from scipy.spatial import KDTree
 
 import jaxvibro as jv
 
-BATCH, FEW = 1 << 13, 1 << 9  # states given to strobe and to monodromy, which are compiled for each number anew
+BATCH, FEW = 1 << 13, 1 << 9  # states of a call of strobe and of monodromy
 BLOCK = 2000  # pieces or cells looked at together, as memory allows
+PIECES = 4  # into how many each way a cell is cut to find its image
 TRUST = 2.0  # how much farther an image may reach than those of the nodes
 SMALLEST = 1e-6  # half-width of a cell that is not split
-NEAR = 100.0  # half-widths: farther from its orbit no cell is
 STEPS = 30  # of Newton's method, each the best of some fractions
 FRACTIONS = 0.5 ** np.arange(8)
-EXACT = 1e-11  # error of an orbit's points, each against the strobe of the one before
+EXACT = 1e-11  # error of an orbit's points, each against the strobe of the point before
 APART = 1e-8  # distance of different points
-LETTERS = {-1: "L", 0: "", 1: "R"}
 
 
-@dataclass(frozen=True)
-class Orbit:
-    """A periodic orbit.
+class Orbit(NamedTuple):
+    """A periodic orbit: x, v on the section at phase 0, a row a period; multipliers, the larger one first."""
 
-    itinerary: a word of L and R for each period of the least number of them; points: x, v on the section, one a period;
-    multipliers: of strobe^period, the larger one first; residual: the largest error of a point; least_speed,
-    least_clearance: as `Impacts` has them; hits: speeds of the impacts in order, negative on the left; twin: the place
-    of the mirror image, its own where the orbit is symmetric, None where there is none.
-    """
-
-    itinerary: tuple[str, ...]
     points: np.ndarray
     multipliers: np.ndarray
-    residual: float
-    least_speed: float
-    least_clearance: float
-    hits: np.ndarray
-    twin: int | None = None
-
-    def index(self, n):
-        """The sign of det(1 - M) over n periods; over all fixed points of strobe^n it sums to 1 (Lefschetz)."""
-        return int(np.sign(np.prod(1.0 - self.multipliers ** (n // len(self.points))).real))
 
 
-def orbits(scene, max_period, columns=100, pieces=4, phase=0.0, told=print):
-    """All orbits of minimal period up to max_period in a single scene with two resting walls: a list of `Orbit`.
+def orbits(scene, max_period, columns=100):
+    """All orbits of minimal period up to max_period of a single scene between two walls at rest: a list of `Orbit`.
 
-    columns: of the coarsest cells, from wall to wall; pieces: into how many each way a cell is cut to find its image;
-    phase: of the section; told: called with a line for each period.
+    columns: of the coarsest cells, from wall to wall.
     """
-    cells, half = cover(scene, columns, phase)
-    reach, found = reached(scene, cells, half, pieces, phase), []
+    cells, half = cover(scene, columns)
+    reach, result = reached(scene, cells, half), []
     for n in range(1, max_period + 1):
-        least, last, walks = shrunk(scene, n, (half, cells, reach), pieces, phase)
-        rings, errors = solved(scene, last[walks], phase)
-        rings = distinct(rings[errors < EXACT])
-        found += [orbit(scene, ring, phase) for ring in rings if len(ring) == n]
-        fixed = [one for one in found if n % len(one.points) == 0]
-        alone = KDTree(np.concatenate([one.points for one in fixed])).query(last)[0] > NEAR * least
-        jumps = (beside(scene, last) < NEAR * least)[walks].any(1)
-        told(
-            f"period {n}: {sum(len(one.points) == n for one in fixed)} orbits; the indices of all fixed points sum to "
-            f"{sum(len(one.points) * one.index(n) for one in fixed)}; {len(last)} cells, {sum(alone & jumps)} off any "
-            f"orbit at jumps and {sum(alone & ~jumps)} elsewhere"
-        )
-    return paired(found)
+        last, walks = shrunk(scene, n, half, cells, reach)
+        rings, errors = solved(scene, last[walks])
+        rings = [ring for ring in distinct(rings[errors < EXACT]) if len(ring) == n]
+        result += [Orbit(ring, multipliers(scene, ring)) for ring in rings]
+    return result
 
 
-def cover(scene, columns, phase):
+def cover(scene, columns):
     """Cells over the velocities that two periods leave of any, and a tenth more at each end: middles and half-width."""
     left, right = float(scene.left.position), float(scene.right.position)
     half = 0.5 * (right - left) / columns
     points = product(np.linspace(left, right, 101), np.sinh(np.linspace(-7.0, 7.0, 1001)))
-    speeds = strobed(scene, strobed(scene, points, phase), phase)[:, 1]
+    speeds = strobed(scene, strobed(scene, points))[:, 1]
     low, high = speeds.min() - 0.1 * np.ptp(speeds), speeds.max() + 0.1 * np.ptp(speeds)
     return product(left + half * np.arange(1, 2 * columns, 2), np.arange(low, high + half, 2.0 * half)), half
 
@@ -98,80 +71,80 @@ def split(cells, half, pieces):
     return (cells[:, None] + product(inner, inner)).reshape(-1, 2)
 
 
-def beside(scene, points):
-    """The distances to the nearer wall."""
-    return np.minimum(points[:, 0] - float(scene.left.position), float(scene.right.position) - points[:, 0])
-
-
 def batched(function, size, points):
     """The function of x and v, called with a fixed number of points at a time."""
     padded = np.pad(points, ((0, -len(points) % size), (0, 0)), mode="edge")
     return np.concatenate([function(*part.T) for part in padded.reshape(-1, size, 2)])[: len(points)]
 
 
-def strobed(scene, points, phase):
+def strobed(scene, points):
     """x, v one period later, shape (points, 2)."""
 
     def run(x, v):
-        state, _ = jv.strobe(scene, jv.State(x, v, phase), 1, 0)
+        state, _ = jv.strobe(scene, jv.State(x, v), 1, 0)
         return np.stack([state.x, state.v], -1)
 
     return batched(run, BATCH, points)
 
 
-def derivative(scene, points, phase):
+def derivative(scene, points):
     """The derivative of one period, shape (points, 2, 2); zero where there is none."""
-    found = batched(lambda x, v: np.asarray(jv.monodromy(scene, jv.State(x, v, phase))), FEW, points)
-    return np.where(np.isfinite(found), found, 0.0)
+    matrices = batched(lambda x, v: np.asarray(jv.monodromy(scene, jv.State(x, v))), FEW, points)
+    return np.where(np.isfinite(matrices), matrices, 0.0)
 
 
-def reached(scene, cells, half, pieces, phase):
+def multipliers(scene, ring):
+    """The multipliers of an orbit, the larger one first."""
+    values = np.linalg.eigvals(np.linalg.multi_dot([np.eye(2), *derivative(scene, ring)[::-1], np.eye(2)]))
+    return values[np.argsort(-(values.imag if np.iscomplexobj(values) else abs(values)))]
+
+
+def reached(scene, cells, half):
     """Which cells the image of each may reach: for each piece a box along the principal axes of its nodes' images."""
     size, tree, pairs = len(cells), KDTree(cells), []
-    parts, inner = split(cells, half, pieces), half / pieces
+    parts, inner = split(cells, half, PIECES), half / PIECES
     for first in range(0, len(parts), BLOCK):
         nodes = (parts[first : first + BLOCK, None] + inner * product([-1, 0, 1], [-1, 0, 1])).reshape(-1, 2)
         nodes[:, 0] = np.clip(nodes[:, 0], float(scene.left.position), float(scene.right.position))
-        images = strobed(scene, nodes, phase).reshape(-1, 9, 2)
+        images = strobed(scene, nodes).reshape(-1, 9, 2)
         middle = images.mean(1)
         spread = images - middle[:, None]
         _, axes = np.linalg.eigh(np.einsum("cki,ckj->cij", spread, spread))
         room = TRUST * abs(spread @ axes).max(1) + half * abs(axes).sum(1)
         near = tree.query_ball_point(middle, np.linalg.norm(room, axis=1))
-        row, column = np.repeat(np.arange(len(near)), [len(one) for one in near]), np.concatenate(near).astype(int)
+        row, column = np.repeat(np.arange(len(near)), [len(some) for some in near]), np.concatenate(near).astype(int)
         hit = (abs(np.einsum("ci,cij->cj", cells[column] - middle[row], axes[row])) <= room[row]).all(-1)
-        pairs.append(np.unique((first + row[hit]) // pieces**2 * size + column[hit]))
+        pairs.append(np.unique((first + row[hit]) // PIECES**2 * size + column[hit]))
     rows, columns = np.divmod(np.concatenate(pairs), size)
     return sparse.csr_array((np.ones(len(rows), np.float32), (rows, columns)), shape=(size, size))
 
 
-def shrunk(scene, n, level, pieces, phase):
-    """Half-width and middles of the smallest cells with closed walks of n steps, and a walk from each (`walked`)."""
-    half, cells, reach = level
+def shrunk(scene, n, half, cells, reach):
+    """Middles of the smallest cells with closed walks of n steps, and a walk from each (`walked`)."""
     while True:
         keep = closed(reach, n)
         cells, reach = cells[keep], reach[keep][:, keep]
         if half <= SMALLEST:
-            return half, cells, walked(reach, n)
+            return cells, walked(reach, n)
         cells, half = split(cells, half, 2), 0.5 * half
-        reach = reached(scene, cells, half, pieces, phase)
+        reach = reached(scene, cells, half)
 
 
 def closed(reach, n):
     """The cells from which n steps may lead back."""
-    there, home, kept = reach.sign(), reach.T.tocsr().sign(), []
+    forward, backward, kept = reach.sign(), reach.T.tocsr().sign(), []
     for first in range(0, reach.shape[0], BLOCK):
         forth = back = sparse.eye_array(reach.shape[0], dtype=np.float32, format="csr")[first : first + BLOCK]
         for _ in range(n // 2):
-            forth = (forth @ there).sign()
+            forth = (forth @ forward).sign()
         for _ in range(n - n // 2):
-            back = (back @ home).sign()
+            back = (back @ backward).sign()
         kept.append(first + np.flatnonzero(forth.multiply(back).sum(1)))
     return np.concatenate(kept)
 
 
 def walked(reach, n):
-    """For each cell a closed walk of n steps, as places among the cells, shape (cells, n)."""
+    """For each cell a closed walk of n steps, as indices of cells, shape (cells, n)."""
     home = [sparse.eye_array(reach.shape[0], dtype=np.float32, format="csr")]  # whence k steps may lead where, reversed
     for _ in range(n):
         home.append((home[-1] @ reach.T.tocsr()).sign())
@@ -181,15 +154,15 @@ def walked(reach, n):
     return np.stack(walk, -1)
 
 
-def solved(scene, rings, phase):
+def solved(scene, rings):
     """Newton's method for the points of whole orbits, shape (orbits, n, 2): (rings, largest error of each)."""
     n, left, right = rings.shape[1], float(scene.left.position), float(scene.right.position)
 
     def errors(rings):
-        return strobed(scene, rings.reshape(-1, 2), phase).reshape(rings.shape) - np.roll(rings, -1, axis=-2)
+        return strobed(scene, rings.reshape(-1, 2)).reshape(rings.shape) - np.roll(rings, -1, axis=-2)
 
     for _ in range(STEPS):
-        slopes = derivative(scene, rings.reshape(-1, 2), phase).reshape(-1, n, 2, 2)
+        slopes = derivative(scene, rings.reshape(-1, 2)).reshape(-1, n, 2, 2)
         system = np.zeros((len(rings), n, 2, n, 2))
         for k in range(n):
             system[:, k, :, k] += slopes[:, k]
@@ -203,41 +176,10 @@ def solved(scene, rings, phase):
 
 def distinct(rings):
     """Different orbits, each as the points of the least number of periods."""
-    found = []
+    orbits = []
     for ring in rings:
         n = len(ring)
         least = next(m for m in range(1, n + 1) if n % m == 0 and abs(np.roll(ring, -m, axis=0) - ring).max() < APART)
-        if not any(len(one) == least and abs(one - ring[0]).max(1).min() < APART for one in found):
-            found.append(ring[:least])
-    return found
-
-
-def orbit(scene, ring, phase):
-    """What there is to know about an orbit, from its points."""
-    end, impacts = jv.strobe(scene, jv.State(*ring.T, phase), slots=32, clearance=True)
-    words = ["".join(LETTERS[one] for one in row) for row in impacts.side.tolist()]
-    turn = min(range(len(ring)), key=lambda k: (words[k:] + words[:k], *ring[k]))
-    signed = np.roll(np.asarray(impacts.side * impacts.speed), -turn, axis=0)
-    slopes = derivative(scene, ring, phase)
-    trace, area = np.trace(np.linalg.multi_dot([np.eye(2), *slopes[::-1], np.eye(2)])), np.prod(np.linalg.det(slopes))
-    root = np.emath.sqrt(trace**2 - 4.0 * area)
-    large = 0.5 * (trace + (root if trace >= 0 else -root))
-    return Orbit(
-        itinerary=tuple(words[turn:] + words[:turn]),
-        points=np.roll(ring, -turn, axis=0),
-        multipliers=np.array([large, area / large if large else 0.0]),
-        residual=float(abs(np.stack([end.x, end.v], -1) - np.roll(ring, -1, axis=0)).max()),
-        least_speed=float(impacts.least_speed.min()),
-        least_clearance=float(impacts.least_clearance.min()),
-        hits=signed[signed != 0],
-    )
-
-
-def paired(found):
-    """The orbits with the places of their mirror images: the same impacts in order, on the other walls."""
-
-    def alike(one, other):
-        turns, sizes = range(max(1, len(one.hits))), [(len(each.points), len(each.hits)) for each in (one, other)]
-        return sizes[0] == sizes[1] and any(np.allclose(np.roll(one.hits, k), -other.hits, atol=1e-6) for k in turns)
-
-    return [replace(one, twin=next((k for k, two in enumerate(found) if alike(one, two)), None)) for one in found]
+        if not any(len(other) == least and abs(other - ring[0]).max(1).min() < APART for other in orbits):
+            orbits.append(ring[:least])
+    return orbits
