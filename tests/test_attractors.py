@@ -258,10 +258,3 @@ def test_slow_convergence_is_not_taken_for_a_longer_period(multiplier):
     first = next(k for k, n in enumerate(periods) if n)
     assert set(periods[first:]) == {1}
     assert abs(whole[64 + 512 * first + 63, 0, 0] - 0.3) < 1e-7
-
-
-def test_recurrence_of_longer_periods_and_of_none():
-    three = np.tile([[0.1, 0.0], [0.5, 0.2], [-0.4, 0.1]], (50, 1))
-    golden = np.stack([np.cos(2 * np.pi * 0.6180339887 * np.arange(150)), np.zeros(150)], -1)
-    both = np.stack([three, golden], axis=1)
-    assert recurrence(both, both).tolist() == [3, 0]

@@ -58,17 +58,6 @@ def test_each_attractor_has_one_name_along_the_parameter(data, progress):
         assert (row[labels == ""] == -1).all()
 
 
-def test_names_stay_on_the_branches_that_are_followed(data):
-    for place in np.flatnonzero((data["label"] == "P111").all("amplitude")):
-        entry = data.isel(attractor=place)
-        state = jv.State(float(entry["state_x"][0]), float(entry["state_v"][0]))
-        orbit = jv.find_orbit(plain(amplitude=VALUES[0]), state, settle=0)
-        branch = jv.follow(orbit, "amplitude", (VALUES[0], 4.91), "forward")
-        for key in "xv":
-            line = np.interp(VALUES, branch.values, branch.data[key].values[:, 0])
-            assert abs(line - entry[f"state_{key}"].values).max() < 2e-3
-
-
 def test_files_hold_every_bit_and_physical_units_scale_it(data, tmp_path):
     data.to_netcdf(tmp_path / "plain.nc", engine="scipy")
     loaded = xr.load_dataset(tmp_path / "plain.nc")

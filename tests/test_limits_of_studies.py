@@ -30,45 +30,6 @@ def ticking(monkeypatch):
     return start
 
 
-def test_a_sweep_stops_between_chunks(tmp_path, ticking, monkeypatch):
-    values = np.linspace(4.5, 4.9, 40)
-    whole = jv.sweep(scene(), "amplitude", values, START, 3, 2)
-    ticking()
-    part = jv.sweep(scene(), "amplitude", values, START, 3, 2, max_seconds=1.5)
-    done = part["status"].values >= 0
-    assert done.sum() == 32 and done[:32].all() and part.attrs["stopped"] == "max_seconds reached: 32 of 40 values done"
-    assert np.array_equal(part["x"].values[:32], whole["x"].values[:32]) and np.isnan(part["x"].values[32:]).all()
-    monkeypatch.setattr("jaxvibro.attractors.sweep_study.BLOCK_WIDTH", 1)  # lanes of a chunk
-    lanes = scene(damping=np.array([0.04, 0.05, 0.06]))
-    store = jv.Store(tmp_path / "sweep.zarr", jv.LocalEngine(workers=1))
-    ticking()
-    part = jv.sweep(lanes, "amplitude", values, START, 3, 2, store=store, max_seconds=1.5)
-    done = part["status"].values >= 0
-    assert part.attrs["stopped"] == f"max_seconds reached: {done[0].sum()} of 3 cells done" and 0 < done[0].sum() < 3
-    again = jv.sweep(lanes, "amplitude", values, START, 3, 2, store=store)
-    assert "stopped" not in again.attrs and (again["status"].values >= 0).all()
-    assert np.array_equal(part["v"].values[done], again["v"].values[done])
-    assert np.array_equal(again["v"].values[:, 1], whole["v"].values)
-
-
-def test_a_spectrum_stops_between_values(tmp_path, ticking):
-    values = np.linspace(2.0, 2.2, 66)  # of two blocks
-    few = {"settle": 5, "error": 1.0, "most": 1}
-    whole = jv.spectrum(scene(), "amplitude", values, START, **few)
-    store = jv.Store(tmp_path / "spectrum.zarr", jv.LocalEngine(workers=1))
-    for kept, unit in ((None, "values"), (store, "cells")):
-        ticking()
-        part = jv.spectrum(scene(), "amplitude", values, START, **few, store=kept, max_seconds=1.5)
-        done = part["status"].values >= 0
-        assert 0 < done.sum() < 66 and part.attrs["stopped"] == f"max_seconds reached: {done.sum()} of 66 {unit} done"
-        for key in ("exponent", "impacts", "within", "periods", "rests"):
-            np.testing.assert_array_equal(part[key].values[done], whole[key].values[done])
-        assert np.isnan(part["exponent"].values[~done]).all() and not part["count"].values[~done].any()
-    again = jv.spectrum(scene(), "amplitude", values, START, **few, store=store)
-    assert "stopped" not in again.attrs
-    np.testing.assert_array_equal(again["exponent"].values, whole["exponent"].values)
-
-
 def test_fractions_stop_between_values(ticking, monkeypatch):
     monkeypatch.setattr(
         "jaxvibro.surveys.fractions._compute_shock_size", lambda *given: 0.5

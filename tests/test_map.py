@@ -50,15 +50,6 @@ def test_complete_chatter_has_its_label():
     assert data["period"].values.tolist() == [1, 1]
 
 
-def test_a_carried_motion_shows_hysteresis():
-    grid = {"damping": [0.03, 0.05], "amplitude": np.linspace(3.0, 6.0, 13)}
-    data = jv.map_parameters(figure_4(frequency=2.8), grid, along="amplitude", quantities=("label",))
-    assert data["label"].dims == ("damping", "amplitude", "way")
-    assert (data["label"].sel(way=1) != data["label"].sel(way=-1)).any()
-    first = jv.map_parameters(figure_4(frequency=2.8), {**grid, "damping": [0.03]}, along="amplitude")
-    np.testing.assert_array_equal(first["label"].values[0], data["label"].values[0])
-
-
 def test_attractors_and_loads_of_random_starts():
     asked = ("label", "period", "exponent", "attractors", "loads")
     data = jv.map_parameters(figure_4(), {"amplitude": [4.65]}, 60, asked, seed=3).isel(amplitude=0)

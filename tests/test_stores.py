@@ -44,18 +44,6 @@ def test_reports_and_the_data_that_are_read_from_a_store(tmp_path):
     assert json.loads(attributes["jaxvibro_store"])["sizes"] == {"row": 9, "column": 4}
 
 
-def test_the_cells_that_are_not_done_are_blank(tmp_path):
-    log, path = str(tmp_path / "log"), tmp_path / "store"
-    with pytest.raises(ArithmeticError, match="chunk 1"):
-        keep(Counted(9, log=log, fails=1), path, 1)
-    half = jv.load_store(path)
-    assert half.attrs["chunks_done"] in (5, 6)  # the next one, 6, may have been begun
-    np.testing.assert_array_equal(half["label"].values[[0, 5, 2, 7, 4, 1, 3, 8], 0], [0, 5, 2, 7, 4, -1, -1, -1])
-    assert np.isnan(half["number"].values[[1, 3, 8]]).all()
-    keep(Counted(9, log=log), path)
-    assert counts(log) == dict.fromkeys(range(9), 1)
-
-
 def test_a_damaged_chunk_is_named_and_recomputed(tmp_path):
     path, log = tmp_path / "store", str(tmp_path / "log")
     keep(Counted(6), path)
@@ -68,17 +56,6 @@ def test_a_damaged_chunk_is_named_and_recomputed(tmp_path):
     (path / "done" / "c" / "3").write_bytes(b"no number")  # the chunk is not done
     keep(Counted(6, log=log), path)
     assert counts(log) == {3: 2} and bits(path) == before
-
-
-def test_another_study_is_refused(tmp_path):
-    path = tmp_path / "store"
-    keep(Counted(3), path)
-    before = bits(path)
-    with pytest.raises(jv.ArgumentError, match=r"scene differs; got 'offset = 0.5 stored, offset = 0.25 requested'"):
-        keep(Counted(3, offset=0.25), path)
-    with pytest.raises(jv.ArgumentError, match="rows differs; got '3 stored, 4 requested'"):
-        keep(Counted(4), path)
-    assert bits(path) == before
 
 
 def test_other_versions_are_refused(tmp_path, monkeypatch):

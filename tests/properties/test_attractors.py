@@ -4,6 +4,7 @@ from contextlib import suppress
 from functools import lru_cache
 
 import numpy as np
+from scipy import stats
 
 import jaxvibro as jv
 from tests.kinds import wall_ends
@@ -32,14 +33,21 @@ def plane(state):
     return np.stack([np.asarray(state.x), np.asarray(state.v)], -1)
 
 
+def bounds_of(count):
+    """Return the bounds of Clopper and Pearson at 95 %, one-sided for none and for all."""
+    level = 0.025 if 0 < count < STARTS else 0.05
+    low = stats.beta.ppf(level, count, STARTS - count + 1) if count else 0.0
+    return low, stats.beta.isf(level, count + 1, STARTS - count) if count < STARTS else 1.0
+
+
 @of_numbers
 def test_orbits(kind, number):
     """The points of a periodic attractor map onto each other, with its impacts and multipliers; shares sum to 1."""
     scene, attractors = attractors_of(kind, number)
     assert abs(sum(attractor.share for attractor in attractors) - 1.0) < 1e-12
     for attractor in attractors:
-        low, high = attractor.share_bounds
-        assert 0.0 <= low <= attractor.share <= high <= 1.0
+        assert attractor.mirror_of is None  # no kind is symmetric
+        np.testing.assert_allclose(attractor.share_bounds, bounds_of(round(STARTS * attractor.share)), atol=1e-12)
         if attractor.kind != "periodic":
             assert attractor.orbit is None and attractor.periods == 0
             continue
