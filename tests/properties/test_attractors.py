@@ -263,7 +263,7 @@ def test_manifolds(kind, number):
     orbit = saddle_of(kind, number)
     scene = orbit.scene
     for name in ("stable", "unstable"):
-        curve = jv.manifold(orbit, name, 3.0, 0.0, 0.01, 0.05)
+        curve = jv.manifold(orbit, name, 3.0, 0.0, 0.005, 0.02)
         some = (curve["image"].values > 0) & (curve["arc"].values < (3.0 if name == "stable" else 1.0))
         some = np.flatnonzero(some & (abs(curve["v"].values) < 4.0))
         some = some[:: max(1, len(some) // 24)][:24]
@@ -273,7 +273,7 @@ def test_manifolds(kind, number):
         stretch = abs(np.asarray(jv.monodromy(scene, state, slots=SLOTS))).max((1, 2))
         end, _ = jv.strobe(scene, state, 1, 0)
         apart = distance(curve, plane(end))
-        assert np.quantile(apart - 1e-13 * stretch, 0.8) < 1e-6 and apart.max() < 1e-2
+        assert (apart - 1e-13 * stretch).max() < 1e-6
         if name == "stable":
             begin = np.hypot(*(given - plane(orbit.state)).T)
             for _ in range(images.max() + 4):
