@@ -6,8 +6,6 @@ import numpy as np
 import pytest
 
 import jaxvibro as jv
-from continuation import computation_limits
-from jaxvibro.design import place
 from jaxvibro.loci.loci_of_branches import follow_loci
 
 from .scene_files import SCENE
@@ -119,27 +117,14 @@ def fold():
     return jv.follow(orbit, "amplitude", (0.0, 6.0)).points("SN")[0]
 
 
-def test_a_placement_without_time_stays_at_the_scene(fold, ticking):
+@pytest.mark.parametrize(("seconds", "fraction"), [(0.5, 0), (3.5, 0.25)])
+def test_a_placement_stops_between_steps(ticking, seconds, fraction):
+    """The value is the free parameter itself, which may change by 0.4 of the distance: steps of 1, 0.5 and 0.25."""
+    task = {"free": {"damping": 1.0}, "bounds": {"damping": (0.01, 0.45)}, "scene": scene()}
     ticking()
-    part = jv.place(fold, None, fold.value + 0.1, {"damping": 0.05}, max_seconds=0.5)
-    assert not part.met and part.distance == 0.0
-    assert part.why == "the path to the targets ends after 0 of its length: max_seconds reached"
-
-
-def test_a_placement_stops_between_steps():
-    """One free parameter, whose change is the value, up to 0.4: steps of 1, 0.5 and 0.25."""
-
-    def sloped(places):
-        return places.copy(), np.ones((len(places), 1, 1))
-
-    read, none = iter(range(100)), np.zeros(1)
-    late = computation_limits.Limits(deadline=2.5, read_clock=lambda: float(next(read)))
-    bounds = none - np.inf, none + 0.4
-    problem = place._PlacementProblem(("damping",), none + 1.0, none, *bounds, sloped, lambda change: [])
-    last, _, virtual = place._follow_path_to_targets(problem, np.ones(1), late)
-    assert last.is_time_expired and last.fraction == 0.25 and not virtual
-    reason = place._failure_reason(last.fraction, virtual, (), last.is_time_expired)
-    assert reason == "the path to the targets ends after 0.25 of its length: max_seconds reached"
+    part = jv.place(lambda scene: scene.damping, None, 1.05, **task, max_seconds=seconds)
+    assert not part.met and part.distance == fraction
+    assert part.why == f"the path to the targets ends after {fraction} of its length: max_seconds reached"
 
 
 def test_loci_of_a_family_stop_in_time(fold, ticking):
