@@ -9,9 +9,10 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
 import jaxvibro as jv
-from jaxvibro.attractors import basin_boundaries, trapping_region
+from jaxvibro.attractors.basin_boundaries import basin_entropies, boundary_dimension
 from jaxvibro.attractors.manifold import _assemble_side
 from jaxvibro.attractors.manifold_growth import ManifoldLevel, ManifoldPointRules
+from jaxvibro.attractors.trapping_region import find_trapping_ellipses
 from jaxvibro.plot.basins import PALE_COLOURS
 
 from .plane_curves import bisected, distance, points_of
@@ -54,14 +55,14 @@ def test_starts_without_a_trapping_region_are_not_certain():
     elastic = jv.make_scene(4.65, 2.1, 0.0, 1.0, (-1.0, 1.0))
     orbit = jv.find_orbits(elastic, 1, 16)[0]
     point = np.array([[orbit.state.x, orbit.state.v]])
-    assert trapping_region.find_trapping_ellipses(elastic, point, orbit.state.phase, 3.0) is None
+    assert find_trapping_ellipses(elastic, point, orbit.state.phase, 3.0) is None
 
 
 def test_no_state_leaves_a_trapping_region():
     scene, attractors = known()
     rng = np.random.default_rng(0)
     for one in attractors:
-        region = trapping_region.find_trapping_ellipses(scene, one.points, 0.0, 6.0)
+        region = find_trapping_ellipses(scene, one.points, 0.0, 6.0)
         disc = rng.normal(size=(500, 2))
         disc *= (rng.random(500) ** 0.5 / np.hypot(*disc.T))[:, None]
         z = one.points[0] + np.linalg.solve(region.ellipse_matrices[0], disc.T).T
@@ -83,32 +84,30 @@ def test_single_precision_has_basins():
 
 
 def test_entropy_of_known_pictures():
-    entropies = basin_boundaries.basin_entropies
     halves = np.repeat([[0, 1]], 50, axis=1).T @ np.ones((1, 100), int)
     board = np.indices((100, 100)).sum(axis=0) % 2
-    assert entropies(board, 2) == pytest.approx((np.log(2), np.log(2)))
-    assert entropies(halves, 5) == (0.0, 0.0)  # the boundary lies between boxes
+    assert basin_entropies(board, 2) == pytest.approx((np.log(2), np.log(2)))
+    assert basin_entropies(halves, 5) == (0.0, 0.0)  # the boundary lies between boxes
     part = -(0.4 * np.log(0.4) + 0.6 * np.log(0.6))
-    assert entropies(np.roll(halves, 2, axis=0), 5) == pytest.approx((part * 2 / 20, part))
-    assert entropies(np.arange(90 * 90).reshape(90, 90) % 3, 3) == pytest.approx((np.log(3), np.log(3)))
-    assert entropies(np.where(board == 1, -1, 0), 2) == (0.0, 0.0)
+    assert basin_entropies(np.roll(halves, 2, axis=0), 5) == pytest.approx((part * 2 / 20, part))
+    assert basin_entropies(np.arange(90 * 90).reshape(90, 90) % 3, 3) == pytest.approx((np.log(3), np.log(3)))
+    assert basin_entropies(np.where(board == 1, -1, 0), 2) == (0.0, 0.0)
     for few in (board[:3, :3], board[:3], board[:, :3]):  # no whole box
-        assert np.isnan(entropies(few)).all()
+        assert np.isnan(basin_entropies(few)).all()
 
 
 def test_dimension_of_known_pictures():
-    dimension = basin_boundaries.boundary_dimension
     rows, columns = np.indices((1025, 1025))
     halves = (columns > 400).astype(int)
-    straight = dimension(halves)
+    straight = boundary_dimension(halves)
     assert (straight.value, straight.error) == pytest.approx((1.0, 0.0), abs=1e-12)
     np.testing.assert_allclose(straight.mixed_fractions, straight.box_sides / 1024)
-    assert dimension((columns > 0.37 * rows + 100.3).astype(int)).value == pytest.approx(1.0, abs=0.01)
-    circle = dimension(((rows - 500) ** 2 + (columns - 510) ** 2 < 300**2).astype(int))
+    assert boundary_dimension((columns > 0.37 * rows + 100.3).astype(int)).value == pytest.approx(1.0, abs=0.01)
+    circle = boundary_dimension(((rows - 500) ** 2 + (columns - 510) ** 2 < 300**2).astype(int))
     assert circle.value == pytest.approx(1.0, abs=max(0.02, 2 * circle.error))
-    assert dimension(np.random.default_rng(0).integers(0, 2, (1025, 1025))).value > 1.9
-    assert np.isnan(dimension(np.zeros((65, 65), int))[:2]).all()
-    assert dimension(np.where(columns == 400, -1, halves)).value == pytest.approx(1.0, abs=0.1)
+    assert boundary_dimension(np.random.default_rng(0).integers(0, 2, (1025, 1025))).value > 1.9
+    assert np.isnan(boundary_dimension(np.zeros((65, 65), int))[:2]).all()
+    assert boundary_dimension(np.where(columns == 400, -1, halves)).value == pytest.approx(1.0, abs=0.1)
 
 
 def test_dimension_of_a_cantor_set_of_boundaries():
@@ -117,7 +116,7 @@ def test_dimension_of_a_cantor_set_of_boundaries():
         third = np.arange(3**levels) // 3 ** (levels - 1 - level) % 3
         new = (third == 1) & (parity == 0)
         parity[new] = 1 + level % 2
-    cantor = basin_boundaries.boundary_dimension(np.tile(np.where(parity == 0, 3, parity), (2049, 1)))
+    cantor = boundary_dimension(np.tile(np.where(parity == 0, 3, parity), (2049, 1)))
     true = 1.0 + np.log(2) / np.log(3)
     assert cantor.value == pytest.approx(true, abs=0.06) and abs(cantor.value - true) < 3 * cantor.error
 
