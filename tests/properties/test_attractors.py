@@ -21,7 +21,7 @@ ANGLES = np.linspace(0.0, 2.0 * np.pi, 4001)
 SETTLED = 1000  # periods after which a start is on its attractor
 
 
-@lru_cache(maxsize=4)
+@lru_cache(maxsize=64)
 def attractors_of(kind, number):
     """Return a scene and its attractors; the unresolved starts are the last of them, if there are any."""
     scene, _ = kind.draw_single(number)
