@@ -257,4 +257,4 @@ def test_chaos_and_transients_of_a_sweep_are_distinguished(tmp_path):
         table, rows = stretches(tmp_path, linear, (0.2, 0.25), 2, settle, 20)
         assert rows == [expected]
         assert ("not settled: a transient: more periods must be discarded" in table) == (settle < 400)
-    assert table.splitlines()[2].split() == ["up", "0.2", "0.25", "2", "1"]
+    assert ["up", "0.2", "0.25", "2", "1"] in [line.split() for line in table.splitlines()]
