@@ -117,6 +117,18 @@ def fold():
     return jv.follow(orbit, "amplitude", (0.0, 6.0)).points("SN")[0]
 
 
+def assert_no_negative_time(function, *given):
+    with pytest.raises(jv.ArgumentError, match="max_seconds: must be a positive number"):
+        function(*given, max_seconds=-1.0)
+
+
+def test_negative_times_are_refused():
+    assert_no_negative_time(jv.find_isolas, empty("all"))
+    assert_no_negative_time(jv.diagrams, scene(), "frequency", (1.0, 2.0), "amplitude", [1.0])
+    assert_no_negative_time(jv.search, scene(), "GR", {"damping": 0.1}, {})
+    assert_no_negative_time(jv.place, lambda scene: scene.damping, None, 1.0, {})
+
+
 @pytest.mark.parametrize(("seconds", "fraction"), [(0.5, 0), (3.5, 0.25)])
 def test_a_placement_stops_between_steps(ticking, seconds, fraction):
     """The value is the free parameter itself, which may change by 0.4 of the distance: steps of 1, 0.5 and 0.25."""
@@ -129,6 +141,7 @@ def test_a_placement_stops_between_steps(ticking, seconds, fraction):
 
 def test_loci_of_a_family_stop_in_time(fold, ticking):
     task = fold, ("amplitude", "frequency"), {"amplitude": (0.0, 8.0), "frequency": (1.8, 2.4)}, "damping"
+    assert_no_negative_time(jv.family, *task, [0.05])
     whole = jv.family(*task, [0.05, 0.06])
     assert whole.stopped == "" and all(len(one) > 12 for one in whole)
     few = jv.family(*task, [0.05, 0.06], max_points=9)
@@ -158,6 +171,7 @@ def test_search_and_margin_stop_between_rays(ticking):
         followed.append(part.followed)
     assert followed[0] == 0 < followed[1] < followed[2] <= whole.followed
     orbit = jv.find_orbit(one_wall, jv.State(0.1, 0.2))
+    assert_no_negative_time(jv.margin, orbit, free)
     near = jv.margin(orbit, free)
     assert near.stopped == "" and near.points
     ticking()
@@ -169,6 +183,7 @@ def test_search_and_margin_stop_between_rays(ticking):
 def test_period_adding_stops_between_windows(ticking):
     orbit = jv.find_orbit(jv.make_scene(6.0, 2.1, 1.2, 0.7, (None, 1.0)), jv.State(0.0, 0.0))
     (grazing,) = jv.follow(orbit, "amplitude", (6.0, 6.2), stop="GR").points("GR")
+    assert_no_negative_time(jv.period_adding, grazing)
     whole = jv.period_adding(grazing, 4)
     ticking()
     part = jv.period_adding(grazing, 4, max_seconds=1.5)

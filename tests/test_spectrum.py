@@ -74,10 +74,13 @@ def test_exponents_of_chaos_by_another_method(many):
     """Closed forms in NumPy, both tangents measured: chaotic and periodic motions."""
     values, copies, periods = np.array([5.0, 5.95, 8.0, 10.0]), 64, 200
     data = jv.spectrum(scene(), "amplitude", values, START, error=5e-3)
-    x, v = np.full(4 * copies, START.x), START.v + 1e-7 * np.random.default_rng(1).normal(size=4 * copies)
-    lanes = Lanes(np.repeat(values, copies), OMEGA, GAMMA, [Wall(-1, -1.0, 0.7), Wall(1, 1.0, 0.7)], x, v)
-    growth, hits, _ = exponents(lanes, periods, 150)
-    growth, hits = growth.reshape(4, copies, 2), hits.sum(axis=0).reshape(4, copies)
+    walls, growth, hits = [Wall(-1, -1.0, 0.7), Wall(1, 1.0, 0.7)], [], []
+    for amplitude in values:
+        v = START.v + 1e-7 * np.random.default_rng(1).normal(size=copies)
+        rates, impacts, _ = exponents(Lanes(amplitude, OMEGA, GAMMA, walls, np.full(copies, START.x), v), periods, 150)
+        growth.append(rates)
+        hits.append(impacts.sum(axis=0))
+    growth, hits = np.array(growth), np.array(hits)
     errors = np.maximum(growth.std(axis=1, ddof=1) / copies**0.5, 1.0 / periods)
     pulls = (data.exponent.values - growth.mean(axis=1)) / np.hypot(data.error.values, errors)
     assert errors.max() < 0.025 and abs(pulls).max() < 4 and abs(data.impacts.values - hits.mean(axis=1)).max() < 0.04
