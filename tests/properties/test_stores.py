@@ -59,7 +59,7 @@ def test_engines(kind, number):
         before = marks(place / "one")
         xr.testing.assert_identical(compute(jv.Store(place / "one"), reports.append), whole)
         assert marks(place / "one") == before
-        with pytest.raises(jv.ArgumentError, match=r"must hold this study: .* differs; got '.* stored, .* requested'"):
+        with pytest.raises(jv.ArgumentError, match=r"must hold this study: .* differs"):
             kind.draw(number + 1)(jv.Store(place / "one"))
         assert bits(place / "one") == bits(place / "several")
         loaded = jv.load_store(place / "one")
