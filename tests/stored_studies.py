@@ -92,10 +92,15 @@ def keep(study, path, workers=None):
 
 @dataclass(frozen=True)
 class StudyKind:
-    """A kind of study; make: from random numbers to a function of a store and a callback that computes the study."""
+    """A kind of study.
+
+    make: from random numbers to a function of a store, a callback and limits that computes the study; blank: a variable
+    and its value in cells that are not done.
+    """
 
     name: str
     make: Callable
+    blank: tuple[str, int] = ("label", -1)
 
     def draw(self, number):
         """Return the function of a draw."""
@@ -107,62 +112,67 @@ def counted(rng):
     return lambda store=None, progress=None: complete_study(study, store, progress)
 
 
-def _scene(rng):
-    return jv.make_scene(4.65, 2.1, rng.uniform(0.04, 0.06), 0.7, (jv.Wall(-1.0), jv.Wall(1.0)))
+def _scene(damping=0.05):
+    return jv.make_scene(4.65, 2.1, damping, 0.7, (jv.Wall(-1.0), jv.Wall(1.0)))
+
+
+def study_of(function, *given, **chosen):
+    """Return a function of a store, a callback and limits that computes a study."""
+
+    def compute(store=None, progress=None, **limits):
+        return function(*given, **chosen, store=store, progress=progress, **limits)
+
+    return compute
 
 
 def map_of_parameters(rng):
-    scene, chunk = _scene(rng), int(rng.integers(1, 4))
     grid = {"frequency": np.linspace(1.6, 3.0, 3), "amplitude": np.linspace(4.0, 6.0, 2)}
-    chosen = {"chunk": chunk, "settle": 64, "patience": 600}
-    return lambda store=None, progress=None: jv.map_parameters(scene, grid, **chosen, store=store, progress=progress)
+    chosen = {"chunk": int(rng.integers(1, 4)), "settle": 64, "patience": 600}
+    return study_of(jv.map_parameters, _scene(rng.uniform(0.04, 0.06)), grid, **chosen)
 
 
 def basins(rng):
-    scene, phase, size = _scene(rng), rng.uniform(0.0, 6.0), int(rng.integers(20, 60))
-    attractors = jv.find_attractors(scene, 24)
-    axes = np.linspace(-1.0, 1.0, 9), np.linspace(-4.0, 4.0, 10)
+    scene, phase, size = _scene(rng.uniform(0.04, 0.06)), rng.uniform(0.0, 6.0), int(rng.integers(20, 60))
+    axes, attractors = (np.linspace(-1.0, 1.0, 9), np.linspace(-4.0, 4.0, 10)), jv.find_attractors(scene, 24)
+    study = study_of(jv.basins, scene, *axes, phase, attractors, 600)
 
-    def compute(store=None, progress=None):
+    def compute(store=None, progress=None, **limits):
         with mock.patch("jaxvibro.attractors.basins.STARTS_PER_CHUNK", size if store else 1000):
-            return jv.basins(scene, *axes, phase, attractors, 600, progress, store)
+            return study(store, progress, **limits)
 
     return compute
 
 
 def spectrum(rng):
     values, state = np.linspace(2.0, 2.0 + rng.uniform(0.1, 4.0), 66), jv.State(0.0, rng.uniform(-1.0, 1.0))
-    chosen = {"settle": 5, "error": 1.0, "most": 1}
-    return lambda store=None, progress=None: jv.spectrum(
-        _scene(np.random.default_rng(0)), "amplitude", values, state, **chosen, progress=progress, store=store
-    )
+    return study_of(jv.spectrum, _scene(), "amplitude", values, state, settle=5, error=1.0, most=1)
 
 
 def sweep(rng):
-    scene, state = _scene(rng), jv.State(rng.uniform(-0.5, 0.5, (2, 33)), 0.0)
-    values = np.linspace(2.0, 4.0, 5)
-    return lambda store=None, progress=None: jv.sweep(
-        scene, "amplitude", values, state, 20, 5, progress=progress, store=store
-    )
+    state = jv.State(rng.uniform(-0.5, 0.5, (2, 33)), 0.0)
+    return study_of(jv.sweep, _scene(rng.uniform(0.04, 0.06)), "amplitude", np.linspace(2, 4, 5), state, 20, 5)
 
 
 KINDS = {
-    name: StudyKind(name, make)
-    for name, make in {
-        "counted": counted,
-        "map": map_of_parameters,
-        "basins": basins,
-        "spectrum": spectrum,
-        "sweep": sweep,
-    }.items()
+    kind.name: kind
+    for kind in (
+        StudyKind("counted", counted),
+        StudyKind("map", map_of_parameters),
+        StudyKind("basins", basins, ("label", -3)),
+        StudyKind("spectrum", spectrum, ("status", -1)),
+        StudyKind("sweep", sweep, ("status", -1)),
+    )
 }
 
 
 def main(name, number, folder, engine):
     """Compute a draw of a kind in a store."""
     jax.config.update("jax_enable_x64", True)
-    engines = {"local": lambda: jv.LocalEngine(1), "dask": lambda: jv.DaskEngine(workers=1)}
-    KINDS[name].draw(int(number))(jv.Store(folder, engines.get(engine, lambda: jv.DaskEngine(engine))()))
+    if engine == "local":
+        chosen = jv.LocalEngine(1)
+    else:
+        chosen = jv.DaskEngine(workers=1) if engine == "dask" else jv.DaskEngine(engine)
+    KINDS[name].draw(int(number))(jv.Store(folder, chosen))
 
 
 if __name__ == "__main__":

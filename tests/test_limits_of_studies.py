@@ -2,16 +2,13 @@
 
 from types import SimpleNamespace
 
-import msgspec
 import numpy as np
 import pytest
 
 import jaxvibro as jv
-from continuation import computation_limits
-from jaxvibro.design import place
 from jaxvibro.loci.loci_of_branches import follow_loci
-from jaxvibro.studies.scene_file_studies import _run_sweep
-from jaxvibro.studies.schema import SweepTable
+
+from .scene_files import SCENE
 
 START = jv.State(0.3, 0.1)
 
@@ -29,45 +26,6 @@ def ticking(monkeypatch):
         monkeypatch.setattr("continuation.computation_limits.clock", lambda: float(next(read)))
 
     return start
-
-
-def test_a_sweep_stops_between_chunks(tmp_path, ticking, monkeypatch):
-    values = np.linspace(4.5, 4.9, 40)
-    whole = jv.sweep(scene(), "amplitude", values, START, 3, 2)
-    ticking()
-    part = jv.sweep(scene(), "amplitude", values, START, 3, 2, max_seconds=1.5)
-    done = part["status"].values >= 0
-    assert done.sum() == 32 and done[:32].all() and part.attrs["stopped"] == "max_seconds reached: 32 of 40 values done"
-    assert np.array_equal(part["x"].values[:32], whole["x"].values[:32]) and np.isnan(part["x"].values[32:]).all()
-    monkeypatch.setattr("jaxvibro.attractors.sweep_study.BLOCK_WIDTH", 1)  # lanes of a chunk
-    lanes = scene(damping=np.array([0.04, 0.05, 0.06]))
-    store = jv.Store(tmp_path / "sweep.zarr", jv.LocalEngine(workers=1))
-    ticking()
-    part = jv.sweep(lanes, "amplitude", values, START, 3, 2, store=store, max_seconds=1.5)
-    done = part["status"].values >= 0
-    assert part.attrs["stopped"] == f"max_seconds reached: {done[0].sum()} of 3 cells done" and 0 < done[0].sum() < 3
-    again = jv.sweep(lanes, "amplitude", values, START, 3, 2, store=store)
-    assert "stopped" not in again.attrs and (again["status"].values >= 0).all()
-    assert np.array_equal(part["v"].values[done], again["v"].values[done])
-    assert np.array_equal(again["v"].values[:, 1], whole["v"].values)
-
-
-def test_a_spectrum_stops_between_values(tmp_path, ticking):
-    values = np.linspace(2.0, 2.2, 66)  # of two blocks
-    few = {"settle": 5, "error": 1.0, "most": 1}
-    whole = jv.spectrum(scene(), "amplitude", values, START, **few)
-    store = jv.Store(tmp_path / "spectrum.zarr", jv.LocalEngine(workers=1))
-    for kept, unit in ((None, "values"), (store, "cells")):
-        ticking()
-        part = jv.spectrum(scene(), "amplitude", values, START, **few, store=kept, max_seconds=1.5)
-        done = part["status"].values >= 0
-        assert 0 < done.sum() < 66 and part.attrs["stopped"] == f"max_seconds reached: {done.sum()} of 66 {unit} done"
-        for key in ("exponent", "impacts", "within", "periods", "rests"):
-            np.testing.assert_array_equal(part[key].values[done], whole[key].values[done])
-        assert np.isnan(part["exponent"].values[~done]).all() and not part["count"].values[~done].any()
-    again = jv.spectrum(scene(), "amplitude", values, START, **few, store=store)
-    assert "stopped" not in again.attrs
-    np.testing.assert_array_equal(again["exponent"].values, whole["exponent"].values)
 
 
 def test_fractions_stop_between_values(ticking, monkeypatch):
@@ -159,32 +117,31 @@ def fold():
     return jv.follow(orbit, "amplitude", (0.0, 6.0)).points("SN")[0]
 
 
-def test_a_placement_without_time_stays_at_the_scene(fold, ticking):
+def assert_no_negative_time(function, *given):
+    with pytest.raises(jv.ArgumentError, match="max_seconds: must be a positive number"):
+        function(*given, max_seconds=-1.0)
+
+
+def test_negative_times_are_refused():
+    assert_no_negative_time(jv.find_isolas, empty("all"))
+    assert_no_negative_time(jv.diagrams, scene(), "frequency", (1.0, 2.0), "amplitude", [1.0])
+    assert_no_negative_time(jv.search, scene(), "GR", {"damping": 0.1}, {})
+    assert_no_negative_time(jv.place, lambda scene: scene.damping, None, 1.0, {})
+
+
+@pytest.mark.parametrize(("seconds", "fraction"), [(0.5, 0), (3.5, 0.25)])
+def test_a_placement_stops_between_steps(ticking, seconds, fraction):
+    """The value is the free parameter itself, which may change by 0.4 of the distance: steps of 1, 0.5 and 0.25."""
+    task = {"free": {"damping": 1.0}, "bounds": {"damping": (0.01, 0.45)}, "scene": scene()}
     ticking()
-    part = jv.place(fold, None, fold.value + 0.1, {"damping": 0.05}, max_seconds=0.5)
-    assert not part.met and part.distance == 0.0
-    assert part.why == "the path to the targets ends after 0 of its length: max_seconds reached"
-
-
-def test_a_placement_stops_between_steps():
-    """One free parameter, whose change is the value, up to 0.4: steps of 1, 0.5 and 0.25."""
-
-    def sloped(places):
-        return places.copy(), np.ones((len(places), 1, 1))
-
-    read, none = iter(range(100)), np.zeros(1)
-    late = computation_limits.Limits(deadline=2.5, read_clock=lambda: float(next(read)))
-    bounds = none - np.inf, none + 0.4
-    problem = place._PlacementProblem(("damping",), none + 1.0, none, *bounds, sloped, lambda change: [])
-    last, _, virtual = place._follow_path_to_targets(problem, np.ones(1), late)
-    assert last.is_time_expired and last.fraction == 0.25 and not virtual
-    reason = place._failure_reason(last.fraction, virtual, (), last.is_time_expired)
-    assert reason == "the path to the targets ends after 0.25 of its length: max_seconds reached"
+    part = jv.place(lambda scene: scene.damping, None, 1.05, **task, max_seconds=seconds)
+    assert not part.met and part.distance == fraction
+    assert part.why == f"the path to the targets ends after {fraction} of its length: max_seconds reached"
 
 
 def test_loci_of_a_family_stop_in_time(fold, ticking):
     task = fold, ("amplitude", "frequency"), {"amplitude": (0.0, 8.0), "frequency": (1.8, 2.4)}, "damping"
-    is_refused(lambda **more: jv.family(*task, [0.05, 0.06], **more))
+    assert_no_negative_time(jv.family, *task, [0.05])
     whole = jv.family(*task, [0.05, 0.06])
     assert whole.stopped == "" and all(len(one) > 12 for one in whole)
     few = jv.family(*task, [0.05, 0.06], max_points=9)
@@ -214,6 +171,7 @@ def test_search_and_margin_stop_between_rays(ticking):
         followed.append(part.followed)
     assert followed[0] == 0 < followed[1] < followed[2] <= whole.followed
     orbit = jv.find_orbit(one_wall, jv.State(0.1, 0.2))
+    assert_no_negative_time(jv.margin, orbit, free)
     near = jv.margin(orbit, free)
     assert near.stopped == "" and near.points
     ticking()
@@ -225,7 +183,7 @@ def test_search_and_margin_stop_between_rays(ticking):
 def test_period_adding_stops_between_windows(ticking):
     orbit = jv.find_orbit(jv.make_scene(6.0, 2.1, 1.2, 0.7, (None, 1.0)), jv.State(0.0, 0.0))
     (grazing,) = jv.follow(orbit, "amplitude", (6.0, 6.2), stop="GR").points("GR")
-    is_refused(lambda **more: jv.period_adding(grazing, **more))
+    assert_no_negative_time(jv.period_adding, grazing)
     whole = jv.period_adding(grazing, 4)
     ticking()
     part = jv.period_adding(grazing, 4, max_seconds=1.5)
@@ -247,40 +205,14 @@ def test_a_manifold_stops_between_images(ticking):
     assert set(part["ended"].values.tolist()) >= {"max_seconds"}
 
 
-def test_invalid_times_are_refused():
-    attractors, orbit = (), jv.find_orbit(jv.make_scene(1.5, 1.7, 0.12, 0.6, (None, 0.8)), jv.State(0.1, 0.2))
-    calls = (
-        lambda **more: jv.sweep(scene(), "amplitude", [1.0], START, **more),
-        lambda **more: jv.spectrum(scene(), "amplitude", [1.0], START, **more),
-        lambda **more: jv.fractions(scene(), "amplitude", [1.0], **more),
-        lambda **more: jv.least_shock(scene(), attractors, **more),
-        lambda **more: jv.find_attractors(scene(), **more),
-        lambda **more: jv.find_isolas(empty("all"), **more),
-        lambda **more: jv.diagrams(scene(), "frequency", (1.0, 2.0), "amplitude", [1.0], **more),
-        lambda **more: jv.search(scene(), "GR", {"damping": 0.1}, {}, **more),
-        lambda **more: jv.margin(orbit, {}, **more),
-        lambda **more: jv.place(lambda scene: scene.damping, None, 1.0, {}, **more),
-        lambda **more: jv.manifold(orbit, "stable", **more),
-    )
-    for call in calls:
-        is_refused(call)
-
-
-def is_refused(call):
-    """Assert that the call refuses a time that cannot be."""
-    with pytest.raises(jv.ArgumentError, match="max_seconds: must be a positive number"):
-        call(max_seconds=-1.0)
-
-
-def test_a_sweep_of_a_scene_file_stops_between_chunks(ticking):
-    leg = {"name": "up", "from": 4.5, "to": 4.9, "start": {"x": 0.3, "v": 0.1}}
-    table = {"parameter": "amplitude", "count": 40, "settle": 3, "keep": 2, "legs": [leg], "max_seconds": 1.5}
+def test_a_sweep_of_a_scene_file_stops_between_chunks(tmp_path, ticking):
+    leg = '{name = "up", from = 4.5, to = 4.9, start = {x = 0.3, v = 0.1}}'
+    table = f'parameter = "amplitude"\ncount = 40\nsettle = 3\nkeep = 2\nlegs = [{leg}]\nmax_seconds = 1.5\n'
+    (tmp_path / "sweep.toml").write_text(f"{SCENE}\n[sweep]\n{table}")
     ticking()
-    swept = _run_sweep(scene(), msgspec.convert(table, SweepTable), False)
-    assert swept.sizes["step"] == 32 and swept.attrs["stopped"] == "max_seconds reached: 32 of 40 values done"
-    for bad in (0, -1.0, np.nan, np.inf, "9", True):
-        with pytest.raises(msgspec.ValidationError, match=r"max_seconds"):
-            msgspec.convert(table | {"max_seconds": bad}, SweepTable)
+    done = jv.run(tmp_path / "sweep.toml", tmp_path)
+    assert "max_seconds reached: 32 of 40 values done" in done.table
+    assert jv.load_data(tmp_path / "sweep.nc").sizes["step"] == 32
 
 
 def test_loci_that_are_not_done_are_listed(ticking, monkeypatch):

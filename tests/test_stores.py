@@ -21,12 +21,12 @@ import xarray as xr
 from distributed import LocalCluster
 
 import jaxvibro as jv
-from jaxvibro.output import atomic_folder, file_lock
-from jaxvibro.stores import zarr_store
-from jaxvibro.stores.study_completion import complete_study, spread_chunk_order
-from jaxvibro.stores.study_protocol import fingerprint_array
+from jaxvibro.output.atomic_folder import create_folder_atomically, remove_abandoned_folders
+from jaxvibro.output.file_lock import exclusive_lock, shared_lock, try_lock
+from jaxvibro.stores.study_completion import spread_chunk_order
+from jaxvibro.stores.zarr_store import OpenStore
 
-from .stored_studies import Counted, bits, counts, keep
+from .stored_studies import Counted, bits, complete_study, counts, keep
 
 TOKEN = "0123456789abcdef"
 
@@ -45,64 +45,29 @@ def test_reports_and_the_data_that_are_read_from_a_store(tmp_path):
     assert json.loads(attributes["jaxvibro_store"])["sizes"] == {"row": 9, "column": 4}
 
 
-def test_the_cells_that_are_not_done_are_blank(tmp_path):
-    log, path = str(tmp_path / "log"), tmp_path / "store"
-    with pytest.raises(ArithmeticError, match="chunk 1"):
-        keep(Counted(9, log=log, fails=1), path, 1)
-    half = jv.load_store(path)
-    assert half.attrs["chunks_done"] in (5, 6)  # the next one, 6, may have been begun
-    np.testing.assert_array_equal(half["label"].values[[0, 5, 2, 7, 4, 1, 3, 8], 0], [0, 5, 2, 7, 4, -1, -1, -1])
-    assert np.isnan(half["number"].values[[1, 3, 8]]).all()
-    keep(Counted(9, log=log), path)
-    assert counts(log) == dict.fromkeys(range(9), 1)
-
-
-@pytest.mark.parametrize("damage", ["flipped", "cut", "gone", "mark", "nonsense mark"])
-def test_a_damaged_chunk_is_named_and_recomputed(tmp_path, damage):
+def test_a_damaged_chunk_is_named_and_recomputed(tmp_path):
     path, log = tmp_path / "store", str(tmp_path / "log")
     keep(Counted(6), path)
-    before = bits(path)
-    file = path / "done" / "c" / "3" if "mark" in damage else path / "number" / "c" / "3" / "0" / "0"
-    content = file.read_bytes()
-    changed = {"flipped": content[:-1] + bytes([content[-1] ^ 4]), "cut": content[:7], "gone": None}
-    changed |= {"mark": bytes([content[0] ^ 8]) + content[1:], "nonsense mark": b"no number"}
-    file.unlink() if changed[damage] is None else file.write_bytes(changed[damage])
-    if damage == "nonsense mark":  # the chunk is not done
+    before, file = bits(path), path / "number" / "c" / "3" / "0" / "0"
+    file.write_bytes(file.read_bytes()[:7])
+    with pytest.raises(jv.ArgumentError, match=r"must be undamaged; run the study again.*chunk 3 of"):
+        jv.load_store(path)
+    with pytest.warns(UserWarning, match="chunk 3 is damaged and is recomputed"):
         keep(Counted(6, log=log), path)
-    else:
-        with pytest.raises(jv.ArgumentError, match=r"must be undamaged; run the study again.*chunk 3 of"):
-            jv.load_store(path)
-        with pytest.warns(UserWarning, match="chunk 3 is damaged and is recomputed"):
-            keep(Counted(6, log=log), path)
-    assert counts(log) == {3: 1} and bits(path) == before
-
-
-def test_another_study_is_refused(tmp_path):
-    path = tmp_path / "store"
-    keep(Counted(3), path)
-    before = bits(path)
-    with pytest.raises(jv.ArgumentError, match=r"scene differs; got 'offset = 0.5 stored, offset = 0.25 requested'"):
-        keep(Counted(3, offset=0.25), path)
-    with pytest.raises(jv.ArgumentError, match="rows differs; got '3 stored, 4 requested'"):
-        keep(Counted(4), path)
-    assert bits(path) == before
-
-
-def test_an_axis_is_described_in_plain_numbers():
-    assert fingerprint_array(np.linspace(1.5, 4.0, 10)).startswith("10, 1.5 to 4.0, ")
-    assert fingerprint_array(np.empty(0)).startswith("0, none")
-    assert fingerprint_array(np.array([1, 2])) != fingerprint_array(np.array([1.0, 2.0]))
+    (path / "done" / "c" / "3").write_bytes(b"no number")  # the chunk is not done
+    keep(Counted(6, log=log), path)
+    assert counts(log) == {3: 2} and bits(path) == before
 
 
 def test_other_versions_are_refused(tmp_path, monkeypatch):
     path = tmp_path / "store"
     with monkeypatch.context() as patch:
-        patch.setattr(zarr_store, "_current_versions", lambda: {"jaxvibro": "0.0.9", "jax": "0.1"})
+        patch.setattr("jaxvibro.stores.zarr_store._current_versions", lambda: {"jaxvibro": "0.0.9", "jax": "0.1"})
         keep(Counted(3), path)
     with pytest.raises(jv.ArgumentError, match=r"versions that began it.*jaxvibro 0\.0\.9, now"):
         keep(Counted(3), path)
     assert jv.load_store(path).attrs["chunks_done"] == 3  # to be read it may be
-    monkeypatch.setattr(zarr_store, "FORMAT_NUMBER", 2)
+    monkeypatch.setattr("jaxvibro.stores.zarr_store.FORMAT_NUMBER", 2)
     with pytest.raises(jv.ArgumentError, match="must be of format 2; got 'format 1 in"):
         jv.load_store(path)
 
@@ -111,13 +76,11 @@ def test_a_folder_that_is_no_store_is_refused(tmp_path):
     (tmp_path / "file").write_text("no folder")
     (tmp_path / "folder").mkdir()
     xr.Dataset({"a": ("b", [1.0])}).to_zarr(tmp_path / "other", zarr_format=3, consolidated=False)
-    for name, error, rule in (
-        ("file", NotADirectoryError, ""),
-        ("missing/store", NotADirectoryError, ""),
-        ("folder", jv.ArgumentError, "must be a store of jaxvibro"),
-    ):
-        with pytest.raises(error, match=rule):
+    for name in ("file", "missing/store"):
+        with pytest.raises(NotADirectoryError):
             keep(Counted(3), tmp_path / name)
+    with pytest.raises(jv.ArgumentError, match="must be a store of jaxvibro"):
+        keep(Counted(3), tmp_path / "folder")
     for name, error in (("missing", NotADirectoryError), ("other", jv.ArgumentError)):
         with pytest.raises(error):
             jv.load_store(tmp_path / name)
@@ -210,9 +173,9 @@ def test_processes_that_create_one_store_at_once_share_it(rounds):
 
 def test_the_loser_of_a_race_leaves_the_folder_of_the_winner(tmp_path):
     path = tmp_path / "store"
-    with atomic_folder.create_folder_atomically(path) as slow:
+    with create_folder_atomically(path) as slow:
         slow.mkdir()
-        with atomic_folder.create_folder_atomically(path) as fast:
+        with create_folder_atomically(path) as fast:
             fast.mkdir()
             (fast / "winner").write_text("")
         assert slow != fast and slow.is_dir()
@@ -220,14 +183,14 @@ def test_the_loser_of_a_race_leaves_the_folder_of_the_winner(tmp_path):
 
 
 def test_the_loser_of_a_race_refuses_another_study(tmp_path, monkeypatch):
-    path, plain = tmp_path / "store", atomic_folder.create_folder_atomically
+    path = tmp_path / "store"
 
     def later(place):
         monkeypatch.undo()
         keep(Counted(3), path)
-        return plain(place)
+        return create_folder_atomically(place)
 
-    monkeypatch.setattr(zarr_store, "create_folder_atomically", later)
+    monkeypatch.setattr("jaxvibro.stores.zarr_store.create_folder_atomically", later)
     with pytest.raises(jv.ArgumentError, match="must hold this study: scene differs"):
         keep(Counted(3, offset=0.25), path)
     keep(Counted(3), tmp_path / "other")
@@ -236,13 +199,13 @@ def test_the_loser_of_a_race_refuses_another_study(tmp_path, monkeypatch):
 
 
 def test_an_error_leaves_nothing_and_names_the_folder(tmp_path):
-    with pytest.raises(ArithmeticError), atomic_folder.create_folder_atomically(tmp_path / "store") as part:
+    with pytest.raises(ArithmeticError), create_folder_atomically(tmp_path / "store") as part:
         part.mkdir()
         raise ArithmeticError
     assert list(tmp_path.iterdir()) == []
     (tmp_path / "file").write_text("")
     for path in (tmp_path / "file" / "store", tmp_path / ("a" * 300)):
-        with pytest.raises(OSError, match=re.escape(str(path))), atomic_folder.create_folder_atomically(path):
+        with pytest.raises(OSError, match=re.escape(str(path))), create_folder_atomically(path):
             pass
 
 
@@ -258,49 +221,46 @@ def abandoned(folder, name):
 def test_folders_of_dead_processes_alone_are_removed(tmp_path):
     path = tmp_path / "a [b].zarr"
     dead, another = abandoned(tmp_path, path.name), abandoned(tmp_path, "c.zarr")
-    with atomic_folder.create_folder_atomically(path) as live:
+    with create_folder_atomically(path) as live:
         live.mkdir()
-        atomic_folder.remove_abandoned_folders(path)
+        remove_abandoned_folders(path)
         assert live.is_dir() and not dead.exists() and another.is_dir()
         assert sorted(file.suffix for file in tmp_path.glob(".a*")) == [".lock", ".partial"]
-    atomic_folder.remove_abandoned_folders(tmp_path / "missing" / "store")
-
-
-def test_opening_a_store_removes_what_a_killed_creator_left(tmp_path):
-    for _ in range(2):
+    remove_abandoned_folders(tmp_path / "missing" / "store")
+    for _ in range(2):  # opening a store removes them as well
         abandoned(tmp_path, "store")
         keep(Counted(3), tmp_path / "store")
-    assert [file.name for file in tmp_path.iterdir()] == ["store"]
+    assert {file.name for file in tmp_path.iterdir()} >= {"store"} and not list(tmp_path.glob(".store*"))
 
 
 def test_a_name_that_is_taken_before_it_is_locked_is_given_up(tmp_path, monkeypatch):
     """Another process removes a lock file between its creation and its locking."""
-    plain, removed = file_lock.try_lock, []
+    removed = []
 
     def slow(descriptor):
         if not removed:
             removed.extend(tmp_path.glob(".*.lock"))
             removed[0].unlink()
-        return plain(descriptor)
+        return try_lock(descriptor)
 
-    monkeypatch.setattr(atomic_folder, "try_lock", slow)
-    with atomic_folder.create_folder_atomically(tmp_path / "store") as part:
+    monkeypatch.setattr("jaxvibro.output.atomic_folder.try_lock", slow)
+    with create_folder_atomically(tmp_path / "store") as part:
         part.mkdir()
         assert part.with_suffix(".lock").is_file() and part.with_suffix(".lock") not in removed
         monkeypatch.undo()
-        atomic_folder.remove_abandoned_folders(tmp_path / "store")
+        remove_abandoned_folders(tmp_path / "store")
         assert part.is_dir()
     assert list(tmp_path.iterdir()) == [tmp_path / "store"]
 
 
 def test_without_locks_nothing_is_taken_for_abandoned(tmp_path, monkeypatch):
-    monkeypatch.setattr(file_lock, "fcntl", None)
+    monkeypatch.setattr("jaxvibro.output.file_lock.fcntl", None)
     path = tmp_path / "store"
-    with atomic_folder.create_folder_atomically(path) as part:
+    with create_folder_atomically(path) as part:
         part.mkdir()
         assert not part.with_suffix(".lock").exists()
         dead = abandoned(tmp_path, "store")
-        atomic_folder.remove_abandoned_folders(path)
+        remove_abandoned_folders(path)
         assert part.is_dir() and dead.is_dir()
     assert path.is_dir()
 
@@ -311,7 +271,7 @@ def test_unfinished_files_stay_while_another_process_writes_a_chunk(tmp_path):
     before = bits(path)
     unfinished = path / "label" / "c" / "0" / "0.abc.partial"
     unfinished.write_text("half")
-    with file_lock.shared_lock(path / "zarr.json"):
+    with shared_lock(path / "zarr.json"):
         keep(Counted(3), path)
         assert unfinished.exists()
     keep(Counted(3), path)
@@ -320,16 +280,16 @@ def test_unfinished_files_stay_while_another_process_writes_a_chunk(tmp_path):
 
 def test_a_chunk_is_written_under_the_lock(tmp_path, monkeypatch):
     path, free = tmp_path / "store", []
-    plain = zarr_store.OpenStore._chunk_digest
+    plain = OpenStore._chunk_digest
 
     def digest(self, number):
-        with file_lock.exclusive_lock(path / "zarr.json") as alone:
+        with exclusive_lock(path / "zarr.json") as alone:
             free.append(alone)
         return plain(self, number)
 
-    monkeypatch.setattr(zarr_store.OpenStore, "_chunk_digest", digest)
+    monkeypatch.setattr(OpenStore, "_chunk_digest", digest)
     keep(Counted(1), path, 1)
     assert free[0] is False
-    with file_lock.exclusive_lock(path / "zarr.json") as alone:
+    with exclusive_lock(path / "zarr.json") as alone:
         assert alone
     assert os.listdir(tmp_path) == ["store"]

@@ -107,6 +107,35 @@ def test_interruption(kind, number):
 
 
 @of_numbers
+def test_limits(kind, number):
+    """When the time is over, what is done is that of the whole and the rest is blank; a later run completes a store."""
+    compute, (name, blank) = kind.draw(number), kind.blank
+    whole = compute()
+    with folder() as place:
+        store = jv.Store(place / "store", jv.LocalEngine(1))
+        for kept in (None, store):
+            seconds = iter(range(1_000_000))
+            with mock.patch("continuation.computation_limits.clock", lambda seconds=seconds: float(next(seconds))):
+                part = compute(kept, max_seconds=1.5)
+            done = part[name] != blank
+            if kept is None and kind.name in ("basins", "sweep"):  # of one chunk
+                assert done.all() and "stopped" not in part.attrs
+                continue
+            unit = "cells" if kept or kind.name == "map" else "values"
+            assert 0 < done.sum() < done.size
+            assert part.attrs["stopped"].startswith("max_seconds reached: ") and f"{unit} done" in part.attrs["stopped"]
+            for key, values in part.data_vars.items():
+                if set(done.dims) <= set(values.dims):
+                    same = (values == whole[key]) | (values.isnull() & whole[key].isnull())
+                    assert same.where(done, True).all(), key
+                    assert values.dtype.kind != "f" or values.isnull().where(~done, True).all(), key
+        loaded = jv.load_store(store.path)
+        assert ((loaded[name] != blank) & loaded[name].notnull()).sum() == done.sum()
+        assert 0 < loaded.attrs["chunks_done"] < loaded.attrs["chunks"]
+        xr.testing.assert_identical(compute(store), whole)
+
+
+@of_numbers
 def test_damage(kind, number):
     """A file of a store that is changed, cut or removed is reported; damaged chunks are recomputed, with their bits."""
     compute, rng = kind.draw(number), generator(kind, number)

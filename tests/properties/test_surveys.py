@@ -1,6 +1,7 @@
 """Properties of maps, basin fractions and smallest shocks that hold for every kind of scene."""
 
 from collections import Counter
+from contextlib import suppress
 
 import numpy as np
 import xarray as xr
@@ -115,8 +116,23 @@ def test_fractions(kind, number):
         ]
         index = int(np.argmin(apart))
         same = share[0, index] if apart[index] < 1e-5 else 0.0
+        if apart[index] < 1e-5 and attractor.orbit is not None:
+            assert_same_track(attractor.orbit, data.isel(attractor=index))
         mean = 0.5 * (same + attractor.share)
         assert abs(same - attractor.share) < 4.5 * np.sqrt(mean * (1.0 - mean) * (1.0 / STARTS + 1.0 / MANY)) + 1e-12
+
+
+def assert_same_track(orbit, track):
+    """Check that a name that is kept at the second value is on the branch of the orbit, followed in small steps."""
+    low, high = track["amplitude"].values
+    with suppress(jv.OrbitError):  # the branch ends, or doubles its period
+        for value in np.linspace(low, high, 9)[1:]:
+            scene = orbit.scene.replace(amplitude=float(value))
+            orbit = jv.find_orbit(scene, orbit.state, orbit.periods, settle=0)
+        if orbit.stable and track["label"].values[1] == orbit.label:
+            state = np.array([track["state_x"].values[1], track["state_v"].values[1]])
+            section = jv.sections(orbit.scene, orbit.state, 0.0, orbit.periods)
+            assert np.hypot(section["x"] - state[0], section["v"] - state[1]).min() < 1e-5 * (1.0 + abs(state).max())
 
 
 @of_numbers
@@ -136,10 +152,14 @@ def test_least_shock(kind, number):
     before = plane(shock.state)
     if np.isfinite(shock.size):
         assert abs(np.hypot(shock.dx, shock.dv) / shock.size - 1.0) < 1e-12 and (direction == "xv" or not shock.dx)
-        end, _ = jv.strobe(scene, jv.State(before[0] + shock.dx, before[1] + shock.dv, phase), 1000, 0)
-        section = jv.sections(scene, attractors[shock.to].state, phase, attractors[shock.to].periods)
-        points = np.stack([section["x"].values, section["v"].values], -1)
-        assert abs(points - plane(end)).max(-1).min() < 1e-6 * (1.0 + abs(points).max())
+        shares = np.array([1.0, 1.0 - 1e-6])  # the shock itself, and one that leaves the motion on its attractor
+        end, _ = jv.strobe(
+            scene, jv.State(before[0] + shares * shock.dx, before[1] + shares * shock.dv, phase), 1000, 0
+        )
+        for index, state in zip((shock.to, 0), plane(end), strict=True):
+            section = jv.sections(scene, attractors[index].state, phase, attractors[index].periods)
+            points = np.stack([section["x"].values, section["v"].values], -1)
+            assert abs(points - state).max(-1).min() < 1e-6 * (1.0 + abs(points).max())
     size = min(shock.size, shock.reach)
     shares = np.linspace(-1.0, 1.0, 15)
     x = before[0] + (size * shares if direction == "xv" else 1e-9 * np.arange(2))

@@ -12,10 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .lyapunov import orthogonal, root
-
 STEPS = 40  # of a free flight in a period
 SWINGS = 10  # steps of a half-swing within a wall
+HALVINGS, POLISH = 7, 3  # of a root
 MOST = 100_000  # steps of a period: more are chatter, which this method does not follow
 
 
@@ -231,3 +230,27 @@ def exponents(lanes, periods, settle):
         lanes.period()
         growth += orthogonal(lanes.tangents)
     return growth.T / periods, lanes.hits / periods, lanes.within / periods
+
+
+def root(function, early, late):
+    """Where a function, given as (value, slope), ceases to be positive: bisection, then Newton's method."""
+    for _ in range(HALVINGS):
+        middle = 0.5 * (early + late)
+        still = function(middle)[0] > 0
+        early, late = np.where(still, middle, early), np.where(still, late, middle)
+    time = 0.5 * (early + late)
+    for _ in range(POLISH):
+        value, slope = function(time)
+        time = np.clip(time - value / np.where(slope == 0, 1.0, slope), early, late)
+    return time
+
+
+def orthogonal(tangents):
+    """Gram and Schmidt, in place: the logarithms of both lengths, (2, lanes)."""
+    one, two = tangents
+    size = np.hypot(*one)
+    one /= size
+    two -= one * (one * two).sum(axis=0)
+    rest = np.hypot(*two)
+    two /= rest
+    return np.log([size, rest])
