@@ -11,10 +11,10 @@ import jax
 import numpy as np
 
 import jaxvibro as jv
-from jaxvibro.scene.codes import Contact, Status
 
 from . import kinds
 from .lanes import at
+from .properties.motions import Contact, Status
 
 ROUNDINGS = 64.0  # of the largest length, by which a state may lie beyond a wall
 FEW = 500  # impacts: the caps are 1,000 of them, and some steps for each

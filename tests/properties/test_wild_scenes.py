@@ -9,21 +9,19 @@ import numpy as np
 
 import jaxvibro as jv
 from jaxvibro.compiled.lane_arithmetic import COMPILER_OPTIONS
-from jaxvibro.compiled.lane_blocks import MIN_LANES
 from jaxvibro.maps.reference_strobe import reference_strobe
 from jaxvibro.maps.two_tier_strobe import fast_strobe
-from jaxvibro.scene.codes import Status
 from tests import wild
 from tests.kinds import wall_ends
 from tests.lanes import at
 from tests.reference import flights
 from tests.tiers import generator, of_numbers
 
-from .motions import assert_same, move, rebuild, wall_speed
+from .motions import Status, assert_same, move, rebuild, wall_speed
 
 OWN_KINDS = wild.KINDS
 MANY, FEW = 1024, 256  # lanes
-SLOTS = 8
+SLOTS, MIN_LANES = 8, 16  # recorded impacts; least lanes of a block
 EPS = float(np.finfo(float).eps)
 
 
