@@ -29,6 +29,17 @@ def test_third_derivatives(scene):
     assert np.allclose(third, difference(lambda s: second(z + s * along), 0.0, 1e-5), rtol=0, atol=1e-7)
 
 
+@pytest.mark.parametrize("wall", [jv.Wall(1.0), jv.Wall(1.0, stiffness=50.0, damping=0.3)], ids=["rigid", "soft"])
+def test_second_derivatives_of_a_batch(wall):
+    scene, x = jv.make_scene(2.0, 2.1, 0.05, 0.7, (None, wall)), jnp.array([0.9, 0.5, -0.3])
+
+    def end(step):
+        return jv.strobe(scene, jv.State(x + step, 1.1))[0].x
+
+    first = jax.jit(jax.jacfwd(end))
+    assert np.allclose(jax.jacfwd(first)(0.0), difference(first, 0.0, 1e-5), rtol=1e-6, atol=1e-6)
+
+
 def test_times_and_speeds_of_impacts_have_derivatives(scene):
     def recorded(v):
         impacts = jv.strobe(scene, jv.State(0.9, v), slots=4)[1]

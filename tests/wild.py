@@ -18,6 +18,7 @@ from .properties.motions import Contact, Status
 
 ROUNDINGS = 64.0  # of the largest length, by which a state may lie beyond a wall
 FEW = 500  # impacts: the caps are 1,000 of them, and some steps for each
+PLAIN = {"share": (0.1, 0.9, ()), "left_restitution": (0.1, 1.0, ()), "right_restitution": (0.1, 1.0, ())}
 HARMONICS = {"r": 0, "s": 0, "m": 1, "t": 1, "2": 2, "3": 3}  # of walls: rigid; soft; moving; soft and moving
 
 
@@ -121,7 +122,7 @@ class Usual:
 
     def draw(self, rng, count):
         """Return scene and state of random lanes."""
-        return kinds.KINDS[self.kind].draw(rng.integers(2**32), count)
+        return kinds.KINDS[self.kind].batch(kinds.draw_rows(rng.integers(2**32), count, PLAIN))
 
 
 @dataclass(frozen=True)
