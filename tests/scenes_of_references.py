@@ -1,13 +1,10 @@
 """Batches of scenes of the package from records of the references."""
 
-import jax.numpy as jnp
 import numpy as np
 
 import jaxvibro as jv
 
 from .reference.scene import Soft
-
-SLOTS = 64
 
 
 def scene_of(scenes):
@@ -34,9 +31,3 @@ def scene_of(scenes):
     plain = columns(scenes, ("amplitude", "omega", "gamma")).values()
     drive = [term(k) for k in range(len(scenes[0].drive))]
     return jv.make_scene(*plain, 0.5, (wall("left"), wall("right")), drive=drive)
-
-
-def batch(drawn):
-    """Return the batched scene and the initial states of draws of one structure."""
-    state = jv.State(*(jnp.array([getattr(draw, key) for draw in drawn]) for key in ("x", "v", "phase")))
-    return scene_of([draw.scene for draw in drawn]), state

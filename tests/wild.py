@@ -1,8 +1,8 @@
 """Random scenes at the far ends of their numbers: batches of many lanes, drawn from a random generator.
 
 wild: amplitudes to 1e3, gaps from 1e-6, damping to 3, frequencies from 0.05 to 20. narrow: the same, nearly elastic,
-with little room, so that many lanes reach the cap on impacts. usual: what users draw. degenerate: subsets of drive,
-spring, damping, constant force, and walls at 0.
+with little room, so that many lanes reach the cap on impacts. usual: kinds of `tests/kinds.py`. degenerate: subsets of
+drive, spring, damping, constant force, and walls at 0.
 """
 
 from dataclasses import dataclass, replace
@@ -11,12 +11,15 @@ import jax
 import numpy as np
 
 import jaxvibro as jv
-from jaxvibro.scene.codes import Contact, Status
 
+from . import kinds
 from .lanes import at
+from .properties.motions import Contact, Status
 
 ROUNDINGS = 64.0  # of the largest length, by which a state may lie beyond a wall
 FEW = 500  # impacts: the caps are 1,000 of them, and some steps for each
+PLAIN = {"share": (0.1, 0.9, ()), "left_restitution": (0.1, 1.0, ()), "right_restitution": (0.1, 1.0, ())}
+HARMONICS = {"r": 0, "s": 0, "m": 1, "t": 1, "2": 2, "3": 3}  # of walls: rigid; soft; moving; soft and moving
 
 
 def logarithmic(rng, count, low, high):
@@ -30,18 +33,18 @@ def mixed(rng, values, share, *instead):
     return np.where(rng.random(count) < share, rng.choice(instead, count), values)
 
 
-def wall_positions(scene, phase):
-    """Return [(sign, position, largest distance from 0)] of the rigid walls."""
-    walls = []
-    for sign, wall in ((-1.0, scene.left), (1.0, scene.right)):
-        if wall is None or wall.soft:
+def make_walls(rng, letters, positions, swings, phase, law):
+    """Return walls, and their positions at a drive phase; law: function of a letter to the numbers of an impact."""
+    walls, ends = [], []
+    for letter, position, swing in zip(letters, positions, swings, strict=True):
+        if letter == "-":
+            walls.append(None)
+            ends.append(position)
             continue
-        position, swing = np.asarray(wall.position), 0.0
-        if wall.motion is not None:
-            swing = np.asarray(wall.motion.amplitude)
-            position = position + swing * np.cos(wall.motion.harmonic * phase + np.asarray(wall.motion.phase))
-        walls.append((sign, position, abs(np.asarray(wall.position)) + abs(swing)))
-    return walls
+        harmonic, turn = HARMONICS[letter], rng.uniform(0.0, 6.28, len(phase))
+        walls.append(jv.Wall(position, motion=jv.Motion(swing, turn, harmonic) if harmonic else None, **law(letter)))
+        ends.append(position + (swing * np.cos(harmonic * phase + turn) if harmonic else 0.0))
+    return tuple(walls), ends
 
 
 def lengths(scene, *states):
@@ -54,12 +57,20 @@ def lengths(scene, *states):
     return np.maximum(size, np.max([np.maximum(abs(each.x), abs(each.v)) for each in states], axis=0))
 
 
+def beyond_walls(scene, end, size, eps):
+    """Return the lanes that end beyond a rigid wall by more than roundings of the wall's distance and a size."""
+    beyond = np.zeros(np.shape(end.x), bool)
+    positions = kinds.wall_ends(scene, np.asarray(end.phase, float))
+    for sign, wall, position in zip((-1.0, 1.0), (scene.left, scene.right), positions, strict=True):
+        if wall is not None and not wall.soft:
+            reach = abs(np.asarray(wall.position)) + abs(wall.motion.amplitude if wall.motion else 0.0)
+            beyond |= sign * (np.asarray(end.x) - position) > ROUNDINGS * eps * (size + reach)
+    return beyond
+
+
 @dataclass(frozen=True)
 class Wild:
-    """Lanes at the far ends; narrow: see above.
-
-    walls: a letter of each: "-" none, "r" rigid, "m", "2" or "3" rigid and moving, "s" soft, "t" soft and moving.
-    """
+    """Lanes at the far ends; walls: a letter of HARMONICS of each, or "-"; narrow: see above."""
 
     walls: str
     narrow: bool = False
@@ -70,28 +81,22 @@ class Wild:
 
     def draw(self, rng, count):
         """Return scene and state of random lanes."""
-        short = self.narrow
-        gap, phase = logarithmic(rng, count, *((-5.0, -1.0) if short else (-6.0, 0.5))), rng.uniform(0, 6.28, count)
-        middle, walls, ends = rng.choice([0.0, -1.0, 0.3], count) * rng.random(count), [], []
-        for side, letter in zip((-1.0, 1.0), self.walls, strict=True):
-            if letter == "-":
-                walls.append(None)
-                ends.append(middle + 0.5 * side * gap)
-                continue
-            harmonic = {"r": 0, "s": 0, "m": 1, "t": 1, "2": 2, "3": 3}[letter]
-            swing = gap * rng.uniform(0.0, 3.0, count) if harmonic else np.zeros(count)
-            turn, position = rng.uniform(0.0, 6.28, count), middle + side * (0.5 * gap + swing)
-            motion = jv.Motion(swing, turn, harmonic) if harmonic else None
-            low, often = (0.9, (1.0, 1.0)) if short else (0.0, (1.0, 0.0))
-            law = {"restitution": mixed(rng, rng.uniform(low, 1.0, count), 0.2, *often)}
+        low, often = (0.9, (1.0, 1.0)) if self.narrow else (0.0, (1.0, 0.0))
+
+        def law(letter):
             if letter in "st":
-                law = {"stiffness": logarithmic(rng, count, 0.0, 6.0), "damping": rng.random(count)}
-            walls.append(jv.Wall(position, motion=motion, **law))
-            ends.append(position + swing * np.cos(harmonic * phase + turn))
-        amplitude = logarithmic(rng, count, 0.0 if short else -3.0, 3.0)
+                return {"stiffness": logarithmic(rng, count, 0.0, 6.0), "damping": rng.random(count)}
+            return {"restitution": mixed(rng, rng.uniform(low, 1.0, count), 0.2, *often)}
+
+        gap = logarithmic(rng, count, *((-5.0, -1.0) if self.narrow else (-6.0, 0.5)))
+        phase, middle = rng.uniform(0, 6.28, count), rng.choice([0.0, -1.0, 0.3], count) * rng.random(count)
+        swings = [gap * rng.uniform(0.0, 3.0, count) * bool(HARMONICS.get(letter)) for letter in self.walls]
+        positions = [middle + side * (0.5 * gap + swing) for side, swing in zip((-1.0, 1.0), swings, strict=True)]
+        walls, ends = make_walls(rng, self.walls, positions, swings, phase, law)
+        amplitude = logarithmic(rng, count, 0.0 if self.narrow else -3.0, 3.0)
         frequency = logarithmic(rng, count, np.log10(0.05), np.log10(20.0))
         damping = mixed(rng, rng.uniform(0.0, 3.0, count), 0.2, 0.0, 1.0)
-        scene = jv.make_scene(amplitude, frequency, damping, 0.5, tuple(walls))
+        scene = jv.make_scene(amplitude, frequency, damping, 0.5, walls)
         x = np.clip(ends[0] + mixed(rng, rng.random(count), 0.1, 0.0, 1.0) * (ends[1] - ends[0]), *ends)
         speed = logarithmic(rng, count, -2.0, 1.0) * mixed(rng, np.ones(count), 0.02, 0.0, 1e-100, 1e-300)
         state = jv.State(x, speed * rng.choice([-1.0, 1.0], count), phase, np.zeros(count))
@@ -100,64 +105,49 @@ class Wild:
 
     def mistakes(self, scene, start, end, impacts):
         """Return {kind of mistake: mask of lanes} of a strobe."""
-        x, v, good = np.asarray(end.x), np.asarray(end.v), np.asarray(impacts.status) < Status.CAP
-        beyond = np.zeros(x.shape, bool)
-        for sign, position, largest in wall_positions(scene, np.asarray(end.phase)):
-            size = np.asarray(scene.amplitude) + largest
-            beyond |= sign * (x - position) > ROUNDINGS * np.finfo(float).eps * size
-        return {
-            "beyond": good & beyond,
-            "without a state": good & ~(np.isfinite(x) & np.isfinite(v)),
-            "with a state": ~good & ~(np.isnan(x) & np.isnan(v)),
-        }
+        good = np.asarray(impacts.status) < Status.CAP
+        beyond = beyond_walls(scene, end, np.asarray(scene.amplitude), np.finfo(float).eps)
+        return {"beyond": good & beyond, "with a state": ~good & ~(np.isnan(end.x) & np.isnan(end.v))}
 
 
 @dataclass(frozen=True)
 class Usual:
-    """Lanes as users draw them; the letters of `Wild`."""
+    """Lanes of a kind of `tests/kinds.py`."""
 
-    walls: str
+    kind: str
 
     @property
     def name(self):
-        return f"usual {self.walls}"
+        return f"usual {self.kind}"
 
     def draw(self, rng, count):
         """Return scene and state of random lanes."""
-        walls, ends = [], []
-        for sign, letter in zip((-1.0, 1.0), self.walls, strict=True):
-            if letter == "-":
-                walls.append(None)
-                ends.append(np.full(count, 0.2 * sign))
-                continue
-            position, phase = sign * rng.uniform(0.3, 2.0, count), rng.uniform(0.0, 6.28, count)
-            harmonic = {"r": 0, "m": 1, "2": 2, "3": 3}[letter]
-            motion = jv.Motion(rng.uniform(0.0, 0.2, count), phase, harmonic) if harmonic else None
-            walls.append(jv.Wall(position, rng.uniform(0.1, 1.0, count), motion=motion))
-            ends.append(position + (motion.amplitude * np.cos(phase) if motion else 0.0))
-        numbers = rng.uniform((0.0, 0.5, 0.0), (6.0, 6.0, 1.2), (count, 3)).T
-        state = jv.State(rng.uniform(*ends), rng.normal(0.0, 2.0, count), np.zeros(count), np.zeros(count))
-        return jv.make_scene(*numbers, 0.5, tuple(walls)), state
+        return kinds.KINDS[self.kind].batch(kinds.draw_rows(rng.integers(2**32), count, PLAIN))
 
 
+@dataclass(frozen=True)
 class Grazing:
     """Flights that turn back up to 64 roundings of the largest length before or beyond the right wall."""
 
     name = "grazing"
+    dtype: type = np.float64  # that holds all numbers
 
     def draw(self, rng, count):
         """Return scene and state of random lanes, of most of those drawn."""
         amplitude, frequency = logarithmic(rng, (2, count), -1.0, 1.0)
         x, v, (phase, damping, bounce) = rng.uniform(-1, 1, count), rng.normal(size=count), rng.random((3, count))
-        scene, top = jv.make_scene(amplitude, frequency, damping, bounce, (None, np.zeros(count))), np.full(count, 1e3)
+        scene = jv.make_scene(amplitude, frequency, damping, bounce, (None, np.zeros(count)))
         start = jv.State(x, v, 6.0 * phase, np.zeros(count))
+        scene, start = jax.tree.map(lambda leaf: np.asarray(np.asarray(leaf, self.dtype), float), (scene, start))
+        top = np.full(count, 1e3)
         for beyond in (0.0, 1.0):  # the clearance from far away, then from nearby: that is exact to a rounding
             far = scene.replace(**{"right.position": top + beyond})
             impacts = jax.device_get(jv.strobe(far, start, slots=0, clearance=True)[1])
             fair = np.isfinite(impacts.least_clearance) & (impacts.count == 0)
             top = np.where(fair, top + beyond - impacts.least_clearance, 20.0)
-        size = np.finfo(float).eps * np.max([abs(x), abs(v), amplitude, abs(top)], axis=0)
-        scene = scene.replace(**{"right.position": top - rng.uniform(-64.0, 64.0, count) * size})
+        size = np.finfo(self.dtype).eps * np.max([abs(x), abs(v), amplitude, abs(top)], axis=0)
+        position = np.asarray(np.asarray(top - rng.uniform(-64.0, 64.0, count) * size, self.dtype), float)
+        scene = scene.replace(**{"right.position": position})
         return at((scene, start), np.flatnonzero((top < 20.0) & (top > x + 1e-3))[: count // 4])
 
 
@@ -199,35 +189,27 @@ class Degenerate:
 
     def draw(self, rng, count):
         """Return scene and state of random lanes."""
-        single = self.dtype is np.float32
-        unit = 2.0 ** np.round(rng.uniform(-20.0, 20.0, count))
-        if single or self.force == "cubic":
-            unit = np.ones(count)
-        gap, phase = logarithmic(rng, count, -3.0, 0.5), rng.uniform(0.0, 6.28, count)
-        has_left, has_right, where = self.walls[0] != "-", self.walls[1] != "-", rng.integers(0, 3, count)
-        place = np.where(where == 0, rng.uniform(-1.0, 1.0, count), 0.0)  # of the wall, or of one of two
-        places = [np.where(where == 2, place - gap, place), np.where(where == 2, place, place + gap)]
-        if has_left != has_right:
-            places = [place, place + gap] if has_left else [place - gap, place]
-        walls, ends = [], []
-        for letter, position in zip(self.walls, places, strict=True):
-            if letter == "-":
-                walls.append(None)
-                ends.append(position)
-                continue
-            swing, turn = gap * rng.uniform(0.0, 0.3, count), rng.uniform(0.0, 6.28, count)
-            motion = jv.Motion(swing * unit, turn) if letter == "m" else None
-            law = {"restitution": mixed(rng, rng.random(count), 0.4, 0.0, 1.0, 0.999)}
+
+        def law(letter):
             if letter == "s":
                 damping = mixed(rng, rng.random(count), 0.5, 0.0)
-                law = {"stiffness": logarithmic(rng, count, 0.0, 4.0), "damping": damping}
-            walls.append(jv.Wall(position * unit, motion=motion, **law))
-            ends.append(position + (swing * np.cos(phase + turn) if letter == "m" else 0.0))
-        scene = self._scene(rng, count, unit, tuple(walls))
+                return {"stiffness": logarithmic(rng, count, 0.0, 4.0), "damping": damping}
+            return {"restitution": mixed(rng, rng.random(count), 0.4, 0.0, 1.0, 0.999)}
+
+        unit = 2.0 ** np.round(rng.uniform(-20.0, 20.0, count))
+        if self.dtype is np.float32 or self.force == "cubic":
+            unit = np.ones(count)
+        gap, phase = logarithmic(rng, count, -3.0, 0.5) * unit, rng.uniform(0.0, 6.28, count)
+        choice = rng.integers(0, 3, count)  # of the wall, or of one of two, at 0
+        place = np.where(choice == 0, rng.uniform(-1.0, 1.0, count), 0.0) * unit
+        is_right = choice == 2 if (self.walls[0] == "-") == (self.walls[1] == "-") else self.walls[0] == "-"
+        positions = [np.where(is_right, place - gap, place), np.where(is_right, place, place + gap)]
+        walls, ends = make_walls(rng, self.walls, positions, [gap * rng.uniform(0.0, 0.3, count)] * 2, phase, law)
+        scene = self._scene(rng, count, unit, walls)
         share = mixed(rng, rng.random(count) ** 3, 0.3, 0.0, 1.0)
         if "m" in self.walls:
             share = np.clip(share, 1e-6, 1.0 - 1e-6)  # the position of a moving wall is rounded
-        x = np.clip(ends[0] + share * (ends[1] - ends[0]), *ends) * unit
+        x = np.clip(ends[0] + share * (ends[1] - ends[0]), *ends)
         speed = mixed(rng, logarithmic(rng, count, -2.0, 0.7), 0.4, 0.0) * rng.choice([-1.0, 1.0], count) * unit
         state = jv.State(x, speed, phase, np.zeros(count))
         state = jax.tree.map(lambda leaf: np.asarray(leaf, self.dtype), state)
@@ -282,17 +264,19 @@ class Degenerate:
         x, v, contact = (np.asarray(each, float) for each in (end.x, end.v, end.contact))
         status, count = np.asarray(impacts.status), np.asarray(impacts.count)
         good, span = status < Status.CAP, 2.0 * np.pi / np.asarray(scene.frequency)
-        beyond, released, gained = np.zeros((3, *x.shape), bool)
+        released, gained = np.zeros((2, *x.shape), bool)
         force, energy = self.force_and_energy(scene, x0, v0, phase)
         size = abs(x0) + (abs(v0) + np.asarray(scene.amplitude) * span + abs(force) * span) * span
-        still, walls = np.asarray(scene.amplitude) == 0, wall_positions(scene, phase)
-        for sign, position, distance in walls:
-            beyond |= good & (sign * (x - position) > ROUNDINGS * eps * (distance + size))
-            pressed = still & (contact0 == sign * Contact.STUCK) & (sign * force > 0)
-            released |= good & pressed & ((x != position) | (v != 0) | (contact != sign * Contact.STUCK))
+        still, reach = np.asarray(scene.amplitude) == 0, 0.0
+        for sign, letter, wall in zip((-1, 1), self.walls, (scene.left, scene.right), strict=True):
+            if letter == "r":
+                reach = reach + abs(np.asarray(wall.position))
+                pressed = still & (contact0 == sign * Contact.STUCK) & (sign * force > 0)
+                moved = (x != wall.position) | (v != 0) | (contact != sign * Contact.STUCK)
+                released |= good & pressed & moved & ("m" not in self.walls)
         if not set(self.walls) & {"m", "s"}:
             _, later = self.force_and_energy(scene, x, v, phase)
-            near = 1e4 * (scene.force.tolerance if scene.force else eps) * (size + sum(d for *_, d in walls))
+            near = 1e4 * (scene.force.tolerance if scene.force else eps) * (size + reach)
             loose = near * (abs(force) + abs(v0) + abs(v) + near) + ROUNDINGS * eps * (abs(energy) + abs(later))
             gained = good & still & (0.5 * v * v + later > 0.5 * v0**2 + energy + loose)
         faulty = (status == Status.INVALID) | (status == Status.NONFINITE)
@@ -301,10 +285,9 @@ class Degenerate:
         if "s" not in self.walls and self.dtype is np.float64:
             faulty |= (status == Status.CAP) & (count < FEW)
         return {
-            "beyond": beyond,
-            "without a state": good & ~(np.isfinite(x) & np.isfinite(v)),
+            "beyond": good & beyond_walls(scene, end, size, eps),
             "a bad status of a valid start": faulty,
-            "released while pressed on": released & ("m" not in self.walls),
+            "released while pressed on": released,
             "with more energy": gained,
         }
 
@@ -320,6 +303,17 @@ class Flights:
         return f"flights {self.walls}"
 
 
+def scene_of_flights(lanes):
+    """Return scene and state of the flights of `tests.reference.flights`."""
+    walls = {-1: None, 1: None}
+    for wall in lanes.walls:
+        motion = jv.Motion(np.float64(wall.swing), np.float64(wall.phase), wall.harmonic) if wall.harmonic else None
+        walls[wall.side] = jv.Wall(np.float64(wall.position), 0.7, motion=motion)
+    numbers = map(np.float64, (lanes.amplitude, lanes.omega, lanes.gamma))
+    state = jv.State(*map(np.float64, (lanes.x, lanes.v, lanes.phase)))
+    return jv.make_scene(*numbers, 0.7, (walls[-1], walls[1])), state
+
+
 FORCES = {
     "linear": ("r-", "-r", "rr", "m-", "rm", "s-", "rs", "--"),
     "constant": ("r-", "rr", "mr", "sr", "--"),
@@ -330,7 +324,7 @@ FORCES = {
 ALL = [
     *(Wild(walls) for walls in ("--", "r-", "-r", "-m", "rr", "rm", "23", "s-", "-s", "-t", "sm", "rt")),
     *(Wild(walls, narrow=True) for walls in ("rm", "sr")),
-    *(Usual(walls) for walls in ("r-", "-m", "rr", "rm", "23")),
+    *(Usual(kind) for kind in ("one_wall", "two_walls", "moving_walls")),
     *(Flights(walls) for walls in ("rr", "r-", "-r", "mr", "r2", "3-", "-m", "m2")),
     Grazing(),
     Chatter(),

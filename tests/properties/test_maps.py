@@ -12,7 +12,6 @@ import jaxvibro as jv
 from jaxvibro.design.impact_chain_equations import ChainNodes
 from jaxvibro.design.impact_prediction import Impact, MotionPredictor
 from jaxvibro.maps.strobe_inverse import strobe_backward
-from jaxvibro.scene.codes import Status
 from tests import truths
 from tests.kinds import GRID, LANES, wall_ends
 from tests.reference.search import Discard
@@ -20,6 +19,7 @@ from tests.tiers import generator, of_batches, of_numbers
 
 from .motions import (
     SLOTS,
+    Status,
     assert_alike,
     assert_close,
     assert_same,

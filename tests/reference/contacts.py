@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from . import taylor
-from .lanes import LONG, clearance, drive_phase, response_size, state
+from .lanes import LONG, clearance, drive_phase, response_size, state, take
 
 SLACK = 1e-12
 DEEPEST = 30
@@ -39,7 +39,7 @@ def fastest(lanes):
 def cut(lanes, horizon):
     """Every lane's [0, horizon] in pieces of equal length."""
     count = np.ceil(horizon * fastest(lanes)).astype(int)
-    lane = np.repeat(np.arange(len(lanes)), count)
+    lane = np.repeat(np.arange(len(lanes.x)), count)
     step = np.arange(len(lane)) - np.repeat(np.cumsum(count) - count, count)
     width, last = horizon[lane], count[lane]
     return Pieces(lane, width * (step / last), width * ((step + 1) / last))
@@ -47,7 +47,7 @@ def cut(lanes, horizon):
 
 def settle(lanes, wall, pieces):
     """Masks over the pieces: c' keeps its sign; c'' keeps its sign. Certified, in double with slack."""
-    some, other = lanes.take(pieces.lane), wall.take(pieces.lane)
+    some, other = take(lanes, pieces.lane), take(wall, pieces.lane)
     middle = 0.5 * (pieces.low + pieces.high)
     radius = 0.5 * (pieces.high - pieces.low) * (1 + 1e-9) + 1e-14
     x, v = state(some, middle)
@@ -79,7 +79,7 @@ def bent(lanes, wall, horizon):
             break
         middle = 0.5 * (low + high)
         pieces = Pieces(np.tile(lane, 2), np.concatenate([low, middle]), np.concatenate([middle, high]))
-    bad = np.zeros(len(lanes), bool)
+    bad = np.zeros(len(lanes.x), bool)
     bad[lane] = True
     return Pieces(*(np.concatenate(arrays) for arrays in zip(*kept, strict=True))), bad
 
@@ -111,19 +111,19 @@ def points(lanes, wall, horizon):
 
     def slope(index, t):
         lane = pieces.lane[index]
-        return clearance(lanes.take(lane), wall.take(lane), t)[1:]
+        return clearance(take(lanes, lane), take(wall, lane), t)[1:]
 
     every = np.arange(len(pieces.lane))
     change = np.sign(slope(every, pieces.low.astype(LONG))[0]) != np.sign(slope(every, pieces.high.astype(LONG))[0])
     pieces = Pieces(*(array[change] for array in pieces))
     turn = zero(slope, pieces.low, pieces.high, 0.5 * (pieces.low + pieces.high))
-    ends, n = np.arange(len(lanes)), len(lanes)
+    ends, n = np.arange(len(lanes.x)), len(lanes.x)
     lane = np.concatenate([pieces.lane, ends, ends])
     time = np.concatenate([turn, np.zeros(n, LONG), horizon.astype(LONG)])
     turning = np.arange(len(lane)) < len(turn)
     order = np.lexsort((time, lane))
     lane, time, turning = lane[order], time[order], turning[order]
-    c, _, bend = clearance(lanes.take(lane), wall.take(lane), time)
+    c, _, bend = clearance(take(lanes, lane), take(wall, lane), time)
     return Points(lane, time, c, bend, turning), bad
 
 
@@ -138,11 +138,11 @@ def first_of_wall(lanes, wall, found):
     guess = np.where((guess > low) & (guess < high), guess, 0.5 * (low + high))
 
     def value(index, t):
-        return clearance(lanes.take(lane[index]), wall.take(lane[index]), t)[:2]
+        return clearance(take(lanes, lane[index]), take(wall, lane[index]), t)[:2]
 
-    time = np.full(len(lanes), np.inf, LONG)
+    time = np.full(len(lanes.x), np.inf, LONG)
     time[lane] = zero(value, low, high, guess)
-    after = np.full(len(lanes), np.inf, LONG)
+    after = np.full(len(lanes.x), np.inf, LONG)
     after[lane] = high
     return time, after
 
@@ -153,7 +153,7 @@ def first_contact(lanes, horizon, least):
     In doubt are lanes with a minimum of a clearance within `least` of 0 that decides, a start or end too near a wall,
     two contacts at once, or a contact at the horizon.
     """
-    n = len(lanes)
+    n = len(lanes.x)
     sure, each = np.ones(n, bool), []
     for wall in lanes.walls:
         found, bad = points(lanes, wall, horizon)
@@ -174,5 +174,5 @@ def first_contact(lanes, horizon, least):
     for k, wall in enumerate(lanes.walls):
         mine = np.flatnonzero(np.isfinite(time) & (pick == k))
         side[mine] = wall.side
-        speed[mine] = np.abs(clearance(lanes.take(mine), wall.take(mine), time[mine])[1])
+        speed[mine] = np.abs(clearance(take(lanes, mine), take(wall, mine), time[mine])[1])
     return time, side, speed, sure

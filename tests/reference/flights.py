@@ -1,36 +1,30 @@
 """Flights for the missed-contact test: near grazes of known depth, and what truly happens, in 80-bit floats."""
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
+from jax import tree
 
 from .contacts import first_contact
-from .lanes import LONG, Lanes, Side, acceleration, clearance, scale, travel, wall_course
-from .scene import Motion, Scene, Wall
+from .lanes import LONG, Lanes, Side, acceleration, clearance, scale, take, travel, wall_course
 
 DEEPEST, ULPS, LATEST = 1e-2, 8, 5.0
 
 
-@dataclass
-class Flights:
+class Flights(NamedTuple):
     """Flights from doubles that are exact inputs; arrays of one length. What is expected is right for these doubles.
 
-    lanes: gamma, omega, amplitude, phase (start's drive phase), x, v and walls (see lanes.Lanes, lanes.Side).
-    periods: the whole periods to fly, horizon = periods 2 pi / omega. contact: whether there is an impact in that
-    time; side (-1, +1; 0 none), time (inf: none) and relative speed of the first one. design: the side of the wall
-    of the near graze, graze: its time, depth: its depth, > 0 a contact, < 0 a miss. ulp: spacing of a double at the
-    flight's scale.
+    lanes: the starts. horizon: time to fly. contact: whether there is an impact in that time; side (-1, +1; 0 none),
+    time (inf: none) and relative speed of the first one. depth of the near graze: > 0 a contact, < 0 a miss. ulp:
+    spacing of a double at the flight's scale.
     """
 
     lanes: Lanes
-    periods: int
     horizon: np.ndarray
     contact: np.ndarray
     side: np.ndarray
     time: np.ndarray
     speed: np.ndarray
-    design: np.ndarray
-    graze: np.ndarray
     depth: np.ndarray
     ulp: np.ndarray
 
@@ -41,11 +35,11 @@ def make_flights(seed, count, left=0, right=None, periods=1, sample=20000):
     omega runs from 0.3 (periods 1) or from where the horizon is 5 (periods 2, 3) to 5; gamma 0 to 1.5, A 0 to 10.
     """
     rng = np.random.default_rng([seed, periods, 9 if left is None else left, 9 if right is None else right])
-    parts, total = [], 0
-    while total < count:
-        parts.append(some_flights(rng, sample, left, right, periods))
-        total += len(parts[-1].time)
-    return first(join(parts), count)
+    flights = some_flights(rng, sample, left, right, periods)
+    while len(flights.time) < count:
+        more = some_flights(rng, sample, left, right, periods)
+        flights = tree.map(lambda one, other: np.concatenate([one, other]) if np.ndim(one) else one, flights, more)
+    return take(flights, slice(count))
 
 
 def some_flights(rng, n, left, right, periods):
@@ -58,15 +52,12 @@ def some_flights(rng, n, left, right, periods):
     low = np.log(ULPS * np.spacing(scale(lanes)))
     depth = np.exp(rng.uniform(low, np.log(DEEPEST))) * rng.choice([-1.0, 1.0], n)
     good = aim(lanes, pick, graze, depth) & inside(lanes, graze, depth)
-    lanes, horizon, graze, pick = lanes.take(good), horizon[good], graze[good], pick[good]
+    lanes, horizon, graze, pick = take((lanes, horizon, graze, pick), good)
     ulp = np.spacing(scale(lanes))
     time, side, speed, sure = first_contact(lanes, horizon, ULPS * ulp)
     depth, design = -depth_at(lanes, pick, graze), np.array([wall.side for wall in lanes.walls])[pick]
-    hit = (time < graze) & (side == design)
-    sure &= np.where(depth > 0, hit, time > graze)
-    values = (horizon, np.isfinite(time), side, time, speed, design, graze, depth, ulp)
-    every = Flights(lanes, periods, *(np.asarray(value) for value in values))
-    return first(every, sure)
+    sure &= np.where(depth > 0, (time < graze) & (side == design), time > graze)
+    return take(Flights(lanes, horizon, np.isfinite(time), side, time, speed, depth, ulp), sure)
 
 
 def draw_lanes(rng, n, left, right, periods):
@@ -86,11 +77,11 @@ def draw_lanes(rng, n, left, right, periods):
 
 def aim(lanes, pick, graze, depth):
     """Set the starts so that wall `pick` is left at relative rest at time graze, `depth` behind it; mask of minima."""
-    begin, good = graze.astype(LONG), np.zeros(len(lanes), bool)
+    begin, good = graze.astype(LONG), np.zeros(len(lanes.x), bool)
     for k, wall in enumerate(lanes.walls):
         mine = np.flatnonzero(pick == k)
-        some, t = lanes.take(mine), begin[mine]
-        place, speed, change = wall_course(some, wall.take(mine), t)
+        some, t = take(lanes, mine), begin[mine]
+        place, speed, change = wall_course(some, take(wall, mine), t)
         x = place + wall.side * depth[mine]
         good[mine] = wall.side * (change - acceleration(some, x, speed, t)) > 0
         back = travel(some, x, speed, t, np.zeros_like(t))
@@ -100,7 +91,7 @@ def aim(lanes, pick, graze, depth):
 
 def inside(lanes, graze, depth, samples=12):
     """A coarse look that spares work: between the walls at the start and, but for the graze itself, up to it."""
-    good = np.ones(len(lanes), bool)
+    good = np.ones(len(lanes.x), bool)
     for part in np.arange(samples) / samples:
         for wall in lanes.walls:
             good &= clearance(lanes, wall, part * graze)[0] > np.where(part > 0, -np.abs(depth), 0)
@@ -109,45 +100,12 @@ def inside(lanes, graze, depth, samples=12):
 
 def depth_at(lanes, pick, graze):
     """Exact clearance at the extremum near the intended time, for the rounded start (two Newton steps)."""
-    t, result = graze.astype(LONG), np.zeros(len(lanes), LONG)
+    t, result = graze.astype(LONG), np.zeros(len(lanes.x), LONG)
     for k, wall in enumerate(lanes.walls):
         mine = np.flatnonzero(pick == k)
-        some, other, at = lanes.take(mine), wall.take(mine), t[mine]
+        some, other, at = take(lanes, mine), take(wall, mine), t[mine]
         for _ in range(2):
             _, slope, bend = clearance(some, other, at)
             at = at - slope / bend
         result[mine] = clearance(some, other, at)[0]
     return result
-
-
-def scene_of(flights, k, restitution):
-    """The Scene of flight k, with a restitution for its walls."""
-    lanes, walls = flights.lanes, {}
-    for wall in lanes.walls:
-        motion = Motion(float(wall.swing[k]), float(wall.phase[k]), wall.harmonic) if wall.harmonic else None
-        walls[wall.side] = Wall(float(wall.position[k]), restitution, motion)
-    oscillator = (float(value[k]) for value in (lanes.gamma, lanes.omega, lanes.amplitude))
-    return Scene(*oscillator, walls.get(-1), walls.get(1))
-
-
-def first(flights, which):
-    """The flights of a mask, or the first `which` of them."""
-    index = slice(which) if isinstance(which, int) else which
-    arrays = [value[index] for name, value in vars(flights).items() if name not in ("lanes", "periods")]
-    return Flights(flights.lanes.take(index), flights.periods, *arrays)
-
-
-def join(parts):
-    """One Flights of several."""
-    arrays = [gather(parts, name) for name in vars(parts[0]) if name not in ("lanes", "periods")]
-    lanes = [part.lanes for part in parts]
-    walls = []
-    for same in zip(*(own.walls for own in lanes), strict=True):
-        walls.append(Side(same[0].side, same[0].harmonic, *(gather(same, n) for n in ("position", "swing", "phase"))))
-    inputs = [gather(lanes, name) for name in ("gamma", "omega", "amplitude", "phase", "x", "v")]
-    return Flights(Lanes(*inputs, walls), parts[0].periods, *arrays)
-
-
-def gather(records, name):
-    """One array of the records' arrays of a name."""
-    return np.concatenate([getattr(record, name) for record in records])

@@ -1,14 +1,14 @@
 """Many free flights at once in numpy: exact flow and clearance at the precision of the times given (80 bit, double)."""
 
-from dataclasses import dataclass, fields
+from typing import NamedTuple
 
 import numpy as np
+from jax import tree
 
 LONG = np.longdouble
 
 
-@dataclass
-class Side:
+class Side(NamedTuple):
     """A wall of each lane: side -1 or +1, harmonic (0: at rest), position, swing (its amplitude) and phase: arrays."""
 
     side: int
@@ -17,13 +17,8 @@ class Side:
     swing: np.ndarray
     phase: np.ndarray
 
-    def take(self, index):
-        """The lanes of an index."""
-        return Side(self.side, self.harmonic, self.position[index], self.swing[index], self.phase[index])
 
-
-@dataclass
-class Lanes:
+class Lanes(NamedTuple):
     """Starts of free flights at t = 0 as doubles, all arrays of one shape: x, v at drive phase `phase`."""
 
     gamma: np.ndarray
@@ -34,13 +29,10 @@ class Lanes:
     v: np.ndarray
     walls: list
 
-    def take(self, index):
-        """The lanes of an index (repeats allowed)."""
-        kept = [getattr(self, entry.name)[index] for entry in fields(self)[:-1]]
-        return Lanes(*kept, [wall.take(index) for wall in self.walls])
 
-    def __len__(self):
-        return len(self.x)
+def take(lanes, index):
+    """Return the lanes of an index, repeats allowed, of any record of arrays."""
+    return tree.map(lambda leaf: leaf[index] if np.ndim(leaf) else leaf, lanes)
 
 
 def response_size(gamma, omega):
