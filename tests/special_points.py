@@ -73,7 +73,7 @@ def return_matrix(point, contact_time, is_half_orbit):
 
 def _releases(spot):
     """Return the indices of the rows at which a wall lets go."""
-    return np.flatnonzero(abs(spot.sides) == Contact.STUCK)
+    return np.flatnonzero(abs(spot.sides) >= Contact.STUCK)
 
 
 def completion_value(point):
