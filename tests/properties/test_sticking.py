@@ -277,7 +277,7 @@ def test_completion_of_chatter(kind, number):
     """A branch has its CH where the bounces of 50 digits just end in sticking."""
     scene, orbit = sticking_orbit(generator(kind, number))
     value = float(scene.amplitude)
-    branch = jv.follow(orbit, "amplitude", (0.6 * value, 1.6 * value))
+    branch = jv.follow(orbit, "amplitude", (0.6 * value, 1.6 * value), stop="CH")
     for point in branch.points("CH"):
         assert abs(point.value - completion_value(point)) < 1e-10
 
