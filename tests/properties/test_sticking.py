@@ -1,7 +1,6 @@
 """Properties of motions that stick: their ends and derivatives, bounces, orbits and branches, against 50 digits."""
 
 from types import SimpleNamespace
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -34,13 +33,6 @@ DIGITS = 50
 SAMPLES = 200  # of the contact force, a drive period
 
 
-class Case(NamedTuple):
-    """A start in a scene, and what happens."""
-
-    draw: Draw
-    story: rest_slopes.Story
-
-
 def drawn(rng, structure):
     """Return a random `Draw` with walls of a structure."""
     gamma = rng.uniform(0.0, 0.4) if rng.random() < 0.7 else rng.uniform(0.4, 1.6)
@@ -57,7 +49,7 @@ def drawn(rng, structure):
 
 
 def cases(rng, structure):
-    """Return as many `Case`s as there are lanes that stick, or leave a wall without speed, in the period."""
+    """Return (`Draw`, `Story`) of as many starts as there are lanes, which stick or leave a wall without speed."""
     found = []
     while len(found) < LANES:
         draw = drawn(rng, structure)
@@ -68,7 +60,7 @@ def cases(rng, structure):
         last = story.stretches[-1]
         is_decided = len(last.hits) <= REPLAY_SLOTS and story.slowest > 1e-3
         if story.held or ((last.since is not None or story.plastic) and is_decided):
-            found.append(Case(draw, story))
+            found.append((draw, story))
     return found
 
 
@@ -95,8 +87,8 @@ def rank(matrix):
 def test_derivatives(kind, number):
     """Ends, derivatives of ends and impacts by every number, and the rank by the state are those of differences."""
     members = cases(generator(kind, number), kind.walls)
-    run = end_of(scene_of([case.draw.scene for case in members]))
-    points = jnp.array([slopes.numbers(case.draw) for case in members])
+    run = end_of(scene_of([draw.scene for draw, _ in members]))
+    points = jnp.array([slopes.numbers(draw) for draw, _ in members])
     both = jax.jit(jax.vmap(lambda numbers: (run(numbers), jax.jacfwd(run)(numbers))))
     for case, value, slope in zip(members, *map(np.asarray, both(points)), strict=True):
         true = rest_slopes.jacobian(*case)
@@ -116,8 +108,8 @@ def test_second_derivatives(kind, number):
     """Second derivatives of the end along a direction are those of differences."""
     rng = generator(kind, number)
     members = cases(rng, kind.walls)
-    run = end_of(scene_of([case.draw.scene for case in members]), 4)
-    points = jnp.array([slopes.numbers(case.draw) for case in members])
+    run = end_of(scene_of([draw.scene for draw, _ in members]), 4)
+    points = jnp.array([slopes.numbers(draw) for draw, _ in members])
     directions = jnp.array(rng.normal(size=points.shape))
 
     def along(point, direction):
