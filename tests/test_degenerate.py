@@ -92,7 +92,7 @@ def landings(height, speed, gravity, bounce, count, root):
         (9.81, 2.0, 0.9, 3.0, 10, 1e-13),
         (2.0**-20, 2.0**-20, 0.9, 3.0, 10, 1e-13),
         (1.0, 1.0, 1.0, 1.0, 10, 1e-13),
-        (9.81, 2.0, 0.99, 0.7, 1000, 2e-12),
+        (9.81, 2.0, 0.99, 0.7, 300, 2e-12),
         (9.81, 2.0, 0.999, 0.7, 1000, 4e-12),
         (9.81, 2.0, 1.0, 0.7, 1000, 2e-12),
     ],
@@ -102,10 +102,10 @@ def test_bounces_are_those_of_the_closed_form(gravity, height, bounce, frequency
     scene, state = ball(c0=gravity, bounce=bounce, frequency=frequency), jv.State(height, 0.0)
     length, late, speeds = 2.0 * np.pi / frequency, [], []
     for k in range(200):
-        state, impacts = jax.device_get(jv.strobe(scene, state, slots=64 if fewest < 1000 else 1000))
+        state, impacts = jax.device_get(jv.strobe(scene, state, slots=64 if fewest < 100 else 1000))
         late += [mpf(k * length) + mpf(float(time)) for time in impacts.time[: impacts.count]]
         speeds += impacts.speed[: impacts.count].tolist()
-        if abs(state.contact) == 2 or (bounce > 0.9 and len(late) >= fewest):
+        if abs(state.contact) == 2 or len(late) >= 1000 or (bounce == 1.0 and len(late) >= fewest):
             break
     assert len(late) >= fewest
     with mp.workdps(40):
