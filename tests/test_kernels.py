@@ -10,7 +10,6 @@ import jaxvibro as jv
 from jaxvibro.compiled.kernel_calls import call_as_kernel, can_be_kernel
 from jaxvibro.compiled.kernel_costs import max_cost_to_limit_ratio
 
-from .kinds import KINDS, TAME, draw_rows
 from .lanes import at
 
 LANES = 4
@@ -134,15 +133,21 @@ def test_a_value_that_many_operations_read_is_kept_in_memory(rows, reads):
 
 def test_derivatives_of_a_batch_of_scenes():
     """Case A1: every number of the scene as lanes, any derivative; XLA's emitter aborted the process."""
-    scene, state = KINDS["two_walls"].batch(draw_rows(0, 4 * LANES, TAME))
+    rng = np.random.default_rng(0)
+    named = {"A": (1, 6), "w": (1, 3), "g": (0.01, 0.2), "R": (0.3, 0.9), "l": (-1.2, -1), "r": (1, 1.2)}
+    lanes = {name: rng.uniform(*bounds, LANES) for name, bounds in named.items()}
+    start = np.stack([rng.uniform(-0.9, 0.9, LANES), rng.uniform(-2, 2, LANES)], 1)
 
-    def end(z, scene, state):
-        last, _ = jv.strobe(scene, jv.State(z[0], z[1], state.phase, state.contact))
-        return jnp.stack([last.x, last.v])
+    def end(z, p):
+        scene = jv.make_scene(p["A"], p["w"], p["g"], p["R"], (p["l"], p["r"]))
+        state, _ = jv.strobe(scene, jv.State(z[0], z[1]))
+        return jnp.stack([state.x, state.v])
 
-    slopes = jax.jit(jax.vmap(jax.jacfwd(end)))(np.stack([state.x, state.v], 1), scene, state)
-    expected = np.asarray(jv.monodromy(scene, state))
-    assert np.all(abs(slopes - expected).max((1, 2)) <= 1e-9 * abs(expected).max((1, 2)))
+    slopes = jax.jit(jax.vmap(jax.jacfwd(end)))(start, lanes)
+    for k in range(LANES):
+        z, p = at((start, lanes), k)
+        scene = jv.make_scene(p["A"], p["w"], p["g"], p["R"], (p["l"], p["r"]))
+        np.testing.assert_allclose(slopes[k], jv.monodromy(scene, jv.State(*z)), rtol=1e-9, atol=1e-12)
 
 
 def test_many_harmonics_with_clearances():
