@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from .baseline import compare, compute, stored_files
+from .baseline import compare, compute
 
 STORED = Path(compute.__file__).parent / "stored"
 ULPS = 8  # processors differ in the order of a few operations
@@ -35,9 +35,9 @@ def test_public_names_parameters_and_attributes_are_those_of_before(stored):
     assert "jaxvibro.follow(" in names and "jaxvibro.Branch.table" in names
 
 
-@pytest.mark.parametrize("name", sorted(stored_files.READERS))
+@pytest.mark.parametrize("name", sorted(compare.READERS))
 def test_files_of_before_are_read(stored, name):
-    content = stored_files.contents(name, STORED / name)
+    content = compare.contents(STORED, name)
     if name in ("branch.nc", "locus.nc"):
         assert compare.ulps(stored[0][f"{name.removesuffix('.nc')}/amplitude"], content) == 0
     assert content.size > 1 and np.isfinite(content).all()

@@ -42,14 +42,6 @@ def load():
 '''
 
 
-def test_a_row_keeps_its_goal_or_not():
-    most, least = Row("one", "s", 2.0), Row("other", "over ours", 30, least=True)
-    assert most.of([1, 2, 3]).kept and not most.of([2, 3, 4]).kept
-    assert least.of([29, 30, 31]).kept and not least.of([10, 20, 40]).kept
-    assert most.kept is None and Row("third", "s").of(1.0).kept is None
-    assert most.of(np.arange(5)).found == (2.0, 1.0, 3.0)
-
-
 def test_a_reduced_measurement_has_less_of_everything():
     small, whole, lists = Size(True), Size(False), [{1: np.zeros(2)}, {2: np.zeros(2)}, {3: np.zeros(2)}]
     assert [small.states(n) for n in (16, 1024)] == [4, 64] and small.rounds(9) == 2
@@ -60,13 +52,18 @@ def test_a_reduced_measurement_has_less_of_everything():
 def test_a_missed_goal_is_bold():
     rows = [
         Row("fast", "s", 2.0).of([1.0, 1.5, 2.0], "as it is"),
+        Row("late", "s", 2.0).of([2, 3, 4]),
         Row("slow", "over ours", 8000, least=True).of(7000.0),
+        Row("most", "over ours", 30, least=True).of([29, 30, 31]),
         Row("none", "s", 1),
         Row("free", "s").of(0.25),
     ]
+    assert [row.kept for row in rows] == [True, False, False, True, None, None]
     assert page.asked_table(rows).splitlines()[2:] == [
         "| fast | s | at most 2 | 1.5 (1.25 to 1.75), as it is |",
+        "| late | s | at most 2 | **3 (2.5 to 3.5)** |",
         "| slow | over ours | at least 8,000 | **7,000** |",
+        "| most | over ours | at least 30 | 30 (29.5 to 30.5) |",
         "| none | s | at most 1 | not measured |",
         "| free | s | none | 0.25 |",
     ]
@@ -187,14 +184,6 @@ def test_methods_are_compared_with_the_cheapest_of_ours_of_at_most_their_error()
     assert scipy.kept and not diffrax.kept and heyoka.remark == own_force.UNLIKE
 
 
-@pytest.mark.parametrize("work", [kernel.Work(8), kernel.Work(8, walls=1), kernel.Work(8, moving=True)])
-def test_a_work_has_its_walls_and_its_motions_are_computed(work):
-    scene, state = work.given
-    assert (scene.left is None) == (work.walls == 1) and state.x.shape == (8,)
-    assert (scene.right.motion is not None) == work.moving
-    assert np.all(np.isfinite(jv.strobe(scene, state)[0].x))
-
-
 def test_the_share_of_full_steps_is_that_of_all_periods(monkeypatch):
     given_up, starts = iter([[0, 0, 0, 1], [0, 1, 1, 1], [0, 0, 0, 0]]), []
 
@@ -202,14 +191,14 @@ def test_the_share_of_full_steps_is_that_of_all_periods(monkeypatch):
         starts.append(np.asarray(state.x))
         return None, np.array(next(given_up), bool)
 
-    monkeypatch.setattr(kernel.tiers_proof, "lean", lean)
+    monkeypatch.setattr(kernel, "fast", lean)
     work = kernel.Work(4, periods=3)
     assert kernel.in_full(work) == pytest.approx(4 / 12)
     last, _ = jv.strobe(*work.given, periods=2)
     np.testing.assert_array_equal(starts[2], last.x)
 
 
-def test_the_scenes_are_of_all_kinds():
+def test_the_scenes_and_the_work_are_of_their_kinds():
     for walls, moving, soft, force in scenes.KINDS:
         scene, state = scenes.given(walls, moving, soft, force, 8)
         assert (scene.force is not None) == bool(force)
@@ -217,6 +206,10 @@ def test_the_scenes_are_of_all_kinds():
         assert len(present) == walls and all(wall.soft == bool(soft) for wall in present)
         assert all((wall.motion is not None) == bool(moving) for wall in present)
         assert np.all(np.abs(state.x) <= (0.8 if moving else 1.0))
+    for work in (kernel.Work(8), kernel.Work(8, walls=1), kernel.Work(8, moving=True)):
+        scene, state = work.given
+        assert (scene.left is None) == (work.walls == 1) and (scene.right.motion is not None) == work.moving
+        assert state.x.shape == (8,) and np.all(np.isfinite(jv.strobe(scene, state)[0].x))
 
 
 def test_pictures_are_drawn(tmp_path):

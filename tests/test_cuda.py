@@ -3,7 +3,6 @@
 Where there is a card, maps and studies on it are compared with those on the processor.
 """
 
-from contextlib import contextmanager
 from functools import partial
 
 import jax
@@ -14,7 +13,6 @@ from jax import export
 
 import jaxvibro as jv
 from continuation import persistent_jit
-from jaxvibro.compiled import kernel_calls, lane_arithmetic, lane_blocks
 
 WALLS = {
     "none": (None, None),
@@ -23,26 +21,18 @@ WALLS = {
     "moving": (jv.Wall(-1.5, 0.6), jv.Wall(1.0, 0.8, motion=jv.Motion(0.1, 0.3, 2))),
     "soft": (jv.Wall(-1.5, stiffness=90.0, damping=1.0), jv.Wall(1.0, 0.8)),
 }
-TRACED_FOR_CPU = kernel_calls.is_traced_for_cpu
 LANES = jv.State(*(np.linspace(-0.5, 0.5, 16) * k for k in (1.0, 2.0, 0.0, 0.0)))
 
 
 @pytest.fixture
 def on_card():
     """Tests trace as on a card, and share nothing of it with others."""
-    with traced_for(lambda: False):
-        yield
-    jax.clear_caches()
-
-
-@contextmanager
-def traced_for(rule):
-    """Trace as on a machine where this function decides whether it is for the processor."""
     with pytest.MonkeyPatch.context() as patch:
-        for module in (lane_blocks, lane_arithmetic, kernel_calls):
-            patch.setattr(module, "is_traced_for_cpu", rule)
+        for module in ("lane_blocks", "lane_arithmetic", "kernel_calls"):
+            patch.setattr(f"jaxvibro.compiled.{module}.is_traced_for_cpu", lambda: False)
         jax.clear_caches()
         yield
+    jax.clear_caches()
 
 
 def scene(walls):
@@ -65,13 +55,10 @@ def strobes(state, walls):
 
 @pytest.mark.parametrize("walls", WALLS)
 def test_the_map_and_its_derivatives(walls, on_card):
-    for function in (
-        partial(strobes, walls=walls),
-        lambda state: jax.vmap(lambda x: jax.grad(lambda x: jv.strobe(scene(walls), jv.State(x, 0.2))[0].x)(x))(
-            state.x
-        ),
-        lambda state: jv.monodromy(scene(walls), state),
-    ):
+    def slopes(state):
+        return jax.vmap(jax.grad(lambda x: jv.strobe(scene(walls), jv.State(x, 0.2))[0].x))(state.x)
+
+    for function in (partial(strobes, walls=walls), slopes, partial(jv.monodromy, scene(walls))):
         assert "func.func public @main" in lowered(function, LANES)
 
 
@@ -99,7 +86,7 @@ def surveys(given):
 
 @pytest.mark.parametrize("study", [branches, surveys])
 @pytest.mark.parametrize("walls", ["two", "soft"])
-def test_the_programs_of_studies(study, walls, monkeypatch):
+def test_the_programs_of_studies(study, walls, monkeypatch, request):
     programs, load = {}, persistent_jit._load_or_export_module
 
     def record(function, args, kwargs):
@@ -115,17 +102,16 @@ def test_the_programs_of_studies(study, walls, monkeypatch):
     for _ in persistent_jit.compile_numpy_functions():
         pass
     assert len(programs) > 2
-    with traced_for(lambda: False):
-        for function, (tree, leaves, traced, shapes) in programs.items():
+    request.getfixturevalue("on_card")
+    for function, (tree, leaves, traced, shapes) in programs.items():
 
-            def call(*given, tree=tree, leaves=leaves, traced=traced, function=function):
-                values = iter(given)
-                filled = [next(values) if new else leaf for leaf, new in zip(leaves, traced, strict=True)]
-                args, kwargs = tree.unflatten(filled)
-                return function(*args, **kwargs)
+        def call(*given, tree=tree, leaves=leaves, traced=traced, function=function):
+            values = iter(given)
+            filled = [next(values) if new else leaf for leaf, new in zip(leaves, traced, strict=True)]
+            args, kwargs = tree.unflatten(filled)
+            return function(*args, **kwargs)
 
-            lowered(call, *shapes)
-    jax.clear_caches()
+        lowered(call, *shapes)
 
 
 @pytest.fixture
@@ -133,8 +119,8 @@ def devices():
     """A card and the processor; what was traced for the tests above is dropped."""
     if jax.default_backend() != "gpu":
         pytest.skip("there is no graphics card")
-    with traced_for(TRACED_FOR_CPU):
-        yield jax.devices("gpu")[0], jax.devices("cpu")[0]
+    jax.clear_caches()
+    return jax.devices("gpu")[0], jax.devices("cpu")[0]
 
 
 def on_each(devices, function):

@@ -7,8 +7,10 @@ import pytest
 from jax import lax
 
 import jaxvibro as jv
-from jaxvibro.compiled import kernel_calls, kernel_costs
-from tests.lanes import at
+from jaxvibro.compiled.kernel_calls import call_as_kernel, can_be_kernel
+from jaxvibro.compiled.kernel_costs import max_cost_to_limit_ratio
+
+from .lanes import at
 
 LANES = 4
 
@@ -28,13 +30,11 @@ def test_operands_are_stacked_behind_a_barrier():
     """Whatever the operands are, a kernel takes arrays of at least two rows, which constant folding does not see."""
     lane = np.linspace(0.1, 0.4, LANES)
     programs = {
-        "operands": (lambda a, b: kernel_calls.call_as_kernel(looped, a, b, a), lane, 2.0 * lane),
-        "repeated": (lambda a: kernel_calls.call_as_kernel(looped, a, a, a), lane),
-        "constant": (lambda a: kernel_calls.call_as_kernel(looped, a, jnp.zeros(LANES), jnp.zeros(LANES)), lane),
-        "scalar": (lambda a: kernel_calls.call_as_kernel(looped, a, 0.5, a), lane),
-        "all constant": (
-            lambda: kernel_calls.call_as_kernel(looped, jnp.ones(LANES), jnp.ones(LANES), jnp.ones(LANES)),
-        ),
+        "operands": (lambda a, b: call_as_kernel(looped, a, b, a), lane, 2.0 * lane),
+        "repeated": (lambda a: call_as_kernel(looped, a, a, a), lane),
+        "constant": (lambda a: call_as_kernel(looped, a, jnp.zeros(LANES), jnp.zeros(LANES)), lane),
+        "scalar": (lambda a: call_as_kernel(looped, a, 0.5, a), lane),
+        "all constant": (lambda: call_as_kernel(looped, *[jnp.ones(LANES)] * 3),),
     }
     for name, (program, *args) in programs.items():
         (call,) = small_calls(program, *args)
@@ -47,7 +47,7 @@ def test_operands_are_stacked_behind_a_barrier():
 
 def test_a_constant_operand_is_a_parameter_with_a_use():
     """The cause of an abort: constant folding moved a constant array into a kernel, and its parameter had no use."""
-    program = jax.jit(lambda a: kernel_calls.call_as_kernel(looped, a, jnp.zeros(LANES), 0.5 + jnp.zeros(LANES)))
+    program = jax.jit(lambda a: call_as_kernel(looped, a, jnp.zeros(LANES), 0.5 + jnp.zeros(LANES)))
     lane = np.linspace(0.1, 0.4, LANES)
     text = program.lower(lane).compile().as_text()
     calls = [line for line in text.splitlines() if "xla_cpu_small_call" in line and " call(" in line]
@@ -64,7 +64,7 @@ def test_a_constant_operand_is_a_parameter_with_a_use():
 def test_derivatives_and_lanes_of_a_kernel():
     """Derivatives are compiled without the attribute; a vmap keeps it where a kernel can hold what it becomes."""
     lane = np.linspace(0.1, 0.4, LANES)
-    run = lambda a: kernel_calls.call_as_kernel(looped, a, 0.5 * a, a)  # noqa: E731
+    run = lambda a: call_as_kernel(looped, a, 0.5 * a, a)  # noqa: E731
     assert len(small_calls(run, lane)) == 1
     assert not small_calls(lambda a: jax.jvp(run, (a,), (a,))[1], lane)
     many = np.stack([lane, 2.0 * lane, 3.0 * lane])
@@ -92,7 +92,7 @@ def test_a_vmap_that_adds_operations_without_a_kernel(operation):
         return lax.while_loop(lambda carry: carry[0] < 2, turn, (0, values))[1]
 
     values, places = np.random.default_rng(0).normal(size=(5, 7)), np.array([0, 3, 6, 2, 1])
-    found = jax.jit(jax.vmap(lambda v, k: kernel_calls.call_as_kernel(indexed, v, k)))(values, places)
+    found = jax.jit(jax.vmap(lambda v, k: call_as_kernel(indexed, v, k)))(values, places)
     alone = [jax.jit(indexed)(*one) for one in zip(values, places, strict=True)]
     np.testing.assert_array_equal(found, alone)
 
@@ -109,9 +109,9 @@ def test_the_cost_of_an_operation_follows_xla():
     for n in (1, 32, 64):
         jaxpr = jax.make_jaxpr(polynomial)([np.ones(n)] * 40).jaxpr
         expected = 0.0 if n == 1 else (400 + 10 * 8 * 41) * n / 200_000
-        assert kernel_costs.max_cost_to_limit_ratio(jaxpr) == pytest.approx(expected, rel=1e-12), n
+        assert max_cost_to_limit_ratio(jaxpr) == pytest.approx(expected, rel=1e-12), n
     jaxpr = jax.make_jaxpr(polynomial)([np.ones(64)] * 40).jaxpr
-    assert kernel_costs.max_cost_to_limit_ratio(jaxpr) > 1 and not kernel_calls.can_be_kernel(jaxpr)
+    assert max_cost_to_limit_ratio(jaxpr) > 1 and not can_be_kernel(jaxpr)
 
 
 @pytest.mark.parametrize(("rows", "reads"), [(15, 15 + 2), (16, 16 + 16)])
@@ -128,21 +128,15 @@ def test_a_value_that_many_operations_read_is_kept_in_memory(rows, reads):
 
     jaxpr = jax.make_jaxpr(horner)(np.ones((rows, 64)), np.ones(64)).jaxpr
     flops = 40 * rows * 64 + (2 * rows * 64 if rows == 15 else 0)  # of all, or of the table alone
-    assert kernel_costs.max_cost_to_limit_ratio(jaxpr) == pytest.approx(
-        (flops + 10 * 8 * 64 * reads) / 200_000, rel=1e-12
-    )
-
-
-def random(rng, count, low, high):
-    return rng.uniform(low, high, count)
+    assert max_cost_to_limit_ratio(jaxpr) == pytest.approx((flops + 10 * 8 * 64 * reads) / 200_000, rel=1e-12)
 
 
 def test_derivatives_of_a_batch_of_scenes():
     """Case A1: every number of the scene as lanes, any derivative; XLA's emitter aborted the process."""
     rng = np.random.default_rng(0)
     named = {"A": (1, 6), "w": (1, 3), "g": (0.01, 0.2), "R": (0.3, 0.9), "l": (-1.2, -1), "r": (1, 1.2)}
-    lanes = {name: random(rng, LANES, *bounds) for name, bounds in named.items()}
-    start = np.stack([random(rng, LANES, -0.9, 0.9), random(rng, LANES, -2, 2)], 1)
+    lanes = {name: rng.uniform(*bounds, LANES) for name, bounds in named.items()}
+    start = np.stack([rng.uniform(-0.9, 0.9, LANES), rng.uniform(-2, 2, LANES)], 1)
 
     def end(z, p):
         scene = jv.make_scene(p["A"], p["w"], p["g"], p["R"], (p["l"], p["r"]))
@@ -158,16 +152,16 @@ def test_derivatives_of_a_batch_of_scenes():
 
 def test_many_harmonics_with_clearances():
     """Case A2: a fusion of 37 arrays of 64 lanes was split over threads within a kernel, which did not link."""
-    count, rng = 100, np.random.default_rng(0)
+    rng = np.random.default_rng(0)
 
-    def u(low, high):
-        return random(rng, count, low, high)
+    def lanes(low, high):
+        return rng.uniform(low, high, 100)
 
-    left = jv.Wall(u(-1.2, -1), restitution=u(0.3, 0.9), motion=jv.Motion(u(0, 0.1), u(-3, 3), 5))
-    right = jv.Wall(u(1, 1.2), restitution=u(0.3, 0.9), motion=jv.Motion(u(0, 0.1), u(-3, 3), 4))
-    drive = ((u(0, 1), 5, u(-3, 3)), (u(0, 1), 5, u(-3, 3)), (u(-1, 1), 0, 0.0))
-    scene = jv.make_scene(u(1, 5), u(1, 3), u(0, 0.2), None, (left, right), drive=drive)
-    state = jv.State(u(-0.8, 0.8), u(-2, 2), u(-3, 3))
+    left = jv.Wall(lanes(-1.2, -1), lanes(0.3, 0.9), motion=jv.Motion(lanes(0, 0.1), lanes(-3, 3), 5))
+    right = jv.Wall(lanes(1, 1.2), lanes(0.3, 0.9), motion=jv.Motion(lanes(0, 0.1), lanes(-3, 3), 4))
+    drive = ((lanes(0, 1), 5, lanes(-3, 3)), (lanes(0, 1), 5, lanes(-3, 3)), (lanes(-1, 1), 0, 0.0))
+    scene = jv.make_scene(lanes(1, 5), lanes(1, 3), lanes(0, 0.2), None, (left, right), drive=drive)
+    state = jv.State(lanes(-0.8, 0.8), lanes(-2, 2), lanes(-3, 3))
     end, impacts = jv.strobe(scene, state, slots=64, clearance=True)
     for k in (0, 57, 99):
         one, alone = jv.strobe(*at((scene, state), k), slots=64, clearance=True)
@@ -203,5 +197,5 @@ def test_reductions_and_products_of_any_size(kind, columns):
     expected = start
     for _ in range(3):
         expected = np.cos(expected + function(np, expected))
-    found = jax.jit(lambda values: kernel_calls.call_as_kernel(turned, values))(start)
+    found = jax.jit(lambda values: call_as_kernel(turned, values))(start)
     np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-13)

@@ -50,7 +50,7 @@ def test_a_failing_draw_is_kept_and_tried_first(tmp_path, monkeypatch):
     for draws in (5, 1):
         with pytest.raises(AssertionError):
             test_small("one_wall", draws)
-    assert seen == [0, 1, 2, 0, 2] and json.loads(tiers.EXAMPLES.read_text()) == {"test_small[one_wall]": [2]}
+    assert seen == [0, 1, 2, 0, 2] and json.loads(tiers.EXAMPLES.read_text()) == {"suite.small[one_wall]": [2]}
 
     @tiers.of_batches
     def test_slow(kind, scene, state):
@@ -59,7 +59,7 @@ def test_a_failing_draw_is_kept_and_tried_first(tmp_path, monkeypatch):
     for draws in (50, 1):
         with pytest.raises(AssertionError):
             test_slow("one_wall", draws)
-    (rows,) = json.loads(tiers.EXAMPLES.read_text())["test_slow[one_wall]"]
+    (rows,) = json.loads(tiers.EXAMPLES.read_text())["suite.slow[one_wall]"]
     row = dict(zip(NUMBERS, rows[0], strict=True))
     assert rows == [rows[0]] * LANES and row["amplitude"] == row["share"] == 0.0
     assert abs(row["v"]) >= 3.0 and row["v"] == round(row["v"])

@@ -69,20 +69,29 @@ def kinds_of(check):
     return check.__globals__.get("OWN_KINDS", KINDS)
 
 
-def examples_of(name, kind):
+def examples_of(check, kind):
     """Return the draws of a property and a kind that once failed."""
-    return json.loads(EXAMPLES.read_text("utf-8")).get(f"{name}[{kind}]", []) if EXAMPLES.exists() else []
+    return _kept_examples().get(f"{_folder_and_name(check)}[{kind}]", [])
 
 
-def keep_example(name, kind, draw):
-    """Add a failing draw to the permanent examples."""
-    kept = json.loads(EXAMPLES.read_text("utf-8")) if EXAMPLES.exists() else {}
-    rows = kept.setdefault(f"{name}[{kind}]", [])
+def keep_example(check, kind, draw):
+    """Add a failing draw to the permanent examples, one line for each property and kind."""
+    kept = _kept_examples()
+    rows = kept.setdefault(f"{_folder_and_name(check)}[{kind}]", [])
     if draw not in rows:
         rows.append(draw)
+        lines = ",\n".join(f"{json.dumps(name)}: {json.dumps(kept[name])}" for name in sorted(kept))
         partial = EXAMPLES.with_suffix(f".{os.getpid()}")
-        partial.write_text(json.dumps(kept, indent=1, sort_keys=True) + "\n", "utf-8")
+        partial.write_text(f"{{\n{lines}\n}}\n", "utf-8")
         partial.rename(EXAMPLES)
+
+
+def _kept_examples():
+    return json.loads(EXAMPLES.read_text("utf-8")) if EXAMPLES.exists() else {}
+
+
+def _folder_and_name(check):
+    return f"{check.__module__.rpartition('.test_')[2]}.{check.__name__.removeprefix('test_')}"
 
 
 def of_batches(check):
@@ -99,10 +108,10 @@ def of_batches(check):
             return False
 
         numbers = range(first_draw(), first_draw() + draws)
-        for rows in [*examples_of(check.__name__, kind), *map(batch_rows, numbers)]:
+        for rows in [*examples_of(check, kind), *map(batch_rows, numbers)]:
             if fails(rows):
                 simple = simplified(np.array(rows), fails)
-                keep_example(check.__name__, kind, simple.tolist())
+                keep_example(check, kind, simple.tolist())
                 check(kinds[kind], *kinds[kind].batch(simple))
 
     return _as_property(test, kinds)
@@ -139,13 +148,12 @@ def of_numbers(check):
 
     @wraps(check)
     def test(kind, draws):
-        name = check.__name__
-        for number in sorted({*examples_of(name, kind), *range(first_draw(), first_draw() + draws)}):
+        for number in sorted({*examples_of(check, kind), *range(first_draw(), first_draw() + draws)}):
             try:
                 check(kinds[kind], number)
             except Exception as error:
-                keep_example(name, kind, number)
-                error.add_note(f"draw {number} of {name}[{kind}]")
+                keep_example(check, kind, number)
+                error.add_note(f"draw {number} of {check.__name__}[{kind}]")
                 raise
 
     return _as_property(test, kinds)

@@ -21,16 +21,56 @@ from pathlib import Path
 import jax
 import numpy as np
 
-from tests.baseline import compute, stored_files
+import continuation
+import jaxvibro as jv
+from tests.baseline import compute
 
 ROOT = Path(__file__).parents[2]
 COMMIT = "d03bcd9"  # the end of step 16
 SCRIPT = Path(compute.__file__)
+VALUES, SIGNATURES = "values.npz", "signatures.json"
+
+
+def _special_amplitudes(curve):
+    return [point.scene.amplitude for point in curve.special]
+
+
+# how each file that `compute.save` writes is read, and numbers in it
+READERS = {
+    "branch.nc": (jv.load_branch, _special_amplitudes),
+    "locus.nc": (jv.load_locus, _special_amplitudes),
+    "held_branch.nc": (jv.load_held_branch, lambda curve: curve.data.amplitude.values),
+    "diagram": (jv.load_diagram, lambda diagram: [value for branch in diagram.branches for value in branch.values]),
+    "scene.toml": (jv.load_scene, lambda scene: [scene.amplitude, scene.frequency, scene.damping, scene.restitution]),
+    "map": (jv.load_store, lambda data: data.label.values),
+    "continuation.npz": (
+        lambda path: continuation.load(path, continuation.equilibria(compute.fold)),
+        lambda branch: [*branch.u[:, 0], *branch.p["mu"]],
+    ),
+}
+
+
+def contents(folder, name):
+    """Return numbers read from a file."""
+    read, numbers = READERS[name]
+    return np.asarray(numbers(read(folder / name)), float).ravel()
+
+
+def unreadable(folder):
+    """Return {name: error} of the files in a folder that cannot be read."""
+    errors = {}
+    for name in READERS:
+        try:
+            contents(folder, name)
+        except Exception as error:
+            errors[name] = error
+    return errors
 
 
 def results(checkout, folder):
-    """Make the environment of a checkout, run `compute.py` in it, and return the values and the
-    signatures."""
+    """Make the environment of a checkout, run `compute.py` in it, and return the values and the signatures."""
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir()
     subprocess.run(["make", "--silent", ".venv/.dev"], cwd=checkout, check=True)
     clean = {key: value for key, value in os.environ.items() if not key.startswith(("JAX_", "PYTHON", "XLA_"))}
     environment = clean | {"PYTHONPATH": str(checkout)}
@@ -40,11 +80,8 @@ def results(checkout, folder):
 
 def read(folder):
     """Return the values and signatures in a folder: ({name: array}, {name: entry})."""
-    values = json.loads((folder / "values.json").read_text())
-    return (
-        {name: compute.decode(record) for name, record in values.items()},
-        json.loads((folder / "signatures.json").read_text()),
-    )
+    with np.load(folder / VALUES) as values:
+        return dict(values), json.loads((folder / SIGNATURES).read_text())
 
 
 def ulps(first, second):
@@ -69,16 +106,12 @@ def removed(old, new):
         if name not in new:
             lacking.append(name)
             continue
-        lacking += [f"{name}({part})" for part in _lacking(entry["signature"], new[name]["signature"])]
         attributes = new[name].get("attributes", {})
+        lacking += [f"{name}({part})" for part in entry["signature"] if part not in new[name]["signature"]]
         for key, signature in entry.get("attributes", {}).items():
-            parts = _lacking(signature, attributes[key]) if key in attributes else [""]
+            parts = [part for part in signature if part not in attributes[key]] if key in attributes else [""]
             lacking += [f"{name}.{key}({part})" for part in parts]
     return lacking
-
-
-def _lacking(old, new):
-    return [part for part in old if part not in new]
 
 
 def main():
@@ -93,29 +126,20 @@ def main():
     if not checkout.exists():
         subprocess.run(["git", "clone", "--quiet", ROOT, checkout], check=True)
         subprocess.run(["git", "checkout", "--quiet", arguments.commit], cwd=checkout, check=True)
-    for name in ("before", "after"):
-        shutil.rmtree(folder / name, ignore_errors=True)
-        (folder / name).mkdir()
     old, signatures = results(checkout, folder / "before")
     new, present = results(ROOT, folder / "after")
-    different = {name: ulps(old[name], new[name]) if name in new else np.inf for name in old}
-    different = {name: distance for name, distance in different.items() if distance}
-    for name, distance in different.items():
-        print(f"{name}: differs by {distance:.3g} units in the last place")
-    changed = removed(signatures, present)
-    for name in changed:
-        print(f"{name}: no longer public")
-    unreadable = stored_files.unreadable(folder / "before")
-    for kind, error in unreadable.items():
-        print(f"{kind}: cannot be read: {error}")
-    print(f"{len(old) - len(different)} of {len(old)} arrays identical, {len(unreadable)} files unreadable")
+    distances = {name: ulps(old[name], new[name]) if name in new else np.inf for name in old}
+    differences = [f"{name}: differs by {by:.3g} units in the last place" for name, by in distances.items() if by]
+    differences += [f"{name}: no longer public" for name in removed(signatures, present)]
+    differences += [f"{name}: cannot be read: {error}" for name, error in unreadable(folder / "before").items()]
+    print(*differences, f"{len(differences)} differences, {len(old)} arrays compared", sep="\n")
     if arguments.store:
         target = SCRIPT.parent / "stored"
         shutil.rmtree(target, ignore_errors=True)
         shutil.copytree(folder / "before", target)
-        for name in ("values.json", "signatures.json"):
+        for name in (VALUES, SIGNATURES):
             shutil.copy(folder / "after" / name, target)
-    return int(bool(different or changed or unreadable))
+    return int(bool(differences))
 
 
 if __name__ == "__main__":

@@ -136,13 +136,10 @@ def signatures():
     for module in (jv, jv.plot, continuation):
         for name in sorted(set(module.__all__) - {"plot", "__version__"}):
             value = getattr(module, name)
-            entry = {"signature": _signature(value)}
+            entry = table[f"{module.__name__}.{name}"] = {"signature": _signature(value)}
             if inspect.isclass(value):
-                own = {key for key in dir(value) if not key.startswith("_")} | set(
-                    getattr(value, "__annotations__", ())
-                )
+                own = {key for key in dir(value) if not key.startswith("_")} | {*getattr(value, "__annotations__", ())}
                 entry["attributes"] = {key: _signature(getattr(value, key, None)) for key in sorted(own)}
-            table[f"{module.__name__}.{name}"] = entry
     return table
 
 
@@ -159,26 +156,6 @@ def _signature(value):
     return [re.sub(r"<function \w+ at \w+>", "function", text) for text in plain]
 
 
-def encode(array):
-    """An array as JSON, exactly."""
-    values = array.ravel().tolist()
-    if array.dtype.kind == "c":
-        values = [[number.real.hex(), number.imag.hex()] for number in values]
-    elif array.dtype.kind == "f":
-        values = [number.hex() for number in values]
-    return {"dtype": array.dtype.str, "shape": list(array.shape), "values": values}
-
-
-def decode(record):
-    """The array of a record of `encode_record`."""
-    dtype, values = np.dtype(record["dtype"]), record["values"]
-    if dtype.kind == "c":
-        values = [complex(*map(float.fromhex, pair)) for pair in values]
-    elif dtype.kind == "f":
-        values = [float.fromhex(value) for value in values]
-    return np.array(values, dtype=dtype).reshape(record["shape"])
-
-
 def main():
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=Path)
@@ -186,7 +163,7 @@ def main():
     folder.mkdir(parents=True, exist_ok=True)
     jax.config.update("jax_enable_x64", True)
     values = strobes() | readme(folder) | map_cells()
-    (folder / "values.json").write_text(json.dumps({name: encode(array) for name, array in values.items()}))
+    np.savez_compressed(folder / "values.npz", **values)
     (folder / "signatures.json").write_text(json.dumps(signatures(), indent=1, sort_keys=True) + "\n")
     print(f"{len(values)} arrays in {folder}, by {sys.executable}")
 

@@ -1,20 +1,24 @@
-"""Motions that rest, in as many digits as wanted: hops one by one, from the closed form of each flight.
+"""Motions that stick, in as many digits as wanted: bounces one by one, from the closed form of each flight.
 
-Scenes are `scene.Scene`s, made exact by the caller (`special.exact`); times are since drive phase 0. A hop is looked
-for near where the press at its start would end it, other flights on a grid; both ends are brought to all digits by
-Newton's method. Hops are flown until their speed is below 10^-(a quarter of the digits): from there on the press hardly
-changes.
+Scenes are `scene.Scene`s, made exact by the caller (`special.exact`); times are since drive phase 0. A bounce is
+expected where the contact force at its start would end it, other impacts are searched on a grid in doubles; both are
+brought to all digits by Newton's method. Bounces are computed until their speed is below 10^-(a quarter of the digits):
+from there on the contact force hardly changes.
 """
 
 from typing import NamedTuple
 
+import numpy as np
 from mpmath import cos, fabs, inf, mp, mpf
+from scipy.linalg import expm
 
 from .special import fly, place, restitution
 
-GRID = mpf(1) / 100  # between looks at a flight
-SHORT = mpf(1) / 10  # a hop that is shorter is looked for from its guess
+GRID = mpf(1) / 100  # between samples of a flight
+CHUNK = 512  # samples at once
+SHORT = mpf(1) / 10  # a bounce that is shorter is expected near its guess
 ROUNDS = 60  # of Newton's method
+MOST = 4000  # impacts
 
 
 class Hit(NamedTuple):
@@ -26,20 +30,46 @@ class Hit(NamedTuple):
 
 
 def press(scene, side, t):
-    """How hard a wall holds a mass that rests on it, and how fast that changes, by a difference."""
+    """Return the contact force of a sticking mass and its time derivative, by a difference."""
     step = mpf(10) ** (-mp.dps // 3)
     here, after, before = (press_alone(scene, side, t + k * step) for k in (0, 1, -1))
     return here, (after - before) / (2 * step)
 
 
 def press_alone(scene, side, t):
-    """The same without its change."""
+    """Return the contact force of a sticking mass."""
     wall = place(scene, side, t)
     return side * (scene.amplitude * cos(scene.omega * t) - wall.x - 2 * scene.gamma * wall.v - wall.a)
 
 
+def presses(scene, side, times):
+    """Return the contact forces at an array of times, in doubles."""
+    x, v, a = _wall(scene, side, times)
+    return side * (float(scene.amplitude) * np.cos(float(scene.omega) * times) - x - 2 * float(scene.gamma) * v - a)
+
+
+def _wall(scene, side, times):
+    """Return position, velocity and acceleration of a wall at an array of times, in doubles."""
+    wall = scene.right if side > 0 else scene.left
+    swing, phase, harmonic = map(float, wall.motion or (0, 0, 0))
+    rate = harmonic * float(scene.omega)
+    out = swing * np.exp(1j * (rate * times + phase))
+    return float(wall.position) + out.real, -rate * out.imag, -(rate**2) * out.real
+
+
+def _samples(scene, t, x, v):
+    """Return the positions of a flight at the CHUNK times that follow a time in steps of GRID, in doubles."""
+    omega, gamma, amplitude = float(scene.omega), float(scene.gamma), float(scene.amplitude)
+    rates = [[0, 1, 0, 0], [-1, -2 * gamma, amplitude, 0], [0, 0, 0, -omega], [0, 0, omega, 0]]
+    step, angle = expm(float(GRID) * np.array(rates)), omega * float(t)
+    states = np.array([[float(x), float(v), np.cos(angle), np.sin(angle)]])
+    while len(states) <= CHUNK:
+        states, step = np.concatenate([states, states @ step.T]), step @ step
+    return states[1 : CHUNK + 1, 0]
+
+
 def release(scene, side, t):
-    """The root of the press near a time."""
+    """Return the root of the contact force near a time."""
     for _ in range(ROUNDS):
         here, change = press(scene, side, t)
         t -= here / change
@@ -49,14 +79,14 @@ def release(scene, side, t):
 
 
 def height(scene, side, begin, t):
-    """(distance from a wall, its rate) of the flight from `begin`, (time, x, v)."""
+    """Return the distance from a wall and its rate in the flight from `begin`, (time, x, v)."""
     x, v = fly(scene, *begin, t)
     wall = place(scene, side, t)
     return side * (wall.x - x), side * (wall.v - v)
 
 
 def landing(scene, side, begin, guess):
-    """The time near a guess at which a flight is at a wall."""
+    """Return the time near a guess at which a flight is at a wall."""
     t = guess
     for _ in range(ROUNDS):
         y, rate = height(scene, side, begin, t)
@@ -67,33 +97,41 @@ def landing(scene, side, begin, guess):
 
 
 def departure(scene, side, t, speed):
-    """(time, x, v) of leaving a wall with a speed against it."""
+    """Return (time, x, v) of leaving a wall with a speed against it."""
     wall = place(scene, side, t)
     return t, wall.x, wall.v - side * speed
 
 
-def first(scene, begin, own, step, growth, until=inf):
-    """The first `Hit` of a flight, on a grid of steps that grow, None where it has none until a time; own: the side
-    that it leaves."""
-    t = begin[0]
-    above = dict.fromkeys((side for side, _ in scene.walls()), None)
+def first(scene, begin, own, step=GRID, growth=1, until=inf):
+    """Return the first `Hit` of a flight that leaves the wall on the side `own`, None without one before a time.
+
+    The steps between samples grow up to GRID.
+    """
+    t, away = begin[0], {side: side != own for side, _ in scene.walls()}
     while t < until:
-        t, before, step = t + step, t, min(step * growth, GRID)
-        for side in above:
-            y, _ = height(scene, side, begin, t)
-            if y <= 0 and (side != own or above[side]):
-                low, high = before, t
-                for _ in range(12):
-                    middle = (low + high) / 2
-                    low, high = (middle, high) if height(scene, side, begin, middle)[0] > 0 else (low, middle)
-                t = landing(scene, side, begin, high)
-                return Hit(t, -height(scene, side, begin, t)[1], side)
-            above[side] = above[side] or y > 0
+        fine, found = step < GRID, []
+        late = [step] if fine else float(GRID) * np.arange(1, CHUNK + 1)
+        xs = [fly(scene, *begin, t + step)[0]] if fine else _samples(scene, t, *fly(scene, *begin, t))
+        for side, was_away in away.items():
+            walls = [place(scene, side, t + step).x] if fine else _wall(scene, side, float(t) + late)[0]
+            gaps = side * (np.array(walls) - xs)
+            hits = np.flatnonzero((np.logical_or.accumulate(gaps > 0) | was_away) & (gaps <= 0))
+            found += [(hits[0], side)] if len(hits) else []
+            away[side] = was_away or bool((gaps > 0).any())
+        if found:
+            k, side = min(found)
+            low, high = t + mpf(late[k - 1] if k else 0), t + mpf(late[k])
+            for _ in range(12):
+                middle = (low + high) / 2
+                low, high = (middle, high) if height(scene, side, begin, middle)[0] > 0 else (low, middle)
+            t = landing(scene, side, begin, high)
+            return Hit(t, -height(scene, side, begin, t)[1], side)
+        t, step = t + mpf(late[-1]), step * growth
     return None
 
 
 def next_hit(scene, side, t, speed, until=inf):
-    """The `Hit` after a wall was left with a speed, None where there may be none until a time."""
+    """Return the `Hit` after a wall was left with a speed, None where there may be none until a time."""
     begin, (here, change) = departure(scene, side, t, speed), press(scene, side, t)
     guess = 2 * speed / here if here > 0 else GRID
     if speed == 0 and here < 0 < change:  # drawn off, to be pressed soon
@@ -104,61 +142,47 @@ def next_hit(scene, side, t, speed, until=inf):
     return first(scene, begin, side, min(guess / 8, GRID) if guess > 0 else GRID, mpf(5) / 4, until)
 
 
-def until_rest(scene, side, t, speed, end, most=4000):
-    """(the `Hit`s after a wall was left at a time with a speed, when the mass comes to rest on it, None: not before
-    `end`, which is that wall's next release)."""
-    hits, tiny, again = [], mpf(10) ** (-mp.dps // 4), restitution(scene, side)
-    for _ in range(most):
+def bounces(scene, side, t, speed, end=inf):
+    """Return what follows when a wall is left with a speed.
+
+    The result is (the `Hit`s until the mass sticks, the time at which it sticks, None if not before `end`, the side).
+    """
+    hits, tiny = [], mpf(10) ** (-mp.dps // 4)
+    for _ in range(MOST):
         here, _ = press(scene, side, t)
-        if here > 0 and speed < tiny * here:
-            return hits, t + 2 * speed / ((1 - again) * here)
-        if speed == 0 and here > 0:
-            return hits, t
+        if here > tiny and speed < tiny * here:
+            return hits, t + 2 * speed / ((1 - restitution(scene, side)) * here), side
         hit = next_hit(scene, side, t, speed, end)
-        if hit is None or hit.side != side or hit.time >= end:
-            return hits, None
+        if hit is None or hit.time >= end:
+            return hits, None, side
         hits.append(hit)
-        t, speed = hit.time, again * hit.speed
-    raise ArithmeticError("no end of hops")
+        t, side, speed = hit.time, hit.side, restitution(scene, hit.side) * hit.speed
+    raise ArithmeticError("no end of bounces")
 
 
-def from_release(scene, side, t, end=inf, most=4000):
-    """(all `Hit`s after a wall let the mass go, when it next comes to rest, None: not before `end`, on which side)."""
-    hits, now, own, speed = [], t, side, mpf(0)
-    for _ in range(most):
-        hit = next_hit(scene, own, now, speed, end)
-        if hit is None:
-            return hits, None, own
-        hits.append(hit)
-        own, now, speed = hit.side, hit.time, restitution(scene, hit.side) * hit.speed
-        if now >= end:
-            return hits, None, own
-        here, _ = press(scene, own, now)
-        if here > 0 and speed < mpf(10) ** (-mp.dps // 4) * here:
-            return hits, now + (2 * speed / ((1 - restitution(scene, own)) * here) if speed else 0), own
-    raise ArithmeticError("no rest")
+def from_release(scene, side, t, end=inf):
+    """Return the `bounces` after a wall lets the mass go."""
+    return bounces(scene, side, t, mpf(0), end)
 
 
 def state_after(scene, side, t, speed, end):
-    """(x, v) at a time after a wall was left, with a speed, or let the mass go."""
-    tiny = mpf(10) ** (-mp.dps // 4)
+    """Return (x, v) at a time after a wall was left, with a speed, or let the mass go."""
     while True:
-        here, _ = press(scene, side, t)
-        if here > tiny and speed < tiny * here:  # it rests
-            t, speed = let_go(scene, side, t, end), mpf(0)
-            if t is None:
-                return tuple(place(scene, side, end)[:2])
-        hit = next_hit(scene, side, t, speed, end)
-        if hit is None or hit.time >= end:
+        hits, began, last = bounces(scene, side, t, speed, end)
+        if began is None:
+            if hits:
+                t, side, speed = hits[-1].time, last, restitution(scene, last) * hits[-1].speed
             return fly(scene, *departure(scene, side, t, speed), end)
-        side, t, speed = hit.side, hit.time, restitution(scene, hit.side) * hit.speed
+        side, t, speed = last, let_go(scene, last, began, end), mpf(0)
+        if t is None:
+            return tuple(place(scene, side, end)[:2])
 
 
 def let_go(scene, side, t, end):
-    """When a wall lets go a mass that rests on it from a time on, None where not before `end`."""
-    while t < end:
-        if press_alone(scene, side, t + GRID) <= 0:
-            found = release(scene, side, t + GRID / 2)
-            return found if found < end else None
-        t += GRID
-    return None
+    """Return when a wall lets go a mass that sticks to it from a time on, None if not before `end`."""
+    times = np.arange(float(t), float(end) + float(GRID), float(GRID))[1:]
+    free = np.flatnonzero(presses(scene, side, times) <= 0)
+    if not len(free):
+        return None
+    found = release(scene, side, mpf(times[free[0]]) - GRID / 2)
+    return found if found < end else None
