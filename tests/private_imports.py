@@ -29,13 +29,18 @@ def private_names(path):
                     modules[alias.asname or alias.name] = f"{node.module}.{alias.name}"
         if isinstance(node, ast.Import):
             names |= {alias.name for alias in node.names if alias.name.startswith(tuple(f"{one}." for one in PACKAGES))}
-        if isinstance(node, ast.Constant) and isinstance(node.value, str) and IN_TEXT.fullmatch(node.value):
-            if is_module(node.value.rpartition(".")[0]) and not is_module(node.value):
-                names.add(node.value)
+        if isinstance(node, ast.Constant) and is_private_text(node.value):
+            names.add(node.value)
     for node in ast.walk(tree):
         if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id in modules:
             names.add(f"{modules[node.value.id]}.{node.attr}")
     return names
+
+
+def is_private_text(value):
+    """Return whether a constant is a text that names something in a module of the packages."""
+    is_name = isinstance(value, str) and IN_TEXT.fullmatch(value)
+    return is_name and is_module(value.rpartition(".")[0]) and not is_module(value)
 
 
 def is_module(name):
