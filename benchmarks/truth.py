@@ -6,7 +6,7 @@ import mpmath
 import numpy as np
 
 from benchmarks.work import CAP, CUBIC, GAMMA, OMEGA, RESTITUTION, blank, held
-from tests.reference import orbit, own_force, soft
+from tests.reference import own_force, soft
 from tests.reference.scene import Scene, Soft, Wall
 from tests.reference.search import Discard
 
@@ -40,10 +40,9 @@ def find(states, stiffness=None):
     """
     ends, sides, _ = blank(states)
     judged = np.ones(len(states), dtype=bool)
-    strobe = orbit.strobe if stiffness is None else soft.strobe
     for lane, (x, v, amplitude) in enumerate(states):
         try:
-            record = strobe(Scene(GAMMA, OMEGA, amplitude, wall(-1.0, stiffness), wall(1.0, stiffness)), x, v)
+            record = soft.strobe(Scene(GAMMA, OMEGA, amplitude, wall(-1.0, stiffness), wall(1.0, stiffness)), x, v)
         except Discard:
             judged[lane] = False
             continue

@@ -9,7 +9,7 @@ import jaxvibro as jv
 from tests import truths, wild
 from tests.kinds import KINDS, LANES
 from tests.properties.motions import lane_of, take
-from tests.reference import ball, closed, contacts, flights, orbit, own_force, search
+from tests.reference import ball, closed, contacts, flights, own_force, search, soft
 from tests.reference.scene import Scene, Wall
 
 
@@ -59,10 +59,10 @@ def test_strobes_are_those_of_taylor_series():
 
 def test_a_start_on_a_wall_or_beyond_it():
     scene = Scene(0.05, 2.1, 2.0, None, Wall(1.0, 0.7))
-    into = orbit.strobe(scene, 1.0, 0.5)
+    into = soft.strobe(scene, 1.0, 0.5)
     assert into.times[0] == 0 and into.sides[0] == 1 and float(into.speeds[0]) == 0.5
     with pytest.raises(ValueError, match="beyond"):
-        orbit.strobe(scene, 1.5, 0.0)
+        soft.strobe(scene, 1.5, 0.0)
 
 
 @pytest.mark.parametrize("left, right, periods", [(None, 0, 1), (0, 0, 2), (2, None, 1), (1, 3, 3)])
@@ -99,7 +99,7 @@ def test_a_fold_and_a_grazing_in_closed_form():
         assert len(roots) == 2 and abs(roots[0].speed - fold.speed) < 1e-8
         start = [float(value) for value in closed.forced(gamma, omega, closed.grazing(gamma, omega, 1), 0)]
     with pytest.raises(search.Discard):  # rounding decides whether it touches
-        orbit.strobe(Scene(0.05, 2.1, float(closed.grazing(0.05, 2.1, 1.0)), Wall(-1.0, 0.7), Wall(1.0, 0.7)), *start)
+        soft.strobe(Scene(0.05, 2.1, float(closed.grazing(0.05, 2.1, 1.0)), Wall(-1.0, 0.7), Wall(1.0, 0.7)), *start)
 
 
 CASES = [
@@ -120,7 +120,7 @@ def test_closed_orbits_are_fixed_points_of_the_strobe(name, form, scene):
         free = scene._replace(left=None, right=None)
         for given, state in (*((scene, state) for state in states), (free, closed.forced(*numbers, 0))):
             start = [arb(nstr(value, 48)) for value in state]
-            record = orbit.strobe(given, *start, precision=300)
+            record = soft.strobe(given, *start, precision=300)
             assert abs(record.x - start[0]) < 1e-40 and abs(record.v - start[1]) < 1e-40
             assert record.count == (0 if given is free else int(name[2]) + int(name[3]))
             if given is not free:

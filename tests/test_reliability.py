@@ -15,7 +15,7 @@ from reliability.counts import Count
 from reliability.exact_flow import Lanes, Wall
 from reliability.flights import Flights, Ranges, Shape
 
-from .reference import ball, orbit
+from .reference import ball, soft
 from .reference.scene import Scene
 from .reference.scene import Wall as Rigid
 from .sources import ROOT
@@ -132,7 +132,7 @@ def test_periods_in_80_bit_floats_and_by_other_methods_against_ball_arithmetic()
     ends = {name: (way(given), bound) for name, (way, bound) in ways.items()}
     for lane in range(n):
         amplitude, omega, gamma, r, low, high, x, v = (float(each[lane]) for each in given)
-        true = orbit.strobe(Scene(gamma, omega, amplitude, Rigid(low, r), Rigid(high, r)), x, v, 0.0)
+        true = soft.strobe(Scene(gamma, omega, amplitude, Rigid(low, r), Rigid(high, r)), x, v, 0.0)
         for name, (end, bound) in ends.items():
             assert [int(side) for side in end.sides[lane] if side] == [int(side) for side in true.sides], name
             errors = [abs(float(t - ball.arb(float(c[lane])))) for t, c in ((true.x, end.x), (true.v, end.v))]

@@ -47,9 +47,10 @@ def strobe(scene, x, v, phase=0.0, contact=0.0, periods=1, precision=200, slowes
     """Record of `periods` drive periods from (x, v) at a drive phase in radians.
 
     A start beyond a soft wall is in contact and no impact; one on it and moving into it enters at time 0, unless
-    contact is its side. slowest: entries slower than this are refused (Discard), as are all that `orbit.strobe`
-    refuses, a turning point within 1e-8 / W of the way out, a start, an end or an exit about as close, and a ring that
-    takes too long. ValueError beyond a rigid wall.
+    contact is its side. contact is 0 (free: a start on a resting wall and moving into it rebounds at time 0) or -1, +1
+    (landed there already). Raises Discard where a test would be unfair: an impact or entry slower than `slowest`, a
+    turning point nearer than 1e-8 (or 1e-8 / W of the way out of a soft wall), an impact or a wall within 1e-9 of the
+    start or the end, more than 60 impacts, a ring that takes too long. ValueError beyond a rigid wall.
     """
     for bits in (precision, 2 * precision, 4 * precision, 8 * precision):
         with ctx.workprec(bits):
