@@ -51,7 +51,8 @@ def draws_of(folder, name, names=tuple(KINDS)):
         row = table()[folder][name]
     except KeyError:
         raise KeyError(f"tests/tiers.toml must have a row [{folder}.{name}]") from None
-    rows = dict.fromkeys(row.get("kinds", names), row["draws"]) | row.get("of", {})
+    kinds = row.get("kinds", table()[folder].get("kinds", names))
+    rows = dict.fromkeys(kinds, row["draws"]) | row.get("of", {})
     if unknown := rows.keys() - set(names):
         raise KeyError(f"tests/tiers.toml: [{folder}.{name}] names unknown kinds {sorted(unknown)}")
     return [Draws(folder, name, kind, tuple(numbers)) for kind, numbers in rows.items()]

@@ -139,14 +139,14 @@ def assert_same_track(orbit, track):
 def test_least_shock(kind, number):
     """The smallest shock leads to another attractor; no start of a grid that is nearer does."""
     rng = generator(kind, number)
-    phase, direction, place = rng.choice([1.0, 2.5]), ("v", "xv")[number % 2], 16 * number
+    phase, direction, place = rng.choice([1.0, 2.5]), ("v", "xv")[number % 2], 64 * number
     while True:  # a scene with two attractors
         scene, attractors = attractors_of(kind, place)
         attractors = [one for one in attractors if one.kind == "periodic"]
         if len(attractors) > 1 and not attractors[0].rests:
             break
         place += 1
-        assert place < 16 * number + 16
+        assert place < 64 * number + 64
     shock = jv.least_shock(scene, attractors, 0, phase, direction, shocks=1 << 13)
     assert shock.safe <= shock.bracket[0] < shock.size <= shock.until
     before = plane(shock.state)
