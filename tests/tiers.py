@@ -52,7 +52,8 @@ def draws_of(folder, name, names=tuple(KINDS)):
     except KeyError:
         raise KeyError(f"tests/tiers.toml must have a row [{folder}.{name}]") from None
     kinds = row.get("kinds", table()[folder].get("kinds", names))
-    rows = dict.fromkeys(kinds, row["draws"]) | row.get("of", {})
+    pushed = table()[folder].get("push", kinds)
+    rows = {kind: row["draws"] if kind in pushed else [0, *row["draws"][1:]] for kind in kinds} | row.get("of", {})
     if unknown := rows.keys() - set(names):
         raise KeyError(f"tests/tiers.toml: [{folder}.{name}] names unknown kinds {sorted(unknown)}")
     return [Draws(folder, name, kind, tuple(numbers)) for kind, numbers in rows.items()]
