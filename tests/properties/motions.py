@@ -28,10 +28,17 @@ def lane_of(scene, state, lane):
 def direction_in(rng, scene, state):
     """Return scene and state with all numbers as lanes, and a random direction in these numbers (not in the contact).
 
-    The components are small multiples of 1/4, so that steps along the direction are exact.
+    The components are small multiples of 1/4, so that steps along the direction are exact, and 0 where a damping or
+    a restitution is at the end of its domain.
     """
     scene, state = jax.tree.map(lambda leaf: np.broadcast_to(np.asarray(leaf, float), LANES), (scene, state))
-    direction = jax.tree.map(lambda leaf: rng.choice([-0.5, -0.25, 0.25, 0.5], LANES), (scene, state))
+
+    def component(path, value):
+        chosen = rng.choice([-0.5, -0.25, 0.25, 0.5], LANES)
+        has_domain = getattr(path[-1], "name", "") in ("damping", "restitution", "stiffness")
+        return np.where(has_domain & ((value < 1e-3) | (value == 1.0)), 0.0, chosen)
+
+    direction = jax.tree_util.tree_map_with_path(component, (scene, state))
     return scene, state, (direction[0], replace(direction[1], contact=np.zeros(LANES)))
 
 

@@ -145,7 +145,8 @@ def test_second_derivatives(kind, number):
     second = np.asarray(_slopes(scene, state, direction, 2))
     ends = [np.asarray(_slopes(*moved(scene, state, direction, k * STEP), direction)) for k in (-2, -1, 1, 2)]
     near, far = (ends[2] - ends[1]) / (2.0 * STEP), (ends[3] - ends[0]) / (4.0 * STEP)
-    bound = 0.05 * abs(near - far) + 1e-8 * (1.0 + abs(second).max(1, keepdims=True)) * (1.0 + abs(ends[1]).max())
+    growth = (1.0 + abs(values).max(1, keepdims=True) for values in (second, ends[1]))
+    bound = 0.05 * abs(near - far) + 1e-8 * np.prod(list(growth), axis=0)
     assert np.all(abs(second - near - (near - far) / 3.0)[keep] <= bound[keep])
 
 
