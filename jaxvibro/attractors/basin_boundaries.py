@@ -47,7 +47,7 @@ def basin_entropies(labels, box_size=BOX_SIZE):
         _box_entropies(
             labels[first_box_row * box_size : (first_box_row + BOX_ROWS_PER_BATCH) * box_size], n_box_columns, box_size
         )
-        for first_box_row in range(0, n_box_rows, BOX_ROWS_PER_BATCH)
+        for first_box_row in range(0, n_box_rows if n_box_columns else 0, BOX_ROWS_PER_BATCH)
     ]
     entropies, is_mixed = (
         (np.concatenate(batch_arrays) for batch_arrays in zip(*row_batches, strict=True))

@@ -26,11 +26,11 @@ class SeedOrbit(NamedTuple):
     Attributes
     ----------
     orbit_row : OrbitPoint
-        Approximate orbit, without impacts if `has_chatter`.
+        Approximate orbit. It has no impacts if it sticks after complete chatter.
     section_states : ndarray
         x and v at the end of each period, array of shape (periods, 2).
     has_chatter : bool
-        True if the orbit sticks, or has too many bounces to be recorded.
+        True if the orbit may stick, or has too many bounces to be recorded.
     """
 
     orbit_row: OrbitPoint
@@ -86,14 +86,19 @@ def _merge_scenes(scenes):
 
 def _seed_orbits_of_scene(scene, name, values, iterates, max_period):
     """Return the seed orbits of one scene, sorted by period and value."""
-    drive_periods = 2.0 * np.pi / np.broadcast_to(scene.replace(**{name: values}).frequency, len(values))
-    seed_orbits = []
+    scene_at_values, seed_orbits = scene.replace(**{name: values}), []
+    drive_periods = 2.0 * np.pi / np.broadcast_to(scene_at_values.frequency, len(values))
+    is_inelastic = {
+        {"left": -1, "right": 1}[wall]: np.broadcast_to(np.equal(scene_at_values.bounce(wall), 0.0), len(values))
+        for wall in scene.walls
+    }
     for lane, periods, impacts in settled_orbits(iterates, drive_periods, max_period, True):
         section_states = iterates.points[-periods:, lane]
         orbit_row = OrbitPoint(
             float(values[lane]), *(impacts or [np.zeros(0)] * 3), periods, *section_states[-1].tolist(), 0.0
         )
-        seed_orbits.append(SeedOrbit(orbit_row, section_states, impacts is None))
+        may_stick = any(is_inelastic[int(side)][lane] for side in orbit_row.sides)
+        seed_orbits.append(SeedOrbit(orbit_row, section_states, impacts is None or may_stick))
     return sorted(seed_orbits, key=lambda seed_orbit: (seed_orbit.orbit_row.periods, seed_orbit.orbit_row.value))
 
 

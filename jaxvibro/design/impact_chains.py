@@ -174,7 +174,7 @@ def is_possible_motion(fit_problem, solution):
             closest_times[flight_index],
             -min_clearances[flight_index],
         )
-        for flight_index in np.flatnonzero(min_clearances < 0)
+        for flight_index in np.flatnonzero(min_clearances < 0).tolist()
     )
 
 

@@ -112,7 +112,8 @@ def measure_pending_turns(coeffs, closest_approaches):
     If the step has a second turning point at the other wall, this point becomes pending. Otherwise the latest turning
     point becomes pending.
 
-    The Taylor polynomial of the speed gives the time of the turning point with an error below 1e-3 of the longest step.
+    The Taylor polynomial of the speed gives the time of the turning point with an error below 1e-3 of the longest step,
+    by Newton's method, with bisection if the speed changes its sign between the ends of the step.
     One Halley step along the flow refines the time. The error of the clearance is of the order of the fourth power
     of the error of the first time.
     """
@@ -123,8 +124,12 @@ def measure_pending_turns(coeffs, closest_approaches):
         _speed_terms, coeffs, side, motion, flow_module.jet(coeffs, x, v, motion.cosine, motion.sine, N_TERMS)
     )
     has_second_turn, turning_time = call_without_inlining(_decode_guess, coeffs, time_guess_code)
+    time_bracket = lax.full_like(step_time, 0.0), step_time
+    is_bracketed = call_without_inlining(_changes_sign, side, speed_terms, step_time)
     for _ in range(NEWTON_STEPS):
-        turning_time = call_without_inlining(_newton_step, speed_terms, turning_time)
+        turning_time, time_bracket = call_without_inlining(
+            _newton_step, side, speed_terms, is_bracketed, turning_time, time_bracket
+        )
     other_turn_code = call_without_inlining(_other_turn_code, coeffs, side, speed_terms, turning_time, step_time)
     relative_jet = call_without_inlining(
         _relative_jet, coeffs, side, flow_module.propagate_motion(coeffs, motion, turning_time)
@@ -195,10 +200,20 @@ def _speed_terms(coeffs, side, motion, derivatives):
     ]
 
 
-def _newton_step(speed_terms, turning_time):
-    """Improve the time of a turning point by one Newton step."""
+def _changes_sign(side, speed_terms, step_time):
+    """Return the lanes in which the mass approaches the wall at the start of the step but not at its end."""
+    end_speed, _ = event_certificates.horner_with_slope(speed_terms, step_time)
+    return (side * speed_terms[0] > 0) & (side * end_speed <= 0)
+
+
+def _newton_step(side, speed_terms, is_bracketed, turning_time, time_bracket):
+    """Improve the time of a turning point by one Newton step, or by bisection where it leaves the bracket."""
     speed, acceleration = event_certificates.horner_with_slope(speed_terms, turning_time)
-    return turning_time - speed / acceleration
+    next_time, is_approaching = turning_time - speed / acceleration, side * speed > 0
+    low = choose(is_approaching, turning_time, time_bracket[0])
+    high = choose(is_approaching, time_bracket[1], turning_time)
+    is_outside = is_bracketed & ~((next_time >= low) & (next_time <= high))
+    return choose(is_outside, 0.5 * (low + high), next_time), (low, high)
 
 
 def _turning_point_code(coeffs, path, end_path, step_time):

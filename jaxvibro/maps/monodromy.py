@@ -216,6 +216,7 @@ def _multiply_path_matrices(scene, state, impacts, end_contact_code, periods, sl
     impact_rows = impacts.time, impacts.side.astype(zero.dtype), impacts.speed
     impact_rows = [jnp.moveaxis(slot_array, -1, 0) for slot_array in impact_rows]
     n_impacts = lax.min(jnp.max(impacts.count), jnp.int32(slots)) if coeffs.walls else jnp.int32(0)
+    has_end = impacts.status < Status.CAP
 
     def advance_to_next_impact(carry):
         """Pass a contact phase if one is due, then fly to the next impact, or to the end after the last impact."""
@@ -232,6 +233,8 @@ def _multiply_path_matrices(scene, state, impacts, end_contact_code, periods, sl
             end_time - current_state.time,
             choose(is_impact, impact_time - current_state.time, 0.0),
         )
+        # a lane without an end may start beyond a wall, where a force can be stiff or unstable
+        flight_time = choose(has_end, flight_time, 0.0)
         xv, drive_cosine, drive_sine, flight_matrix = flow_module.propagate_with_matrix(
             coeffs, current_state.xv, current_state.cosine, current_state.sine, flight_time
         )

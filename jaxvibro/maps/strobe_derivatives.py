@@ -196,7 +196,8 @@ def _replay_tensors(request):
             for order, tensor_pair in tensors_by_order[1:]
         )
         return tensor_values, tuple(
-            contract_tangents(tensor_pair, primals, leaf_tangents) for tensor_pair in tensor_jacobians
+            contract_tangents(tensor_pair, primals[: request.tree.num_leaves], leaf_tangents)
+            for tensor_pair in tensor_jacobians
         )
 
     tensors_of_arguments.defjvp(jvp_rule, symbolic_zeros=True)

@@ -44,7 +44,14 @@ _TABLE_TYPES = {
     "basins": schema.BasinsTable,
     "view": schema.ViewTable,
 }
-_TYPE_WORDS = {"float": "a number", "int": "a whole number", "str": "a text", "object": "a table", "array": "a list"}
+_TYPE_WORDS = {
+    "float": "a number",
+    "int": "a whole number",
+    "str": "a text",
+    "object": "a table",
+    "array": "a list",
+    "bool": "true or false",
+}
 
 
 @check_types

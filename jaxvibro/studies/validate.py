@@ -219,6 +219,8 @@ def _check_fit(scene, fit_table):
     with _prefix_error_keys("fit."):
         bounds_of_changes(scene, check_free_parameters(scene, fit_table.free), fit_table.bounds)
         require_positive_number("sigma", fit_table.sigma)
+        if fit_table.sigma_v is not None:
+            require_positive_number("sigma_v", fit_table.sigma_v)
 
 
 def _check_kinds(dotted_key, kinds):
