@@ -63,7 +63,7 @@ def correct_to_seed_orbit(seed_orbit, problem, z):
 
 
 def _is_seed_orbit(seed_orbit, problem, z):
-    if seed_orbit.has_chatter:
+    if seed_orbit.may_stick:
         diagnostics, state_scale = diagnose(problem, z[None]), abs(seed_orbit.section_states).max()
         seed_states = np.roll(seed_orbit.section_states, 1, axis=0)  # the last state is at phase 0
         return abs(np.stack([diagnostics.x[0], diagnostics.v[0]], 1) - seed_states).max() < CHATTER_TOLERANCE * max(

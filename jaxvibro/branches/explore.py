@@ -221,7 +221,7 @@ def run_exploration(request, seed_orbits, progress=None, known_branches=(), proc
 
 def _follow_seed_orbit(tree, seed_orbit, scene, name, bounds, step_settings):
     """Follow a seed orbit and all branches that emanate from its branch."""
-    if seed_orbit.has_chatter:
+    if seed_orbit.may_stick:
         seed_orbit = _add_chatter_impacts(seed_orbit, scene, name)
     start = seed_orbit and correct_to_seed_orbit(seed_orbit, *set_up_equations(scene, name, seed_orbit.orbit_row))
     if start is None:  # the start had not settled

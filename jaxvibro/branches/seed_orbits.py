@@ -7,11 +7,13 @@ import numpy as np
 from jaxtyping import Float
 
 from ..attractors.recurrence import compute_return_distances
+from ..flight.wall_positions import WALL_SIGNS
 from ..maps.initial_conditions import draw_initial_states
 from ..maps.iterate import iterate
 from ..orbits.free_response import free_orbit
 from ..problem.orbit_point import OrbitPoint
 from ..scene.codes import Contact, Status
+from ..scene.scene import SIDES
 from ..scene.scene_parameters import parameter_domain
 
 N_STARTS = 256  # each at its own value of the parameter
@@ -29,13 +31,13 @@ class SeedOrbit(NamedTuple):
         Approximate orbit. It has no impacts if it sticks after complete chatter.
     section_states : ndarray
         x and v at the end of each period, array of shape (periods, 2).
-    has_chatter : bool
+    may_stick : bool
         True if the orbit may stick, or has too many bounces to be recorded.
     """
 
     orbit_row: OrbitPoint
     section_states: Float[np.ndarray, "periods 2"]
-    has_chatter: bool = False
+    may_stick: bool = False
 
 
 def find_seed_orbits(scenes, name, bounds, max_period, seed):
@@ -89,16 +91,17 @@ def _seed_orbits_of_scene(scene, name, values, iterates, max_period):
     scene_at_values, seed_orbits = scene.replace(**{name: values}), []
     drive_periods = 2.0 * np.pi / np.broadcast_to(scene_at_values.frequency, len(values))
     is_inelastic = {
-        {"left": -1, "right": 1}[wall]: np.broadcast_to(np.equal(scene_at_values.bounce(wall), 0.0), len(values))
-        for wall in scene.walls
+        wall_sign: np.broadcast_to(np.equal(scene_at_values.bounce(side), 0.0), len(values))
+        for side, wall_sign in zip(SIDES, WALL_SIGNS, strict=True)
+        if side in scene.walls
     }
     for lane, periods, impacts in settled_orbits(iterates, drive_periods, max_period, True):
         section_states = iterates.points[-periods:, lane]
         orbit_row = OrbitPoint(
             float(values[lane]), *(impacts or [np.zeros(0)] * 3), periods, *section_states[-1].tolist(), 0.0
         )
-        may_stick = any(is_inelastic[int(side)][lane] for side in orbit_row.sides)
-        seed_orbits.append(SeedOrbit(orbit_row, section_states, impacts is None or may_stick))
+        may_stick = impacts is None or any(is_inelastic[side][lane] for side in orbit_row.sides)
+        seed_orbits.append(SeedOrbit(orbit_row, section_states, may_stick))
     return sorted(seed_orbits, key=lambda seed_orbit: (seed_orbit.orbit_row.periods, seed_orbit.orbit_row.value))
 
 
