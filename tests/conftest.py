@@ -39,6 +39,13 @@ def pytest_addoption(parser):
     parser.addoption("--draws", type=int, help="of each property, instead of the tier's number")
 
 
+def pytest_configure(config):
+    """Compile with little optimisation in CI, also in processes that tests start: half of the time went to it."""
+    if config.getoption("tier") == "ci":
+        os.environ["JAX_DISABLE_MOST_OPTIMIZATIONS"] = "1"
+        jax.config.update("jax_disable_most_optimizations", True)
+
+
 def module_name(module):
     """Return the name of a test module without the package."""
     return module.__name__.removeprefix("tests.")
@@ -57,9 +64,11 @@ def pytest_generate_tests(metafunc):
 
 
 def pytest_collection_modifyitems(config, items):
-    """Select the tests of a tier, and no property without draws in it."""
+    """Select the tests of a tier, no property without draws in it, and no test of a graphics card without one."""
     tier = config.getoption("tier")
     chosen = [item for item in items if has_draws(item) and (tier is None or own_tier(item) in ("", tier))]
+    if not any(device.platform == "gpu" for device in jax.devices()):
+        chosen = [item for item in chosen if not item.get_closest_marker("card")]
     config.hook.pytest_deselected(items=[item for item in items if item not in set(chosen)])
     items[:] = chosen
 

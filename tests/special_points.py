@@ -50,18 +50,24 @@ def find_touch(scene, spot, wall=None):
 
 
 def _nearest_approach(scene, impacts, periods, walls):
-    """Return (time, side) of the least clearance of an orbit between its impacts, about."""
+    """Return (time, side) of the least clearance of an orbit between its impacts, about, by parabolas."""
     times, _, sides = impacts
-    begins, looks = times or [0.0], []
+    begins, nearest = times or [0.0], []
     for k, begin in enumerate(begins):
         end = begins[k + 1] if k + 1 < len(begins) else begins[0] + float(span(scene, periods))
-        for share in np.linspace(0.0, 1.0, LOOKS + 2)[1:-1]:
-            time = begin + share * (end - begin)
-            x = _state(scene, [part[k : k + 1] for part in impacts], time)[0]
-            for side, _ in scene.walls():
-                if ("left", "right")[side > 0] in walls and (share > 0.05 or not times or side != sides[k]):
-                    looks.append((float(side * (reference.place(scene, side, time).x - x)), float(time), side))
-    return min(looks)[1:]
+        step = min(end - begin, float(span(scene, 1))) / LOOKS
+        looks = np.arange(begin + step, end, step)
+        x = np.array([_state(scene, [part[k : k + 1] for part in impacts], time)[0] for time in looks])
+        for side, _ in scene.walls():
+            if ("left", "right")[side > 0] in walls:
+                clear = side * (np.array([reference.place(scene, side, time).x for time in looks]) - x).astype(float)
+                first = 2 if times and side == sides[k] else 0  # after the impact on this wall the mass is near it
+                near, here, far = clear[first:-2], clear[first + 1 : -1], clear[first + 2 :]
+                (low,) = np.nonzero((here <= near) & (here <= far))
+                rise, bend = (far - near)[low], (far + near - 2.0 * here)[low]
+                times_of_low = looks[first + 1 + low] - 0.5 * step * rise / bend
+                nearest += zip(here[low] - rise**2 / (8.0 * bend), times_of_low, [side] * len(low), strict=True)
+    return min(nearest)[1:]
 
 
 def _state(scene, impact, time):

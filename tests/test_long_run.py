@@ -66,7 +66,7 @@ def test_lanes_of_both_paths_agree_with_the_map(kind, patience, monkeypatch):
     np.testing.assert_array_equal(run.state.x, run.x[-1])
     last = final_states(scene, starts, PERIODS)
     for computed, expected in zip(jax.tree.leaves(last), jax.tree.leaves((run.state, worst)), strict=True):
-        np.testing.assert_array_equal(computed, expected)
+        np.testing.assert_allclose(computed, expected, rtol=1e-13)  # by two programs
 
 
 @pytest.mark.parametrize(

@@ -224,7 +224,7 @@ def test_a_grazing_moves_as_the_closed_form(free):
     by_damping = soft_orbits.free_grazing(A, FITTED + step) - soft_orbits.free_grazing(A, FITTED - step)
     expected = [float(each) / (2 * step) for each in (by_amplitude, by_damping)] + [0.0]
     assert jv.sensitivity(graze, NAMES).values == pytest.approx(expected, abs=1e-8)
-    value = float(jv.located(graze)(graze.scene.replace(amplitude=0.32, damping=0.07)))
+    value = float(jv.located(graze, wall="right")(graze.scene.replace(amplitude=0.32, damping=0.07)))
     assert value == pytest.approx(float(soft_orbits.free_grazing(0.32, 0.07)), abs=1e-13)
 
 

@@ -128,7 +128,7 @@ def measure_pending_turns(coeffs, closest_approaches):
     is_bracketed = call_without_inlining(_changes_sign, side, speed_terms, step_time)
     for _ in range(NEWTON_STEPS):
         turning_time, time_bracket = call_without_inlining(
-            _newton_step, side, speed_terms, is_bracketed, turning_time, time_bracket
+            _newton_step, coeffs.max_step, side, speed_terms, is_bracketed, turning_time, time_bracket
         )
     other_turn_code = call_without_inlining(_other_turn_code, coeffs, side, speed_terms, turning_time, step_time)
     relative_jet = call_without_inlining(
@@ -206,13 +206,17 @@ def _changes_sign(side, speed_terms, step_time):
     return (side * speed_terms[0] > 0) & (side * end_speed <= 0)
 
 
-def _newton_step(side, speed_terms, is_bracketed, turning_time, time_bracket):
-    """Improve the time of a turning point by one Newton step, or by bisection where it leaves the bracket."""
+def _newton_step(max_step, side, speed_terms, is_bracketed, turning_time, time_bracket):
+    """Improve the time of a turning point by one Newton step, or by bisection where it leaves the bracket.
+
+    The bracket has a margin: the root may be at its end, where rounding decides on which side a step ends.
+    """
     speed, acceleration = event_certificates.horner_with_slope(speed_terms, turning_time)
     next_time, is_approaching = turning_time - speed / acceleration, side * speed > 0
     low = choose(is_approaching, turning_time, time_bracket[0])
     high = choose(is_approaching, time_bracket[1], turning_time)
-    is_outside = is_bracketed & ~((next_time >= low) & (next_time <= high))
+    margin = max_step * ROOT_TOLERANCE
+    is_outside = is_bracketed & ~((next_time >= low - margin) & (next_time <= high + margin))
     return choose(is_outside, 0.5 * (low + high), next_time), (low, high)
 
 
