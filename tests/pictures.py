@@ -46,7 +46,7 @@ def branches():
 
 @lru_cache
 def swept():
-    legs = np.stack([np.linspace(0.3, 5.7, 46), np.linspace(5.7, 0.3, 46)], -1)
+    legs = np.stack([np.linspace(0.3, 4.9, 46), np.linspace(4.9, 0.3, 46)], -1)
     return jv.sweep(tube(), "amplitude", legs, jv.State(0.1, 0.0), settle=200, keep=2).rename(lane="leg")
 
 

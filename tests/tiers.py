@@ -52,11 +52,18 @@ def draws_of(folder, name, names=tuple(KINDS)):
     except KeyError:
         raise KeyError(f"tests/tiers.toml must have a row [{folder}.{name}]") from None
     kinds = row.get("kinds", table()[folder].get("kinds", names))
-    pushed = table()[folder].get("push", kinds)
-    rows = {kind: row["draws"] if kind in pushed else [0, *row["draws"][1:]] for kind in kinds} | row.get("of", {})
+    rows = {kind: _in_one_tier(table()[folder].get("push"), kind, row["draws"]) for kind in kinds} | row.get("of", {})
     if unknown := rows.keys() - set(names):
         raise KeyError(f"tests/tiers.toml: [{folder}.{name}] names unknown kinds {sorted(unknown)}")
     return [Draws(folder, name, kind, tuple(numbers)) for kind, numbers in rows.items()]
+
+
+def _in_one_tier(pushed, kind, numbers):
+    """Return the numbers of draws of a kind, either on each push or in CI, if a folder lists the kinds of a push."""
+    push, ci, release = numbers
+    if pushed is None or not push:
+        return numbers
+    return [push, push, release] if kind in pushed else [0, ci, release]
 
 
 def tier_of(module, name):
