@@ -72,7 +72,7 @@ def picture(rows=1, high=2.6):
 
 @picture()
 def diagram(ax):
-    jv.plot.diagram(swept(), "x", ax, units="physical").legend()
+    jv.plot.diagram(swept(), "x", ax, units="physical").legend(loc="lower right")
 
 
 @picture(high=4.4)
@@ -89,14 +89,14 @@ def over_branches(ax):
 def speed(ax):
     for one in branches():
         jv.plot.branch(one, "speed", ax, units="physical", labels="auto")
-    ax.legend()
+    ax.legend(loc="upper left")  # not "best": which is best may depend on roundings
 
 
 @picture()
 def clearance(ax):
     for one in branches():
         jv.plot.branch(one, "clearance", ax)
-    ax.legend()
+    ax.legend(loc="upper left")
 
 
 @picture(2, 4.6)
@@ -127,7 +127,7 @@ def basins(ax):
 def manifolds(ax):
     for kind in ("stable", "unstable"):
         jv.plot.manifold(jv.manifold(saddle(), kind, length=6.0, phase=0.0), ax)
-    ax.legend()
+    ax.legend(loc="upper left")
 
 
 @picture(2, 4.2)
@@ -141,7 +141,7 @@ def sections(above, below):
 @picture()
 def spectrum(ax):
     exponents = jv.spectrum(tube(), "amplitude", np.linspace(4.2, 5.3, 12), LANDING, error=0.02)
-    jv.plot.spectrum(exponents, ax).legend()
+    jv.plot.spectrum(exponents, ax).legend(loc="lower right")
 
 
 @picture(high=3.4)
@@ -156,7 +156,7 @@ def loci(ax):
         jv.plot.locus(one, ax)
     jv.plot.region(*both, "P100 and P111", ax)
     jv.plot.held(jv.follow(jv.find_orbit(tube(), LANDING), tuple(BOUNDS), BOUNDS, hold={"least_speed": 2.8}), ax)
-    ax.legend(fontsize="x-small")
+    ax.legend(fontsize="x-small", loc="upper left")
 
 
 @picture(2, 5.0)
