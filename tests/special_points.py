@@ -15,7 +15,7 @@ from .truths import plain
 
 DIGITS = 50
 SLOW = 1e-7  # an impact of less speed is the touch of a grazing orbit
-LOOKS = 64  # at the clearance of a flight
+LOOKS = 64  # at the clearance of a flight, or of a period of a longer one
 
 
 def reference_name(scene, name):
@@ -59,15 +59,21 @@ def _nearest_approach(scene, impacts, periods, walls):
         looks = np.arange(begin + step, end, step)
         x = np.array([_state(scene, [part[k : k + 1] for part in impacts], time)[0] for time in looks])
         for side, _ in scene.walls():
-            if ("left", "right")[side > 0] in walls:
-                clear = side * (np.array([reference.place(scene, side, time).x for time in looks]) - x).astype(float)
-                first = 2 if times and side == sides[k] else 0  # after the impact on this wall the mass is near it
-                near, here, far = clear[first:-2], clear[first + 1 : -1], clear[first + 2 :]
-                (low,) = np.nonzero((here <= near) & (here <= far))
-                rise, bend = (far - near)[low], (far + near - 2.0 * here)[low]
-                times_of_low = looks[first + 1 + low] - 0.5 * step * rise / bend
-                nearest += zip(here[low] - rise**2 / (8.0 * bend), times_of_low, [side] * len(low), strict=True)
+            if ("left", "right")[side > 0] not in walls:
+                continue
+            clear = side * (np.array([reference.place(scene, side, time).x for time in looks]) - x).astype(float)
+            first = 2 if times and side == sides[k] else 0  # after the impact on this wall the mass is near it
+            nearest += [(*low, side) for low in _minima(looks[first:], clear[first:])]
     return min(nearest)[1:]
+
+
+def _minima(times, values):
+    """Return (value, time) of the minima between samples at equal steps of time."""
+    before, here, after = values[:-2], values[1:-1], values[2:]
+    (at,) = np.nonzero((here <= before) & (here <= after))
+    rise, bend = (after - before)[at], (after + before - 2.0 * here)[at]
+    lows = here[at] - rise**2 / (8.0 * bend)
+    return list(zip(lows.tolist(), (times[1:-1][at] - 0.5 * (times[1] - times[0]) * rise / bend).tolist(), strict=True))
 
 
 def _state(scene, impact, time):
