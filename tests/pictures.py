@@ -142,6 +142,7 @@ def sections(above, below):
 def spectrum(ax):
     exponents = jv.spectrum(tube(), "amplitude", np.linspace(4.2, 5.3, 12), LANDING, error=0.02)
     jv.plot.spectrum(exponents, ax).legend(loc="lower right")
+    ax.set_ylim(-3.0, 0.7)
 
 
 @picture(high=3.4)

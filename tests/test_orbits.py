@@ -250,8 +250,17 @@ def test_a_flight_that_turns_twice_between_two_samples_is_looked_at(sign):
             (np.ones(count), sign * (height - 0.5 * bend * (time - place) ** 2), -sign * bend * (time - place))
             for time in (0.0, span)
         ]
-        crest, _, past = _nearer_turning_point(3.0, span, *ends, none)
+        crest, _, past = _nearer_turning_point(3.0, 8, span, *ends, none)
         assert (np.isfinite(crest) == seen).all() and ((past >= 0) & (past <= 1)).all()
+
+
+@pytest.mark.parametrize("rounding", [-1e-16, 0.0, 1e-16])
+def test_an_impact_of_speed_zero_at_an_end_of_a_flight_is_not_a_turning_point(rounding):
+    none, (slow, fast) = (np.inf, 0.0, 0.0), (np.array([rounding]), np.array([0.05]))
+    at_the_start = _nearer_turning_point(0, 8, 0.1, (0.0, slow, -0.5), (0.0025, -fast, -0.5), none)
+    at_the_end = _nearer_turning_point(7, 8, 0.1, (0.0025, fast, -0.5), (0.0, slow, -0.5), none)
+    inside = _nearer_turning_point(6, 8, 0.1, (0.0025, fast, -0.5), (0.0, -abs(slow), -0.5), none)
+    assert np.isinf(at_the_start[0]) and np.isinf(at_the_end[0]) and np.isfinite(inside[0])
 
 
 def test_solutions_without_impacts_are_the_linear_response():

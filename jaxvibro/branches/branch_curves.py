@@ -79,15 +79,19 @@ def make_curves(branch, variable):
         for start_row, stop_row in find_equal_runs(stable)
     )
     kinds = dict.fromkeys(special.kind for special in branch.special if special.kind != "EP")
-    points_by_kind = {kind: branch.points(kind) for kind in kinds}
-    points = {
-        kind: Marks(
-            np.array([special.value for special in special_points]),
-            columns[[special.place for special in special_points]],
-        )
-        for kind, special_points in points_by_kind.items()
-    }
-    return Curves(pieces, points)
+    return Curves(pieces, {kind: _make_marks(branch, kind, variable, columns) for kind in kinds})
+
+
+def _make_marks(branch, kind, variable, columns):
+    """Return the `Marks` of the special points of one kind.
+
+    A grazing has clearance 0. The row of its point has the clearance at other turning points if the touch is an impact.
+    """
+    special_points = branch.points(kind)
+    mark_columns = columns[[special.place for special in special_points]]
+    if kind == "GR" and variable == "clearance":
+        mark_columns = np.zeros_like(mark_columns)
+    return Marks(np.array([special.value for special in special_points]), mark_columns)
 
 
 def _lines_with_breaks(branch, variable, columns):

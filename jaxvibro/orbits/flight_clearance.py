@@ -21,6 +21,7 @@ NEWTON_STEPS = 5  # from the guess of a parabola
 GRAZING_TOLERANCE = 1e-8  # of the scene's length: smaller clearances, and speeds (length per t), count as zero
 OVERLAP_FACTOR = 1.0625  # of its periods: duration of the flight without impacts that is examined
 STEP_TOLERANCE = 1e-3  # of the sampling interval: largest last Newton step at a turning point
+END_FRACTION = 1e-6  # of the sampling interval: a turning point so near an end of a flight is the impact, with speed 0
 
 
 class Flight(NamedTuple):
@@ -234,7 +235,7 @@ def _nearest_turning_points(coeffs, flights, sampling_interval, n_samples):
         next_state = advance_sample(*state)
         end_motions = _motion_towards_walls(coeffs, *next_state)
         nearest_points = [
-            _nearer_turning_point(cell_index, sampling_interval, *wall_data)
+            _nearer_turning_point(cell_index, n_samples, sampling_interval, *wall_data)
             for wall_data in zip(start_motions, end_motions, nearest_points, strict=True)
         ]
         return next_state, end_motions, nearest_points
@@ -246,8 +247,10 @@ def _nearest_turning_points(coeffs, flights, sampling_interval, n_samples):
     )[2]
 
 
-def _nearer_turning_point(cell_index, sampling_interval, start_motion, end_motion, nearest_point):
+def _nearer_turning_point(cell_index, n_samples, sampling_interval, start_motion, end_motion, nearest_point):
     """Return the turning point nearer to the wall: the previous nearest one or that of a cell.
+
+    The ends of a flight do not count: rounding decides if the motion turns at an impact whose speed is zero.
 
     A cell has a turning point if the speed towards the wall crosses zero downwards once. A cell also has a turning
     point if, by the accelerations at both samples, the speed rises above zero and falls again, or falls below zero and
@@ -287,5 +290,7 @@ def _nearer_turning_point(cell_index, sampling_interval, start_motion, end_motio
         jnp.minimum(start_distance, end_distance),
     )
     cell_turning_point = (turning_distance, cell_index + jnp.zeros_like(sampling_interval), cell_fraction)
-    is_nearer &= turning_distance < nearest_point[0]
+    samples_before = cell_index + cell_fraction
+    is_inside = (samples_before > END_FRACTION) & (samples_before < n_samples - END_FRACTION)
+    is_nearer &= is_inside & (turning_distance < nearest_point[0])
     return jax.tree.map(lambda new, old: jnp.where(is_nearer, new, old), cell_turning_point, nearest_point)
