@@ -69,6 +69,12 @@ def test_period_doublings_of_one_impact(expected):
     form = point.normal_form
     assert (form.consequence, form.criticality) == expected
     assert form.coefficient == pytest.approx(reference_bend(point), rel=1e-10)
+    step = 1e-5
+    least = [
+        jv.find_orbit(scene.replace(**{name: point.value + change}), point.orbit.state).multipliers.real.min()
+        for change in (-step, step)
+    ]
+    assert form.rate == pytest.approx((least[1] - least[0]) / (2.0 * step), rel=1e-6)
 
 
 def test_coefficients_vanish_where_the_side_changes():
