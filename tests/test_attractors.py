@@ -86,6 +86,18 @@ def test_where_the_first_estimate_decides_nothing_the_long_one_does(chaos, monke
     assert [orbit.kind for orbit in orbits] == ["periodic"] * 2 and "was not examined for long" in rest.note
 
 
+@pytest.mark.parametrize(
+    ("exponent", "certain", "reason"),
+    [(0.3, False, None), (np.nan, True, None), (np.nan, False, "evidence"), (-np.inf, True, "evidence")],
+)
+def test_the_long_estimate_decides_unless_it_cannot(exponent, certain, reason, monkeypatch):
+    monkeypatch.setattr(classify_attractors, "assess_weak_chaos", lambda *arguments: (exponent, "evidence"))
+    candidate, examined = SimpleNamespace(impact_points=np.zeros((4, 3)), attractor_fields={}), []
+    assert classify_attractors._rejection_reason(None, None, candidate, examined, certain) == reason
+    assert candidate.attractor_fields == ({"exponent": 0.3, "note": "evidence"} if exponent == 0.3 else {})
+    assert [known for _, known in examined] == [reason]
+
+
 def test_the_same_for_a_seed(four):
     for attractor, other in zip(jv.find_attractors(scene(), starts=200, seed=0), four, strict=True):
         assert (attractor.state.x, attractor.state.v) == (other.state.x, other.state.v)

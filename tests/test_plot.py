@@ -171,6 +171,10 @@ def test_curves_are_arrays_ready_to_plot():
     assert list(one.points) == ["SN", "PD", "fast"]
     np.testing.assert_allclose(one.points["PD"].values, [4.0])
     np.testing.assert_allclose(one.points["PD"].columns, [[0.3]])
+    backward = branch(change=9)
+    backward = replace(backward, data=backward.data.isel(point=slice(None, None, -1)), special=())
+    pieces = backward.curves("speed").pieces
+    assert [(piece.stable, len(piece.values)) for piece in pieces] == [(False, 6), (True, 4)]
     expected = "variable: must be one of x, v, clearance, speed, least_speed, peak"
     assert refusal(branch().curves, "clearence").startswith(expected)
 
