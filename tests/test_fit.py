@@ -2,6 +2,7 @@
 
 import functools
 from pathlib import Path
+from types import SimpleNamespace
 
 import jax
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 from scipy import optimize
 
 import jaxvibro as jv
+from jaxvibro.design.impact_chains import is_acceptable_chain
 from jaxvibro.design.impact_prediction import Impact, MotionPredictor
 
 SCENES = Path(__file__).parents[1] / "scenes"
@@ -312,3 +314,13 @@ def test_bad_arguments_of_a_fit():
             jv.fit(scene, record, free_numbers, bounds)
     with pytest.raises(jv.ArgumentError, match="runs on the host"):
         jax.jit(lambda scene: jv.fit(scene, data, FREE).chi2)(CHAOTIC)
+
+
+@pytest.mark.parametrize(
+    ("cost", "chi2", "prior_chi2", "accepted"),
+    [(14.0, 9.0, 1.0, True), (1e6, 9.0, 1.0, False), (14.0, 90.0, 1.0, False), (14.0, 9.0, 90.0, False)],
+)
+def test_a_chain_is_accepted_if_it_is_a_motion_and_noise_explains_the_rest(cost, chi2, prior_chi2, accepted):
+    """Ten residuals beyond two: noise exceeds a chi2 of 30 with probability 1e-3."""
+    solution = SimpleNamespace(chi2=chi2, prior_chi2=prior_chi2, residuals=np.zeros(12))
+    assert is_acceptable_chain(None, SimpleNamespace(cost=cost, solution=solution)) == accepted

@@ -114,6 +114,20 @@ def test_the_cost_of_an_operation_follows_xla():
     assert max_cost_to_limit_ratio(jaxpr) > 1 and not can_be_kernel(jaxpr)
 
 
+@pytest.mark.parametrize(("powers", "flops"), [(7, 0), (18, 19 * 64 + 1)])
+def test_a_scalar_counts_once_and_what_moves_more_than_it_computes_counts_by_its_bytes(powers, flops):
+    def program(scalar, lanes):
+        total = lanes * (scalar * scalar)
+        for _ in range(powers):
+            total = total * lanes
+        return total
+
+    moved = 2 * 8 * 64 + 8  # the lanes read and written, and the scalar
+    compute, memory = (flops + 10 * min(moved, flops)) / 200_000, moved / (2 * (256 << 10))
+    jaxpr = jax.make_jaxpr(program)(np.ones(()), np.ones(64)).jaxpr
+    assert max_cost_to_limit_ratio(jaxpr) == pytest.approx(max(compute, memory), rel=1e-12)
+
+
 @pytest.mark.parametrize(("rows", "reads"), [(15, 15 + 2), (16, 16 + 16)])
 def test_a_value_that_many_operations_read_is_kept_in_memory(rows, reads):
     """XLA does not fuse an operation that one fusion would evaluate more than 15 times: it is stored, and read."""
