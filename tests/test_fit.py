@@ -10,7 +10,7 @@ import pytest
 from scipy import optimize
 
 import jaxvibro as jv
-from jaxvibro.design.impact_chains import is_acceptable_chain
+from jaxvibro.design.impact_chains import ImpactChain, is_acceptable_chain
 from jaxvibro.design.impact_prediction import Impact, MotionPredictor
 
 SCENES = Path(__file__).parents[1] / "scenes"
@@ -323,4 +323,4 @@ def test_bad_arguments_of_a_fit():
 def test_a_chain_is_accepted_if_it_is_a_motion_and_noise_explains_the_rest(cost, chi2, prior_chi2, accepted):
     """Ten residuals beyond two: noise exceeds a chi2 of 30 with probability 1e-3."""
     solution = SimpleNamespace(chi2=chi2, prior_chi2=prior_chi2, residuals=np.zeros(12))
-    assert is_acceptable_chain(None, SimpleNamespace(cost=cost, solution=solution)) == accepted
+    assert is_acceptable_chain(ImpactChain(np.zeros(6, int), (), solution, cost)) == accepted

@@ -56,7 +56,7 @@ def match_impact_record(fit_problem: ImpactFitProblem, allow_flaws: bool) -> Imp
     longest_chain_so_far = None
     for start_chain in _generate_start_chains(fit_problem, allow_flaws):
         chain_after_growth = _grow_chain(fit_problem, allow_flaws, start_chain)
-        if is_acceptable_chain(fit_problem, chain_after_growth):
+        if is_acceptable_chain(chain_after_growth):
             return chain_after_growth
         longest_chain_so_far = (
             chain_after_growth
@@ -74,7 +74,7 @@ def _generate_start_chains(fit_problem, allow_flaws):
     inserted or removed impacts follow."""
     n_start_impacts, initial_parameters = min(FIRST_IMPACTS, len(fit_problem.times)), fit_problem.free_spec.start_values
     first_chain = fit_chain(fit_problem, guess_from_record(fit_problem, initial_parameters, np.arange(n_start_impacts)))
-    is_first_chain_cheap = is_acceptable_chain(fit_problem, first_chain) and first_chain.cost <= EASY_COST
+    is_first_chain_cheap = is_acceptable_chain(first_chain) and first_chain.cost <= EASY_COST
     if is_first_chain_cheap:
         yield first_chain
     chain_candidates = [
@@ -88,7 +88,7 @@ def _generate_start_chains(fit_problem, allow_flaws):
     ]
     chain_candidates += [] if is_first_chain_cheap else [first_chain]
     yield from sorted(
-        (candidate for candidate in chain_candidates if is_acceptable_chain(fit_problem, candidate)),
+        (candidate for candidate in chain_candidates if is_acceptable_chain(candidate)),
         key=lambda candidate: candidate.cost,
     )[:MAX_START_WINDOWS]
     if allow_flaws:
@@ -163,7 +163,7 @@ def _start_chains_by_edits(fit_problem, parameters, n_start_impacts):
     )
     candidates = [fit_chain(fit_problem, trial_guess) for trial_guess in trial_guesses[:MAX_FITTED_INSERTIONS]]
     yield from sorted(
-        (candidate for candidate in candidates if is_acceptable_chain(fit_problem, candidate)),
+        (candidate for candidate in candidates if is_acceptable_chain(candidate)),
         key=lambda candidate: candidate.cost,
     )[:MAX_START_INSERTIONS]
 
@@ -219,7 +219,7 @@ def _extend_to_next_impact(fit_problem, allow_flaws, chains, time_direction):
         for extension in _extensions_of_chain(fit_problem, allow_flaws, chain, time_direction):
             chain_key = (tuple(extension.record_indices), tuple(extension.solution.nodes.sides))
             if (
-                is_acceptable_chain(fit_problem, extension)
+                is_acceptable_chain(extension)
                 and extension.cost < best_chain_by_key.get(chain_key, extension._replace(cost=np.inf)).cost
             ):
                 best_chain_by_key[chain_key] = extension
@@ -344,7 +344,7 @@ def _extend_by_sure_impacts(fit_problem, allow_flaws, chain, time_direction):
             as_found(chain), _guess_from_predictions(record_indices, predicted_impacts, time_direction), time_direction
         ),
     )
-    return longer_chain if is_acceptable_chain(fit_problem, longer_chain) else None
+    return longer_chain if is_acceptable_chain(longer_chain) else None
 
 
 def _extensions_of_chain(fit_problem, allow_flaws, chain, time_direction):
@@ -377,8 +377,7 @@ def _extensions_of_chain(fit_problem, allow_flaws, chain, time_direction):
     )
     extensions.append(fit_chain(fit_problem, guess_without_insertion))
     if allow_flaws and not any(
-        is_acceptable_chain(fit_problem, candidate) and candidate.cost < chain.cost + EXPENSIVE_STEP
-        for candidate in extensions
+        is_acceptable_chain(candidate) and candidate.cost < chain.cost + EXPENSIVE_STEP for candidate in extensions
     ):
         flight_index = len(chain_guess.record_indices) - 1 if time_direction > 0 else 0
         side_sequences = [

@@ -205,7 +205,7 @@ def flight_derivatives(fit_problem, nodes, parameters):
     return derivatives * np.concatenate([np.ones(4), fit_problem.free_spec.scales])
 
 
-def is_acceptable_chain(fit_problem: ImpactFitProblem, chain: ImpactChain) -> bool:
+def is_acceptable_chain(chain: ImpactChain) -> bool:
     """Check that a chain is a motion and that noise explains its deviations from the record."""
     solution = chain.solution
     return bool(
