@@ -6,8 +6,10 @@ import jax
 import numpy as np
 import pytest
 import tomli_w
+import xarray as xr
 
 import jaxvibro as jv
+from jaxvibro.explorer.action_calls import current_motion_state
 from jaxvibro.explorer.page_screen import DRAW_FUNCTIONS
 
 from .explorer_fuzz import ALL, CHEAP, check_answers
@@ -91,6 +93,12 @@ def test_lines_that_no_other_line_needs_are_left_out():
     desk = Desk()
     desk.run("load", text=page_file(QUICK))
     assert desk.lines == ["scene_2", "orbit_1", "branch_1", "orbit_3"]
+
+
+def test_a_motion_goes_on_from_its_last_state():
+    motion = xr.Dataset({"x": ("time", [0.1, 0.2]), "v": ("time", [0.3, 0.4]), "phase": ("time", [6.0, 7.0])})
+    state = current_motion_state(motion)
+    assert (state.x, state.v, state.phase) == pytest.approx((0.2, 0.4, 7.0 - 2.0 * np.pi), rel=1e-15)
 
 
 @pytest.mark.parametrize("name", [*KINDS, "physical"])

@@ -154,6 +154,17 @@ def test_a_thread_that_has_ended_takes_no_task():
     assert done.get(timeout=PATIENCE) == 1 and done.empty()
 
 
+def test_only_a_message_with_the_same_key_is_replaced():
+    thread, begun, go, done = PageThread(True), threading.Event(), threading.Event(), queue.Queue()
+    thread.add(lambda: (begun.set(), go.wait(PATIENCE)))
+    assert begun.wait(PATIENCE)
+    for number, key in enumerate(("pan", "pan", "zoom", None, "zoom")):
+        thread.add(lambda number=number: done.put(number), key)
+    go.set()
+    thread.add(lambda: done.put("end"))
+    assert list(iter(lambda: done.get(timeout=PATIENCE), "end")) == [1, 2, 3, 4]
+
+
 @in_a_loop
 async def test_a_socket_needs_the_token_and_the_same_origin(served):
     url = served.url.replace("http:", "ws:").split("?")[0] + "socket"

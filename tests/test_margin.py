@@ -9,6 +9,7 @@ import pytest
 from scipy.optimize import minimize
 
 import jaxvibro as jv
+from continuation.computation_limits import Limits
 from jaxvibro.branches.follow import polish_orbit
 from jaxvibro.design import place
 from jaxvibro.design.bifurcation_gradients import FLIP, FOLD, ZERO_SPEED, evaluate_test_gradients
@@ -188,6 +189,13 @@ def test_the_way_to_a_target_ends_at_the_last_possible_orbit(low, high, bound, f
     assert held.any() == (bound < 1.0)
     reason = place._failure_reason(last.fraction, kinds, ("damping",) if held.any() else ())
     assert why in reason and bool(why) == bool(reason)
+
+
+def test_a_way_that_ends_by_the_clock_is_at_no_bound_that_was_only_tried():
+    readings = iter([0.0, 2.0])  # the first attempt needs a change of 1, which the bound forbids
+    limits = Limits(deadline=1.0, read_clock=lambda: next(readings))
+    last, held, kinds = place._follow_path_to_targets(asked(lambda change: False, 0.4), np.ones(1), limits)
+    assert (last.fraction, last.is_time_expired, held.tolist(), kinds) == (0.0, True, [False], [])
 
 
 SEARCHED = {"amplitude": (0.9, 1.9), "frequency": (1.5, 1.9)}
