@@ -5,9 +5,9 @@
   of tests of a few seconds; guard: its purpose; survives: the reason why no test can notice it; endless: true if a
   loop then does not end, so that a stopped run counts as a killed mutant.
 - `python -m tests.mutate draw COUNT SEED` draws mutants and writes them to `tests/mutants/drawn.toml`.
-- `python -m tests.mutate drawn` runs these: each against the properties of its folder, one that survives against the
-  test files of its folder (`tests/mutants/folders.toml`), then against the tests of each push. Results are kept in
-  `out/mutants/drawn.jsonl`; a later call continues with the missing ones.
+- `python -m tests.mutate drawn` runs these: each against the properties of its folder and the test files of its folder
+  (`tests/mutants/folders.toml`) as on each push, then as in CI, then against all tests of a push. Results are kept in
+  `out/mutants/drawn.jsonl`; a later call continues with those that are missing or have survived.
 """
 
 import argparse
@@ -85,8 +85,8 @@ def stages(mutant):
     """Return the arguments of pytest of the runs against which a drawn mutant is tried, one after another."""
     files = [f"tests/{name}.py" for name in read_table(FOLDERS)[mutant.folder]]
     properties = f"tests/properties/test_{mutant.folder}.py"
-    rows = [[properties] if (ROOT / properties).exists() else [], files, ["tests"]]
-    return [["--tier", "push", *row] for row in rows if row]
+    own = [row for row in ([properties] if (ROOT / properties).exists() else [], files) if row]
+    return [["--tier", tier, *row] for tier in ("push", "ci") for row in own] + [["--tier", "push", "tests"]]
 
 
 def environment(folder, cache):
@@ -169,19 +169,21 @@ def run_all(mutants, runs_of, first, limit, given, results=None):
     """Run mutants, and return (mutant, result) pairs.
 
     runs_of: from a mutant to the arguments of its runs; first: of the run without a mutant; results: a file of rows,
-    whose mutants are not run again.
+    whose killed mutants are not run again.
     """
     known = {}
     if results and results.exists():
-        known = {json.dumps(row["mutant"]): row["result"] for row in map(json.loads, results.open(encoding="utf-8"))}
+        rows = map(json.loads, results.open(encoding="utf-8"))
+        known = {json.dumps(row["mutant"]): row["result"] for row in rows if row["result"] == KILLED}
     pairs = [(mutant, known.get(json.dumps(asdict(mutant)))) for mutant in mutants]
     missing = [mutant for mutant, result in pairs if result is None]
     pairs = [pair for pair in pairs if pair[1] is not None]
     if not missing:
         return pairs
     with TemporaryDirectory() as folder:
-        copy, cache = shutil.copytree(ROOT, Path(folder) / "copy", ignore=NOT_COPIED), Path(folder) / "cache"
-        check_unmutated(copy, cache, first, given.jobs)
+        copy, cache = shutil.copytree(ROOT, Path(folder) / "copy", ignore=NOT_COPIED), RESULTS.parent / "cache"
+        if not given.checked:
+            check_unmutated(copy, cache, first, given.jobs)
         with ThreadPoolExecutor(given.jobs) as pool:
             attempts = pool.map(lambda mutant: attempt(mutant, copy, cache, runs_of(mutant), limit), missing)
             for mutant, (result, seconds, output) in zip(missing, attempts, strict=True):
@@ -203,6 +205,7 @@ def main():
     parser.add_argument("numbers", nargs="*", type=int, help="of draw: count and seed")
     parser.add_argument("--jobs", type=int, default=2, help="runs at a time")
     parser.add_argument("--only", default="", help="mutants whose 'folder: name' contains this text")
+    parser.add_argument("--checked", action="store_true", help="skip the run without a mutant: it has passed")
     parser.add_argument("--show", action="store_true", help="print the end of the output of each run")
     given = parser.parse_args()
     if given.action == "draw":
