@@ -171,13 +171,12 @@ def run_all(mutants, runs_of, first, limit, given, results=None):
     runs_of: from a mutant to the arguments of its runs; first: of the run without a mutant; results: a file of rows,
     whose killed mutants are not run again.
     """
-    known = {}
+    killed = set()
     if results and results.exists():
         rows = map(json.loads, results.open(encoding="utf-8"))
-        known = {json.dumps(row["mutant"]): row["result"] for row in rows if row["result"] == KILLED}
-    pairs = [(mutant, known.get(json.dumps(asdict(mutant)))) for mutant in mutants]
-    missing = [mutant for mutant, result in pairs if result is None]
-    pairs = [pair for pair in pairs if pair[1] is not None]
+        killed = {json.dumps(row["mutant"]) for row in rows if row["result"] == KILLED}
+    missing = [mutant for mutant in mutants if json.dumps(asdict(mutant)) not in killed]
+    pairs = [(mutant, KILLED) for mutant in mutants if mutant not in missing]
     if not missing:
         return pairs
     with TemporaryDirectory() as folder:

@@ -318,9 +318,9 @@ def test_bad_arguments_of_a_fit():
 
 @pytest.mark.parametrize(
     ("cost", "chi2", "prior_chi2", "accepted"),
-    [(14.0, 9.0, 1.0, True), (1e6, 9.0, 1.0, False), (14.0, 90.0, 1.0, False), (14.0, 9.0, 90.0, False)],
+    [(14.0, 39.0, 2.0, True), (1e6, 39.0, 2.0, False), (14.0, 40.0, 2.0, False), (14.0, 2.0, 40.0, False)],
 )
 def test_a_chain_is_accepted_if_it_is_a_motion_and_noise_explains_the_rest(cost, chi2, prior_chi2, accepted):
-    """Ten residuals beyond two: noise exceeds a chi2 of 30 with probability 1e-3."""
+    """Ten residuals beyond two: noise exceeds a chi2 of 41.3 with probability 1e-5."""
     solution = SimpleNamespace(chi2=chi2, prior_chi2=prior_chi2, residuals=np.zeros(12))
     assert is_acceptable_chain(ImpactChain(np.zeros(6, int), (), solution, cost)) == accepted
