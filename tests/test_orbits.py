@@ -273,6 +273,25 @@ def test_solutions_without_impacts_are_the_linear_response():
     assert np.asarray(slope(scene.amplitude)) == pytest.approx(np.full(8, response.real[0]))
 
 
+@pytest.mark.parametrize("periods", [1, 3])
+def test_a_mass_that_would_rest_behind_a_wall_is_no_orbit(periods):
+    walls = np.array([-1.0, -1e-3, 0.3, -2.0]), np.array([0.7, 1e-3, 0.9, -0.3])
+    found = jv.solve_orbits(jv.make_scene(0.0, 2.1, 0.05, 0.7, walls), jv.State(0.0, 0.0), periods * ("",))
+    assert np.asarray(found.status).tolist() == [OK, OK, VIRTUAL, VIRTUAL]
+
+
+@pytest.mark.parametrize(
+    "damping, frequency, walls",
+    [(0.05, 2.1, (-0.7, 1.3)), (0.3, 0.7, (-0.4, None)), (1.5, 1.3, (None, jv.Wall(0.05, 0.9))), (0.0, 1.7, (-2, 3))],
+)
+def test_a_branch_from_rest_begins_with_the_distance_from_the_walls(damping, frequency, walls):
+    """At rest the mass turns nowhere, or rounding decides where."""
+    rest = jv.find_orbit(jv.make_scene(0.0, frequency, damping, 0.6, walls), jv.State(0.0, 0.0))
+    branch = jv.follow(rest, "amplitude", (0.0, 0.03))
+    nearest = min(abs(getattr(wall, "position", wall)) for wall in walls if wall is not None)
+    assert branch.data.least_clearance.values[0] == pytest.approx(nearest, abs=1e-12)
+
+
 def test_statuses_of_solutions():
     """Between unlike walls, one of which moves; the section is at a phase of its own."""
     right = jv.Wall(0.8, 0.6, motion=jv.Motion(0.1, 0.4, 2))

@@ -245,7 +245,10 @@ def _tests_with_impacts(coeffs, sequence, _):
         if flights.contact_map.contact_time is None
         else sequence.times + flights.contact_map.contact_time
     )
-    min_clearance, row, wall, time = _closest_approach(coeffs, flights, start_times)
+    min_clearance, row, wall, time = _closest_approach(
+        *flight_clearance.turning_clearances(coeffs, flights, flight_clearance.sample_count(coeffs, flights)),
+        start_times,
+    )
     has_zero_speed = jnp.any(sequence.speeds <= 0)
     ray_end = jnp.where(has_zero_speed, RayEnd.ZERO_SPEED, jnp.where(min_clearance < 0, RayEnd.TOUCH, RayEnd.NONE))
     return _TestsAndEvent(
@@ -259,11 +262,8 @@ def _tests_with_impacts(coeffs, sequence, _):
     )
 
 
-def _closest_approach(coeffs, flights, start_times):
+def _closest_approach(min_clearances, time_to_turning_point, start_times):
     """Return (smallest clearance at a turning point or inf, row of the flight, index of the wall, time)."""
-    min_clearances, time_to_turning_point = flight_clearance.turning_clearances(
-        coeffs, flights, flight_clearance.sample_count(coeffs, flights)
-    )
     closest_index = jnp.argmin(min_clearances.reshape(-1)).astype(int)
     row, wall = closest_index // min_clearances.shape[1], closest_index % min_clearances.shape[1]
     min_clearance, time_to_turning_point = (
@@ -309,7 +309,9 @@ def _solve_impact_free_orbit(coeffs, sequence):
 
 def _tests_without_impacts(coeffs, sequence, unknowns):
     flight = flight_clearance.impact_free_flight(coeffs, sequence.phase, sequence.periods, *unknowns)
-    min_clearance, row, wall, time = _closest_approach(coeffs, flight, jnp.zeros(1, unknowns.dtype))
+    min_clearance, row, wall, time = _closest_approach(
+        *flight_clearance.impact_free_clearances(coeffs, flight), jnp.zeros(1, unknowns.dtype)
+    )
     ones = jnp.ones_like(min_clearance)
     return _TestsAndEvent(
         ones, ones, min_clearance, jnp.where(min_clearance < 0, RayEnd.TOUCH, RayEnd.NONE) + 0.0 * ones, row, wall, time

@@ -141,6 +141,31 @@ def turning_clearances(coeffs, flights, n_samples):
     return jnp.where(jnp.isfinite(nearest_distance) & is_turning_point, distance, jnp.inf).T, time.T
 
 
+def impact_free_clearances(coeffs, flight):
+    """Compute the smallest distance to each wall during a periodic motion without impacts.
+
+    At rest rounding decides if the motion has turning points: without one, the distance is that of the start.
+
+    Parameters
+    ----------
+    coeffs : FlowCoefficients
+        Coefficients of the scene.
+    flight : Flight
+        The motion, from `impact_free_flight`.
+
+    Returns
+    -------
+    distance, time : Array
+        As returned by `turning_clearances`, of shape (1, walls); the distance is finite.
+    """
+    distance, time = turning_clearances(coeffs, flight, sample_count(coeffs, flight))
+    if not coeffs.walls:
+        return distance, time
+    start_motions = relative_motion(coeffs, flight, jnp.zeros_like(flight.time))
+    start_distance = jnp.stack([wall_distance for wall_distance, _, _ in start_motions]).T
+    return jnp.where(jnp.isfinite(distance), distance, start_distance), time
+
+
 def is_admissible(coeffs, flights, speeds, is_first_grazing=False):
     """Test whether flights have positive durations, stay between the walls and hit them with positive speeds.
 

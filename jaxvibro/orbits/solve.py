@@ -24,7 +24,7 @@ from ..scene.codes import SolutionStatus, Status
 from ..scene.scene import Scene
 from ..scene.state import State, make_state_arrays
 from . import impact_equations
-from .flight_clearance import impact_free_flight, is_admissible
+from .flight_clearance import impact_free_clearances, impact_free_flight, is_admissible
 from .impact_equations import ImpactSequence
 
 STATIC_FIELD = {"static": True}
@@ -350,9 +350,8 @@ def _is_admissible(structure, scene_leaves, phase, unknowns):
     if len(structure.sides):
         sequence = sequence_of(structure, unknowns, phase)
         return is_admissible(coeffs, impact_equations.compute_flights(coeffs, sequence), sequence.speeds)
-    return is_admissible(
-        coeffs, impact_free_flight(coeffs, phase, structure.periods, *unknowns), jnp.ones_like(unknowns[:1])
-    )
+    clearances, _ = impact_free_clearances(coeffs, impact_free_flight(coeffs, phase, structure.periods, *unknowns))
+    return jnp.all(clearances >= 0)
 
 
 def _section_and_invariants(structure, unknowns_and_leaves, phase_and_guess):

@@ -255,7 +255,7 @@ def impact_free_diagnostics(problem, z, n_periods):
     )
     p00, _, _, p11 = flow_matrix.matrix_by_rows(monodromy)
     x, v = jnp.full(n_periods, z[0]), jnp.full(n_periods, z[1])
-    clearances = flight_clearance.turning_clearances(coeffs, flight, flight_clearance.sample_count(coeffs, flight))
+    clearances = flight_clearance.impact_free_clearances(coeffs, flight)
     test_determinants = [jnp.ones_like(z[0])] * 2
     empty_rows = jnp.zeros(0, z.dtype)
     return Diagnostics(
