@@ -1,11 +1,14 @@
-"""What a release adds to CI: `python -m tests.release FOLDER [WORDS ...]` runs it and writes a table.
+"""What a release adds to CI: `python -m tests.release FOLDER [WORDS ...] [--share S]` runs it and writes a table.
 
 Each property of each kind, and the release tests of each file, run in a process of their own with the draws of
 `tests/tiers.toml`. Results are kept in FOLDER by commit, one line each: a later call goes on with what is missing or
-has failed. WORDS select the jobs whose names contain one of them.
+has failed. WORDS select the jobs whose names contain one of them. With a share each property has this part of its
+draws, at least one, and the results have a folder of their own.
 """
 
+import argparse
 import json
+import math
 import os
 import re
 import subprocess
@@ -31,8 +34,8 @@ def commit():
     return git("rev-parse", "--short=12", "HEAD") + ("-changed" if git("status", "--porcelain") else "")
 
 
-def jobs():
-    """Return {name: (arguments of pytest, draws)} of what the release adds."""
+def jobs(share):
+    """Return {name: (arguments of pytest, draws)} of what the release adds, with a share of the draws."""
     command = [sys.executable, "-m", "pytest", "-q", "--collect-only", "--tier", "release", "tests"]
     listed = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False).stdout
     found, others = {}, defaultdict(list)
@@ -41,17 +44,17 @@ def jobs():
         if "/properties/" in file and name.removeprefix("test_") in tiers.table().get(Path(file).stem[5:], {}):
             folder, kind = Path(file).stem.removeprefix("test_"), case.strip("[]")
             numbers = tiers.table()[folder][name.removeprefix("test_")]
-            draws = numbers.get("of", {}).get(kind, numbers["draws"])[-1]
-            found[f"{folder}.{name.removeprefix('test_')}[{kind}]"] = [node], draws
+            draws = math.ceil(share * numbers.get("of", {}).get(kind, numbers["draws"])[-1])
+            found[f"{folder}.{name.removeprefix('test_')}[{kind}]"] = [node, "--draws", str(draws)], draws
         else:
             others[Path(file).stem.removeprefix("test_")].append(node)
     return found | {name: (nodes, len(nodes)) for name, nodes in others.items()}
 
 
-def run(nodes):
+def run(arguments):
     """Return (whether the tests pass, seconds, the end of what they printed)."""
     begun = time.monotonic()
-    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "--tier", "release", *nodes]
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "--tier", "release", *arguments]
     done = subprocess.run(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=False)
     return done.returncode == 0, time.monotonic() - begun, "" if done.returncode == 0 else done.stdout[-3000:]
 
@@ -75,19 +78,24 @@ def table(results):
     return "\n".join([*rows, "", f"{len(results)} jobs, {failed} failed, {seconds / 3600.0:.2f} hours of processes"])
 
 
-def main(folder, *words):
+def main():
     """Run what is missing; return whether all has passed."""
-    folder = Path(folder) / commit()
+    parser = argparse.ArgumentParser(prog="python -m tests.release", description=__doc__.split("\n")[0])
+    parser.add_argument("folder", type=Path, help="of the results")
+    parser.add_argument("words", nargs="*", help="parts of the names of jobs")
+    parser.add_argument("--share", type=float, default=1.0, help="of the draws of each property")
+    given = parser.parse_args()
+    words, folder = given.words, given.folder / (commit() + (f"-share-{given.share:g}" if given.share < 1.0 else ""))
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / "results.jsonl"
-    chosen = {name: job for name, job in jobs().items() if not words or any(word in name for word in words)}
+    chosen = {name: job for name, job in jobs(given.share).items() if not words or any(word in name for word in words)}
     results = {name: row for name, row in known(path).items() if name in chosen}
     missing = [name for name in chosen if name not in results]
     print(f"{len(chosen)} jobs, {len(missing)} of them to run", flush=True)
 
     def work(name):
-        nodes, draws = chosen[name]
-        passed, seconds, output = run(nodes)
+        arguments, draws = chosen[name]
+        passed, seconds, output = run(arguments)
         return {"name": name, "draws": draws, "seconds": seconds, "passed": passed, "output": output}
 
     with ThreadPoolExecutor(int(os.environ.get("WORKERS", WORKERS))) as pool, path.open("a", encoding="utf-8") as file:
@@ -103,4 +111,4 @@ def main(folder, *words):
 
 
 if __name__ == "__main__":
-    sys.exit(not main(*sys.argv[1:]))
+    sys.exit(not main())
