@@ -9,7 +9,7 @@ import pytest
 from .baseline import compare, compute
 
 STORED = Path(compute.__file__).parent / "stored"
-ULPS = 8  # processors differ in the order of a few operations
+ULPS = 32  # processors differ in the order of a few operations, and multipliers at a fold amplify this
 
 
 @pytest.fixture(scope="module")

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import jaxvibro as jv
+from jaxvibro.maps.wall_loads import integrate_contacts
 
 START = jv.State(0.3, 0.6)
 GAMMA = 0.05
@@ -93,6 +94,60 @@ def test_a_mass_that_comes_to_rest_leaves_all_its_energy():
     found = jv.wall_loads(scene, jv.State(1.5, 0.0), 3)
     span = 6 * np.pi
     assert float(found["work_rate"].sum()) * span == pytest.approx(0.5 * (1.5**2 - 0.5**2), rel=1e-9)
+
+
+@pytest.mark.parametrize("rounding", [0.0, 1e-9])
+def test_the_work_of_a_force_that_decays_oscillates_or_is_not_smooth(rounding):
+    """Closed forms over the time 3: a decay, a rise and decay, a power, a step, an oscillation; also with noise."""
+    rates = np.array([1.0, 30.0, 1e3, 3e5])
+    noise = np.random.default_rng(3)
+
+    def compute(force, speed):
+        def forces_in_panels(rows, times):
+            values = force(rates[rows][:, None], times) * (1.0 + rounding * noise.uniform(-0.5, 0.5, times.shape))
+            return values, speed(rates[rows][:, None], times), rounding * abs(values).max(axis=1)
+
+        return integrate_contacts(forces_in_panels, np.full(4, 3.0))
+
+    def one(a, t):
+        return 1.0 + 0.0 * a * t
+
+    def decay(a, t):
+        return np.exp(-a * t)
+
+    for force, speed, largest, work, error in (
+        (decay, decay, 1.0, -0.5 * np.expm1(-6.0 * rates) / rates, 0.0),
+        (
+            lambda a, t: a * t * decay(a, t),
+            one,
+            np.exp(-1.0),
+            (1.0 - (1.0 + 3.0 * rates) * decay(rates, 3.0)) / rates,
+            0,
+        ),
+        (lambda a, t: t**1.5, one, 3.0**1.5, 3.0**2.5 / 2.5, 0.0),
+        (lambda a, t: 1.0 * (a * t < 1.0), one, 1.0, 1.0 / rates, 2e-6),
+    ):
+        found = compute(force, speed)
+        np.testing.assert_allclose(found[0], largest, rtol=1e-8)
+        np.testing.assert_allclose(found[1], work, rtol=1e-8, atol=error)
+    rates = rates[[0, 1, 2, 2]]
+    found = compute(lambda a, t: np.sin(a * t), lambda a, t: np.cos(a * t))
+    np.testing.assert_allclose(found[0][1:], 1.0, rtol=1e-8)
+    np.testing.assert_allclose(found[1], np.sin(3.0 * rates) ** 2 / 2.0 / rates, rtol=0, atol=1e-9)
+
+
+def test_contact_phases_in_which_the_force_varies_fast_are_divided():
+    """Without drive and damping, what a mass loses that settles on a soft wall is the work."""
+    stiffness, ratio = np.array([[1e4], [1e8]]), np.array([0.2, 0.3, 1.0, 4.0])
+    damping = ratio * np.sqrt(stiffness)
+    scene = jv.make_scene(0.0, 0.8, 0.0, walls=(jv.Wall(0.5, None, stiffness, damping), None))
+    start = jv.State(np.where(ratio > 0.5, 0.7, 0.5), -np.sqrt(ratio))
+    found = jv.wall_loads(scene, start)
+    at_rest = 0.5 * stiffness / (stiffness + 1.0)
+    lost = 0.5 * (np.asarray(start.x) ** 2 + np.asarray(start.v) ** 2 - at_rest**2)
+    np.testing.assert_allclose(found["work_rate"].values[..., 0] * 2.0 * np.pi / 0.8, lost, rtol=1e-9)
+    largest, speed = (found[name].values[..., 0] for name in ("largest_force", "largest_speed"))
+    np.testing.assert_allclose(largest[:, 2:], (2.0 * damping * speed)[:, 2:], rtol=1e-9)  # it falls from the entry on
 
 
 def test_invalid_arguments_are_refused():

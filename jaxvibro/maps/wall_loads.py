@@ -22,10 +22,14 @@ from .sample import sample
 from .strobe import strobe
 
 FIRST_SLOTS, MAX_SLOTS = 32, 1024  # recorded impacts of a lane: first attempt and limit
-N_NODES = 32  # Gauss-Legendre points in a contact phase
-N_GRID, NEWTON_STEPS = 129, 4  # grid for the largest force in a contact phase, and Newton steps from it
-ROWS_PER_CHUNK = 4096  # contact phases that are evaluated together
-MIN_LOG2_ROWS = 3  # contact phases are padded to a power of two, at least 2**3
+N_NODES = 32  # Gauss-Legendre points in a panel: a contact phase or, where the force varies more, a part of one
+N_TAIL = 4  # last Legendre coefficients of the force in a panel, whose size decides if it is resolved
+RESOLUTION = 1e-10  # of the largest force in the contact phase: these in a resolved panel; 32 times that at its ends
+ROUNDING_ERRORS = 16.0  # in the distance from the wall: unresolved parts below the force of these are not resolved
+MAX_BISECTIONS = 16  # of a contact phase
+N_GRID, NEWTON_STEPS = 129, 4  # grid for the largest force in a panel, and Newton steps from it
+ROWS_PER_CHUNK = 4096  # panels that are evaluated together
+LOG2_OF_SIZES = 3  # contact phases and panels are padded to 8, 64, 512, ... rows
 END_OFFSET = np.finfo(float).eps  # relative distance of the end samples from the ends of a contact phase
 LOAD_COLUMNS = {
     "largest_speed": (SPEED, "largest speed before an impact, relative to the wall"),
@@ -81,7 +85,8 @@ def wall_loads(scene: Scene, state: State | xr.Dataset, periods: int = 1) -> xr.
       the loads are nan.
 
     Impacts and contact phases are those of `strobe`. The force within a contact phase is evaluated at 32 Gauss-Legendre
-    points and at both ends. Its relative error is 1e-9 where the law of the wall is smooth.
+    points and at both ends. If a polynomial through these values does not represent the force to 1e-10 of its largest
+    value, the contact phase is bisected, up to 16 times.
 
     For an orbit call ``wall_loads(orbit.scene, orbit.state, orbit.periods)``.
 
@@ -220,19 +225,14 @@ def _contact_loads(scene, state, impacts, is_impact, side):
     largest_force_by_lane, work_by_lane = np.zeros(len(is_impact)), np.zeros(len(is_impact))
     if not len(contact_lanes):
         return largest_force_by_lane, work_by_lane
-    n_padding = (1 << max(MIN_LOG2_ROWS, (len(contact_lanes) - 1).bit_length())) - len(contact_lanes)
-    padded_lanes, contact_columns = (
-        np.pad(array, (0, n_padding), mode="edge") for array in (contact_lanes, contact_columns)
-    )
     start_times, depth, depth_rate = (
-        array[padded_lanes, contact_columns] for array in (start_times, depth, depth_rate)
+        array[contact_lanes, contact_columns] for array in (start_times, depth, depth_rate)
     )
-    lane_scene, phase = _select_lanes(scene, padded_lanes), np.asarray(state.phase)[padded_lanes]
+    lane_scene, phase = _select_lanes(scene, contact_lanes), np.asarray(state.phase)[contact_lanes]
     phase = phase + lane_scene.frequency * start_times
     time_remaining = 2.0 * np.pi / lane_scene.frequency - start_times
-    contact_durations = np.asarray(
-        _contact_durations(lane_scene, wall_sign + 0.0 * depth, depth, depth_rate, phase, time_remaining)
-    )
+    duration_arguments = lane_scene, wall_sign + 0.0 * depth, depth, depth_rate, phase, time_remaining
+    contact_durations = _contact_durations(*_select_lanes(duration_arguments, _padded_rows(len(phase))))
     wall_position, wall_velocity = _wall_motion(lane_scene, phase, side)
     entry_state = State(
         wall_position + wall_sign * depth,
@@ -240,21 +240,90 @@ def _contact_loads(scene, state, impacts, is_impact, side):
         phase,
         np.full(phase.shape, wall_sign * Contact.WITHIN),
     )
-    gauss_nodes, gauss_weights = legendre.leggauss(N_NODES)
-    sample_nodes = np.concatenate([[END_OFFSET - 1.0], gauss_nodes, [1.0 - END_OFFSET]])
-    sampled_states, _ = sample(lane_scene, entry_state, 0.5 * contact_durations[:, None] * (1.0 + sample_nodes))
-    wall_position, wall_velocity = _wall_motion(lane_scene, np.asarray(sampled_states.phase), side)
-    contact_force, depth_rate = _wall_contact_force(
-        lane_scene,
-        wall_sign * (np.asarray(sampled_states.x) - wall_position),
-        np.asarray(sampled_states.v),
-        wall_velocity,
-        side,
-    )
-    contact_work = 0.5 * contact_durations * ((contact_force * depth_rate)[:, 1:-1] @ gauss_weights)
-    np.maximum.at(largest_force_by_lane, contact_lanes, _largest_contact_forces(contact_force[: len(contact_lanes)]))
-    np.add.at(work_by_lane, contact_lanes, contact_work[: len(contact_lanes)])
+
+    def forces_in_panels(contact_rows, times):
+        return _panel_forces(*_select_lanes((lane_scene, entry_state), contact_rows), times, side)
+
+    largest_forces, works = integrate_contacts(forces_in_panels, np.asarray(contact_durations)[: len(phase)])
+    np.maximum.at(largest_force_by_lane, contact_lanes, largest_forces)
+    np.add.at(work_by_lane, contact_lanes, works)
     return largest_force_by_lane, work_by_lane
+
+
+def integrate_contacts(forces_in_panels, contact_durations):
+    """Compute the largest force and the work of contact phases; bisect panels in which the force is not resolved.
+
+    Parameters
+    ----------
+    forces_in_panels : callable
+        ``forces_in_panels(contact_rows, times)`` returns the force and the speed into the wall in panels of these
+        contact phases at times since their beginning, arrays of shape (panels, points), and the change of the force by
+        roundings, of shape (panels,).
+    contact_durations : ndarray
+        Array of shape (contact phases,).
+
+    Returns
+    -------
+    largest_forces, works : ndarray
+        Arrays of shape (contact phases,).
+    """
+    gauss_nodes, gauss_weights = legendre.leggauss(N_NODES)
+    nodes = np.concatenate([[END_OFFSET - 1.0], gauss_nodes, [1.0 - END_OFFSET]])
+    contact_rows = np.arange(len(contact_durations))
+    panel_starts, panel_lengths = np.zeros(len(contact_rows)), np.ones(len(contact_rows))  # of the contact phases
+    largest_forces, works, force_scales = np.zeros((3, len(contact_rows)))
+    for n_bisections in range(MAX_BISECTIONS + 1):
+        half_durations = 0.5 * panel_lengths * contact_durations[contact_rows]
+        times = (panel_starts * contact_durations[contact_rows])[:, None] + half_durations[:, None] * (1.0 + nodes)
+        force, depth_rate, force_of_rounding = forces_in_panels(contact_rows, times)
+        np.maximum.at(force_scales, contact_rows, abs(force).max(axis=1, initial=0.0))
+        coefficients = legendre.legfit(gauss_nodes, force[:, 1:-1].T, N_NODES - 1)
+        tolerances = np.maximum(RESOLUTION * force_scales[contact_rows], force_of_rounding)
+        end_errors = abs(legendre.legval([-1.0, 1.0], coefficients) - force[:, [0, -1]]).max(axis=1)
+        is_resolved = (abs(coefficients[-N_TAIL:]).max(axis=0) <= tolerances) & (end_errors <= N_NODES * tolerances)
+        is_done = is_resolved | (n_bisections == MAX_BISECTIONS)
+        panel_works = half_durations * ((force * depth_rate)[:, 1:-1] @ gauss_weights)
+        np.add.at(works, contact_rows[is_done], panel_works[is_done])
+        panel_maxima = force.max(axis=1)
+        panel_maxima[is_resolved] = _largest_forces_of_panels(force[is_resolved], coefficients[:, is_resolved])
+        np.maximum.at(largest_forces, contact_rows[is_done], panel_maxima[is_done])
+        if is_done.all():
+            break
+        contact_rows = np.repeat(contact_rows[~is_done], 2)
+        panel_lengths = np.repeat(0.5 * panel_lengths[~is_done], 2)
+        panel_starts = np.repeat(panel_starts[~is_done], 2)
+        panel_starts[1::2] += panel_lengths[1::2]
+    return largest_forces, works
+
+
+def _panel_forces(scene, entry_state, times, side):
+    """Return forces, speeds into the wall, and the forces of roundings, at times since the entries into the wall."""
+    chunks = []
+    for first_row in range(0, len(times), ROWS_PER_CHUNK):
+        rows = slice(first_row, first_row + ROWS_PER_CHUNK)
+        chunks.append(_forces_at_times(*_select_lanes((scene, entry_state, times), rows), side))
+    return [np.concatenate(arrays) for arrays in zip(*chunks, strict=True)]
+
+
+def _forces_at_times(scene, entry_state, times, side):
+    """Return what `_panel_forces` returns, of one chunk."""
+    wall_sign, padded_rows = WALL_SIGNS[SIDES.index(side)], _padded_rows(len(times))
+    sampled_states, _ = sample(*_select_lanes((scene, entry_state, times), padded_rows))
+    x, v, phase = (
+        np.asarray(array)[: len(times)] for array in (sampled_states.x, sampled_states.v, sampled_states.phase)
+    )
+    wall_position, wall_velocity = _wall_motion(scene, phase, side)
+    rounding = ROUNDING_ERRORS * np.finfo(x.dtype).eps * (abs(x) + abs(wall_position))
+    depth = wall_sign * (x - wall_position)
+    force, depth_rate = _wall_contact_force(scene, depth, v, wall_velocity, side)
+    rounded_force, _ = _wall_contact_force(scene, depth + rounding, v, wall_velocity, side)
+    return force, depth_rate, abs(rounded_force - force).max(axis=1)
+
+
+def _padded_rows(n_rows):
+    """Return the indices of rows, filled up with the last one to a power of 8, so that few shapes are compiled."""
+    n_padded = 1 << LOG2_OF_SIZES * max(1, -(-(n_rows - 1).bit_length() // LOG2_OF_SIZES))
+    return np.minimum(np.arange(n_padded), n_rows - 1)
 
 
 def _select_lanes(tree, lanes):
@@ -291,28 +360,18 @@ def _wall_contact_force(scene, depth, v, wall_velocity, side):
     return stiffness[:, None] * depth + 2.0 * damping[:, None] * wall_sign * v, depth_rate
 
 
-def _largest_contact_forces(contact_force):
+def _largest_forces_of_panels(force, force_coefficients):
     """Maximise the interpolating polynomial of each row on a grid, then by Newton steps; include the end values."""
-    gauss_nodes, _ = legendre.leggauss(N_NODES)
+    force_series = [force_coefficients, *(legendre.legder(force_coefficients, order) for order in (1, 2))]
     chebyshev_grid = np.cos(np.linspace(0.0, np.pi, N_GRID))
-    row_maxima = []
-    for force_rows in np.array_split(contact_force, max(1, len(contact_force) // ROWS_PER_CHUNK)):
-        force_legendre_series = [legendre.legfit(gauss_nodes, force_rows[:, 1:-1].T, N_NODES - 1)]
-        force_legendre_series += [legendre.legder(force_legendre_series[0], order) for order in (1, 2)]
-        force_maximiser = chebyshev_grid[np.argmax(legendre.legval(chebyshev_grid, force_legendre_series[0]), axis=1)]
-        for _ in range(NEWTON_STEPS):
-            force_slope, force_curvature = (
-                legendre.legval(force_maximiser, derivative_series, tensor=False)
-                for derivative_series in force_legendre_series[1:]
-            )
-            newton_step = -force_slope / np.where(force_curvature < 0.0, force_curvature, -np.inf)
-            force_maximiser = np.clip(
-                force_maximiser + np.clip(newton_step, -np.pi / N_GRID, np.pi / N_GRID), -1.0, 1.0
-            )
-        row_maxima.append(
-            np.maximum(force_rows.max(axis=1), legendre.legval(force_maximiser, force_legendre_series[0], tensor=False))
+    force_maximiser = chebyshev_grid[np.argmax(legendre.legval(chebyshev_grid, force_coefficients), axis=1)]
+    for _ in range(NEWTON_STEPS):
+        force_slope, force_curvature = (
+            legendre.legval(force_maximiser, derivative_series, tensor=False) for derivative_series in force_series[1:]
         )
-    return np.concatenate(row_maxima)
+        newton_step = -force_slope / np.where(force_curvature < 0.0, force_curvature, -np.inf)
+        force_maximiser = np.clip(force_maximiser + np.clip(newton_step, -np.pi / N_GRID, np.pi / N_GRID), -1.0, 1.0)
+    return np.maximum(force.max(axis=1), legendre.legval(force_maximiser, force_coefficients, tensor=False))
 
 
 def _loads_dataset(scene, shape, load_arrays, status):
