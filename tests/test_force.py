@@ -186,6 +186,7 @@ def _python_state(t, x, v, p):
         (lambda t, x, v, p: -x * p["k"], r"force: .* \(KeyError: 'k'\): its numbers are damping; got '<lambda>'"),
         (lambda t, x: -x, r"force: .* \(TypeError: .*\): it is called with \(t, x, v, numbers\)"),
         (_python_state, "force: must be the same in each trace"),
+        (lambda t, x, v, p: (jax.debug.print("{}", x), -x)[1], r"force: must not print or call Python .*debug\.print"),
         (lambda t, x, v, p: -x + jnp.cos(t), "force: must repeat with the drive's period, 2.99199: "),
         ("van_der_pol", "force.numbers: must be the parameters of van_der_pol: gain; got 'damping'"),
         ("duff", r"force.function: must be a function, or the name of a predefined one, perhaps duffing \("),

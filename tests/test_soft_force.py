@@ -118,6 +118,7 @@ def test_a_fold_between_hertz_walls_and_its_gradient():
         (jv.Wall(1.0, law=jv.Push("hertz", {})), FORCE, "right.law.numbers: must be stiffness"),
         (jv.Wall(1.0, law=jv.Push("hertz", {"stiffness": -1.0})), FORCE, "right.law.stiffness: must be greater than 0"),
         (jv.Wall(1.0, law=jv.Push(lambda d, r, p: 1.0 + d)), FORCE, "right.law: must be 0 where depth and rate are 0"),
+        (jv.Wall(1.0, law=jv.Push(lambda d, r, p: (jax.debug.print(""), d)[1])), FORCE, "right.law: must not print"),
         (jv.Wall(1.0, law=jv.Push(lambda d, r, p: p["none"])), FORCE, "right.law: cannot be traced by JAX"),
     ],
 )

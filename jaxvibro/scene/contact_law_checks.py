@@ -8,7 +8,7 @@ import numpy as np
 
 from . import check
 from .force import trace_jaxpr, with_positional_params
-from .force_checks import check_callable
+from .force_checks import NO_EFFECTS, check_callable
 from .push import PREDEFINED_CONTACT_LAWS, Push, hertz, hunt_crossley
 
 N_ARGUMENTS = 2  # depth and rate
@@ -53,10 +53,13 @@ def _check_predefined_params(key, function, params):
 def _check_traceable(key, function, parameter_names, dtype):
     """Check that JAX can trace a contact law, and that the law returns one number."""
     try:
-        output_avals = trace_jaxpr(function, parameter_names, dtype, N_ARGUMENTS).out_avals
+        jaxpr = trace_jaxpr(function, parameter_names, dtype, N_ARGUMENTS)
     except Exception as error:
         error_text = check.shorten_text(f"{type(error).__name__}: {error}", 160)
         raise check.ArgumentError(key, f"cannot be traced by JAX ({error_text})", function) from None
+    if jaxpr.effects:
+        raise check.ArgumentError(key, NO_EFFECTS, function)
+    output_avals = jaxpr.out_avals
     if len(output_avals) != 1 or output_avals[0].shape != () or output_avals[0].dtype != dtype:
         outputs_text = ", ".join(f"{output.dtype}{list(output.shape)}" for output in output_avals)
         raise check.ArgumentError(key, f"must return one number of type {dtype} for scalar arguments", outputs_text)

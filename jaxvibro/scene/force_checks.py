@@ -22,6 +22,7 @@ MAX_PROBED_SCENES = 4  # scenes of a batch whose forces are evaluated
 FALLBACK_SOLVER = "Dopri8"  # the solver of a force that has an operation without a Taylor series
 MIN_SOLVER_TOLERANCE = 1e-14
 MAX_EXPLICIT_RATE = 1e4  # largest rate of a force, per drive period, for explicit steps
+NO_EFFECTS = "must not print or call Python while it runs (jax.debug.print): compiled steps evaluate it at will"
 TRACE_ADVICE = {  # advice by the name of JAX's exception
     "TracerBoolConversionError": "use jnp.where in place of if, and, or, while on t, x, v or its numbers",
     "ConcretizationTypeError": "use jax.numpy in place of math, and no float()",
@@ -290,6 +291,8 @@ def _check_traceable(function, parameter_names, dtype):
         raise check.ArgumentError(
             "force", f"cannot be traced by JAX ({_explain_trace_error(error, parameter_names)}", force_name(function)
         ) from None
+    if jaxpr.effects:
+        raise check.ArgumentError("force", NO_EFFECTS, force_name(function))
     outputs = jaxpr.out_avals
     returns_single_leaf = jax.tree.structure(output_tree) == jax.tree.structure(0.0)
     if not returns_single_leaf or outputs[0].shape != () or outputs[0].dtype != dtype:
