@@ -298,7 +298,10 @@ def switch(
             "orbits", "must be the `periodic_orbits` system of the field with the Hopf point", orbits
         )
     limits = make_limits(max_points, max_seconds, progress, ContinuationError)
-    bounds = bounds or special.bounds
+    bounds = special.bounds if bounds is None else bounds
+    if set(bounds) != set(special.names):
+        raise ContinuationError("bounds", f"must contain the interval of {special.names[0]}", bounds)
+    bounds = validate_bounds(special.p, bounds)
     require_settings("both", monitors, stop)
     system, start_z, constants, tangents = emanating_branches.emanating_directions(special, orbits)
     task = make_task(system, start_z, bounds, constants, first_step, largest_step, tolerance, monitors, stop)

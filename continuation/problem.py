@@ -14,7 +14,7 @@ from jaxtyping import ArrayLike, Float
 
 from . import multiple_shooting
 from .arclength import solve_bordered
-from .errors import check_types
+from .errors import ContinuationError, check_types
 from .linear_solver import LinearSolution
 from .persistent_jit import FAST_COMPILE, persistent_jit
 
@@ -209,7 +209,7 @@ def fixed_points(move: SystemFunction, times: int = 1, symmetry: Callable[[Any],
     Raises
     ------
     ContinuationError
-        If `move` or `symmetry` is not a function, or `times` is not a whole number.
+        If `move` or `symmetry` is not a function, or `times` is not a whole number of at least 1.
 
     See Also
     --------
@@ -222,6 +222,8 @@ def fixed_points(move: SystemFunction, times: int = 1, symmetry: Callable[[Any],
     >>> [round(special.p["r"], 6) for special in branch.points("PD")]
     [3.0]
     """
+    if times < 1:
+        raise ContinuationError("times", "must be a whole number of at least 1", times)
     return System(move, FIXED_POINTS, times, symmetry=symmetry)
 
 

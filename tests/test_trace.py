@@ -416,10 +416,18 @@ def test_invalid_arguments_of_trace(change, key):
     assert told.value.key == key and "\n" not in str(told.value)
 
 
+def crossing():
+    system = co.equilibria(lambda u, p, args: (p["a"] - 0.5) * u - u**3)
+    return co.trace(system, [0.0], {"a": 0.0}, "a", bounds=(-1.0, 1.0)).points("BP")[0]
+
+
 @pytest.mark.parametrize(
     ("call", "key"),
     [
         (lambda: periodic_orbits(brusselator, segments=0), "segments"),
+        (lambda: co.fixed_points(lambda u, p, args: u, times=0), "times"),
+        (lambda: co.switch(crossing(), bounds={"b": (-1.0, 1.0)}), "bounds"),
+        (lambda: co.switch(crossing(), bounds={"a": (0.6, 1.0)}), "bounds"),
         (lambda: periodic_orbits(brusselator, tolerance=2.0), "tolerance"),
         (lambda: settled(co.equilibria(brusselator), [1.0, 1.0], 6.0, {}), "system"),
         (lambda: settled(periodic_orbits(brusselator), [1.0, 1.0, 1.0], 6.0, {"a": 1.0, "b": 3.0}), "start"),
@@ -432,7 +440,7 @@ def test_invalid_arguments_of_trace(change, key):
         ),
     ],
 )
-def test_invalid_arguments_of_periodic_orbits(call, key):
+def test_invalid_arguments_of_switch_and_of_systems(call, key):
     with pytest.raises(co.ContinuationError) as told:
         call()
     assert told.value.key == key
