@@ -1,14 +1,14 @@
-"""What a release adds to CI: `python -m tests.release FOLDER [WORDS ...] [--share S]` runs it and writes a table.
+"""What a release adds to CI: `python -m tests.release FOLDER [WORDS ...] [--draws N]` runs it and writes a table.
 
 Each property of each kind, and the release tests of each file, run in a process of their own with the draws of
 `tests/tiers.toml`. Results are kept in FOLDER by commit, one line each: a later call goes on with what is missing or
-has failed. WORDS select the jobs whose names contain one of them. With a share each property has this part of its
-draws, at least one, and the results have a folder of their own.
+has failed. WORDS select the jobs whose names contain one of them. With --draws each property has this number of draws,
+its kinds share a process, which shortens the run, and the results have a folder of their own. The variable
+FIRST_DRAW selects others than those of CI.
 """
 
 import argparse
 import json
-import math
 import os
 import re
 import subprocess
@@ -34,20 +34,21 @@ def commit():
     return git("rev-parse", "--short=12", "HEAD") + ("-changed" if git("status", "--porcelain") else "")
 
 
-def jobs(share):
-    """Return {name: (arguments of pytest, draws)} of what the release adds, with a share of the draws."""
+def jobs(draws):
+    """Return {name: (arguments of pytest, draws)} of what the release adds; draws: of each kind, or None."""
     command = [sys.executable, "-m", "pytest", "-q", "--collect-only", "--tier", "release", "tests"]
     listed = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False).stdout
-    found, others = {}, defaultdict(list)
+    found, of_properties, others = {}, defaultdict(list), defaultdict(list)
     for file, name, case in COLLECTED.findall(listed):
-        node = f"{file}::{name}{case}"
-        if "/properties/" in file and name.removeprefix("test_") in tiers.table().get(Path(file).stem[5:], {}):
-            folder, kind = Path(file).stem.removeprefix("test_"), case.strip("[]")
-            numbers = tiers.table()[folder][name.removeprefix("test_")]
-            draws = math.ceil(share * numbers.get("of", {}).get(kind, numbers["draws"])[-1])
-            found[f"{folder}.{name.removeprefix('test_')}[{kind}]"] = [node, "--draws", str(draws)], draws
+        node, folder, name = f"{file}::{name}{case}", Path(file).stem.removeprefix("test_"), name.removeprefix("test_")
+        if "/properties/" not in file or name not in tiers.table().get(folder, {}):
+            others[folder].append(node)
+        elif draws:
+            of_properties[f"{folder}.{name}"].append(node)
         else:
-            others[Path(file).stem.removeprefix("test_")].append(node)
+            numbers, kind = tiers.table()[folder][name], case.strip("[]")
+            found[f"{folder}.{name}[{kind}]"] = [node], numbers.get("of", {}).get(kind, numbers["draws"])[-1]
+    found |= {name: (["--draws", str(draws), *nodes], draws * len(nodes)) for name, nodes in of_properties.items()}
     return found | {name: (nodes, len(nodes)) for name, nodes in others.items()}
 
 
@@ -83,12 +84,12 @@ def main():
     parser = argparse.ArgumentParser(prog="python -m tests.release", description=__doc__.split("\n")[0])
     parser.add_argument("folder", type=Path, help="of the results")
     parser.add_argument("words", nargs="*", help="parts of the names of jobs")
-    parser.add_argument("--share", type=float, default=1.0, help="of the draws of each property")
+    parser.add_argument("--draws", type=int, help="of each property and kind, instead of those of a release")
     given = parser.parse_args()
-    words, folder = given.words, given.folder / (commit() + (f"-share-{given.share:g}" if given.share < 1.0 else ""))
+    words, folder = given.words, given.folder / (commit() + (f"-draws-{given.draws}" if given.draws else ""))
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / "results.jsonl"
-    chosen = {name: job for name, job in jobs(given.share).items() if not words or any(word in name for word in words)}
+    chosen = {name: job for name, job in jobs(given.draws).items() if not words or any(word in name for word in words)}
     results = {name: row for name, row in known(path).items() if name in chosen}
     missing = [name for name in chosen if name not in results]
     print(f"{len(chosen)} jobs, {len(missing)} of them to run", flush=True)
