@@ -193,11 +193,7 @@ def trace(
     param_names = (along,) if isinstance(along, str) else tuple(along)
     constraints = constraint.resolve_constraints(hold, monitors, param_names)
     bounds_by_name = bounds if isinstance(bounds, Mapping) else dict.fromkeys(param_names, bounds)
-    if set(bounds_by_name) != set(param_names):
-        raise ContinuationError(
-            "bounds", f"must contain the interval of each parameter: {', '.join(param_names)}", bounds
-        )
-    bounds = validate_bounds(at, {name: bounds_by_name[name] for name in param_names})
+    bounds = validate_bounds(at, param_names, bounds_by_name)
     fixed_params = {name: value for name, value in at.items() if name not in param_names}
     constants = (
         constraint.HoldConstants(fixed_params, args, tuple(constraints.values()))
@@ -211,7 +207,7 @@ def trace(
         else make_problem(system, param_names)
     )
     start_z = _correct_start(problem, start_z, constants)
-    validate_bounds(dict(zip(param_names, start_z[len(start_u) :].tolist(), strict=True)), bounds)
+    validate_bounds(dict(zip(param_names, start_z[len(start_u) :].tolist(), strict=True)), param_names, bounds)
     task = make_task(system, start_z, bounds, constants, first_step, largest_step, tolerance, monitors, stop)
     task = task._replace(problem=problem, limits=limits)
     tangent = event_search.unit_tangent(task.problem, start_z, task.control.scale, constants)
@@ -298,10 +294,7 @@ def switch(
             "orbits", "must be the `periodic_orbits` system of the field with the Hopf point", orbits
         )
     limits = make_limits(max_points, max_seconds, progress, ContinuationError)
-    bounds = special.bounds if bounds is None else bounds
-    if set(bounds) != set(special.names):
-        raise ContinuationError("bounds", f"must contain the interval of {special.names[0]}", bounds)
-    bounds = validate_bounds(special.p, bounds)
+    bounds = validate_bounds(special.p, special.names, special.bounds if bounds is None else bounds)
     require_settings("both", monitors, stop)
     system, start_z, constants, tangents = emanating_branches.emanating_directions(special, orbits)
     task = make_task(system, start_z, bounds, constants, first_step, largest_step, tolerance, monitors, stop)
@@ -416,13 +409,17 @@ def restrict_to_symmetric(system, u, param_values, args):
     return system._replace(within=bool(np.allclose(system.symmetry(u), u, rtol=0, atol=SYMMETRY_TOLERANCE)))
 
 
-def validate_bounds(param_values, bounds):
+def validate_bounds(param_values, param_names, bounds):
     """Return the bounds {name: (low, high)} as floats; raise ContinuationError if they are invalid.
 
-    Bounds must be finite with low < high and contain the value at the start.
+    Bounds must be given for each name, and must be finite with low < high and contain the value at the start.
     """
+    if set(bounds) != set(param_names):
+        raise ContinuationError(
+            "bounds", f"must contain the interval of each parameter: {', '.join(param_names)}", bounds
+        )
     interval_by_name = {}
-    for name, interval in bounds.items():
+    for name, interval in ((name, bounds[name]) for name in param_names):
         if name not in param_values:
             raise ContinuationError("along", f"must be one of the parameters {', '.join(param_values)}", name)
         interval_ends = np.asarray(interval, float) if np.shape(interval) == (2,) else np.array([np.nan, np.nan])

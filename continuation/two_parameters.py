@@ -103,10 +103,8 @@ def curve(
     name_pair = tuple(names) if isinstance(names, tuple | list) else ()
     if len(name_pair) != 2 or name_pair[0] == name_pair[1]:
         raise ContinuationError("names", "must be two different parameters", names)
-    if set(bounds) != set(name_pair):
-        raise ContinuationError("bounds", f"must contain the intervals of {name_pair[0]} and {name_pair[1]}", bounds)
     require_settings("both", None, stop)
-    bounds = validate_bounds(special.p, {name: bounds[name] for name in name_pair})
+    bounds = validate_bounds(special.p, name_pair, bounds)
     limits = make_limits(max_points, max_seconds, progress, ContinuationError)
     constants = SystemConstants(
         {name: value for name, value in special.p.items() if name not in name_pair}, special.args

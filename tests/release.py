@@ -1,10 +1,10 @@
-"""What a release adds to CI: `python -m tests.release FOLDER [WORDS ...] [--draws N]` runs it and writes a table.
+"""Run the tests that a release adds to CI, and write a table: `python -m tests.release FOLDER [WORDS ...] [--draws N]`.
 
 Each property of each kind, and the release tests of each file, run in a process of their own with the draws of
-`tests/tiers.toml`. Results are kept in FOLDER by commit, one line each: a later call goes on with what is missing or
-has failed. WORDS select the jobs whose names contain one of them. With --draws each property has this number of draws,
-its kinds share a process, which shortens the run, and the results have a folder of their own. The variable
-FIRST_DRAW selects others than those of CI.
+`tests/tiers.toml`. Results are kept in FOLDER by commit, one line per job. A later call runs the jobs that are missing
+or have failed. WORDS select the jobs whose names contain one of them. With --draws each property has this number of
+draws, all kinds of a property run in one process, and the results have their own folder. The environment variable
+FIRST_DRAW is the number of the first draw.
 """
 
 import argparse
@@ -35,7 +35,10 @@ def commit():
 
 
 def jobs(draws):
-    """Return {name: (arguments of pytest, draws)} of what the release adds; draws: of each kind, or None."""
+    """Return the jobs as {name: (arguments of pytest, draws)}.
+
+    `draws` is the number of draws of each property and kind. None takes the numbers of a release.
+    """
     command = [sys.executable, "-m", "pytest", "-q", "--collect-only", "--tier", "release", "tests"]
     listed = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False).stdout
     found, of_properties, others = {}, defaultdict(list), defaultdict(list)

@@ -23,9 +23,9 @@ from .strobe import strobe
 
 FIRST_SLOTS, MAX_SLOTS = 32, 1024  # recorded impacts of a lane: first attempt and limit
 N_NODES = 32  # Gauss-Legendre points in a panel: a contact phase or, where the force varies more, a part of one
-N_TAIL = 4  # last Legendre coefficients of the force in a panel, whose size decides if it is resolved
-RESOLUTION = 1e-10  # of the largest force in the contact phase: these in a resolved panel; 32 times that at its ends
-ROUNDING_ERRORS = 16.0  # in the distance from the wall: unresolved parts below the force of these are not resolved
+N_TAIL = 4  # number of last Legendre coefficients that are small if a panel resolves the force
+RESOLUTION = 1e-10  # bound on these coefficients, relative to the largest force in the contact phase
+ROUNDING_ERRORS = 16.0  # rounding errors in the distance from the wall; smaller changes of the force are not resolved
 MAX_BISECTIONS = 16  # of a contact phase
 N_GRID, NEWTON_STEPS = 129, 4  # grid for the largest force in a panel, and Newton steps from it
 ROWS_PER_CHUNK = 4096  # panels that are evaluated together
@@ -251,14 +251,17 @@ def _contact_loads(scene, state, impacts, is_impact, side):
 
 
 def integrate_contacts(forces_in_panels, contact_durations):
-    """Compute the largest force and the work of contact phases; bisect panels in which the force is not resolved.
+    """Compute the largest force and the work of contact phases.
+
+    Panels in which a polynomial does not represent the force are bisected. The error of the polynomial at the ends of a
+    panel may be `N_NODES` times the bound on its last coefficients.
 
     Parameters
     ----------
     forces_in_panels : callable
-        ``forces_in_panels(contact_rows, times)`` returns the force and the speed into the wall in panels of these
-        contact phases at times since their beginning, arrays of shape (panels, points), and the change of the force by
-        roundings, of shape (panels,).
+        Function of (contact_rows, times): the contact phase of each panel, of shape (panels,), and times since its
+        beginning, of shape (panels, points). It returns the force and the speed into the wall, of shape (panels,
+        points), and the rounding error of the force, of shape (panels,).
     contact_durations : ndarray
         Array of shape (contact phases,).
 
@@ -275,10 +278,10 @@ def integrate_contacts(forces_in_panels, contact_durations):
     for n_bisections in range(MAX_BISECTIONS + 1):
         half_durations = 0.5 * panel_lengths * contact_durations[contact_rows]
         times = (panel_starts * contact_durations[contact_rows])[:, None] + half_durations[:, None] * (1.0 + nodes)
-        force, depth_rate, force_of_rounding = forces_in_panels(contact_rows, times)
+        force, depth_rate, rounding_error = forces_in_panels(contact_rows, times)
         np.maximum.at(force_scales, contact_rows, abs(force).max(axis=1, initial=0.0))
         coefficients = legendre.legfit(gauss_nodes, force[:, 1:-1].T, N_NODES - 1)
-        tolerances = np.maximum(RESOLUTION * force_scales[contact_rows], force_of_rounding)
+        tolerances = np.maximum(RESOLUTION * force_scales[contact_rows], rounding_error)
         end_errors = abs(legendre.legval([-1.0, 1.0], coefficients) - force[:, [0, -1]]).max(axis=1)
         is_resolved = (abs(coefficients[-N_TAIL:]).max(axis=0) <= tolerances) & (end_errors <= N_NODES * tolerances)
         is_done = is_resolved | (n_bisections == MAX_BISECTIONS)
@@ -297,7 +300,7 @@ def integrate_contacts(forces_in_panels, contact_durations):
 
 
 def _panel_forces(scene, entry_state, times, side):
-    """Return forces, speeds into the wall, and the forces of roundings, at times since the entries into the wall."""
+    """Return forces, speeds into the wall, and rounding errors of the forces at times since the entry into the wall."""
     chunks = []
     for first_row in range(0, len(times), ROWS_PER_CHUNK):
         rows = slice(first_row, first_row + ROWS_PER_CHUNK)
@@ -306,7 +309,7 @@ def _panel_forces(scene, entry_state, times, side):
 
 
 def _forces_at_times(scene, entry_state, times, side):
-    """Return what `_panel_forces` returns, of one chunk."""
+    """Return the result of `_panel_forces` for one chunk."""
     wall_sign, padded_rows = WALL_SIGNS[SIDES.index(side)], _padded_rows(len(times))
     sampled_states, _ = sample(*_select_lanes((scene, entry_state, times), padded_rows))
     x, v, phase = (

@@ -144,7 +144,8 @@ def turning_clearances(coeffs, flights, n_samples):
 def impact_free_clearances(coeffs, flight):
     """Compute the smallest distance to each wall during a periodic motion without impacts.
 
-    At rest rounding decides if the motion has turning points: without one, the distance is that of the start.
+    At rest, rounding errors determine whether the motion has turning points. Without turning points the distance is
+    that at the start.
 
     Parameters
     ----------

@@ -22,7 +22,9 @@ MAX_PROBED_SCENES = 4  # scenes of a batch whose forces are evaluated
 FALLBACK_SOLVER = "Dopri8"  # the solver of a force that has an operation without a Taylor series
 MIN_SOLVER_TOLERANCE = 1e-14
 MAX_EXPLICIT_RATE = 1e4  # largest rate of a force, per drive period, for explicit steps
-NO_EFFECTS = "must not print or call Python while it runs (jax.debug.print): compiled steps evaluate it at will"
+NO_EFFECTS = (
+    "must not print or call Python while it runs (jax.debug.print): compiled steps may evaluate it any number of times"
+)
 TRACE_ADVICE = {  # advice by the name of JAX's exception
     "TracerBoolConversionError": "use jnp.where in place of if, and, or, while on t, x, v or its numbers",
     "ConcretizationTypeError": "use jax.numpy in place of math, and no float()",
