@@ -27,7 +27,7 @@ INSTALL := $(UV) pip install --quiet --python $(BIN)/python
 LOCKED := --require-hashes --no-build
 # Two workers: most of the time of a test is compilation, which uses one core.
 # COVERAGE=1 counts the lines that run, in all that runs since `make clean`; SHARD=1/3 runs a third of the tests.
-PYTEST := $(BIN)/python -m pytest -n 2 --dist worksteal $(if $(COVERAGE),--cov --cov-append --cov-report=)
+PYTEST := $(if $(COVERAGE),COVERAGE=1 )$(BIN)/python -m pytest -n 2 --dist worksteal
 SHARDED = $(if $(SHARD),$$($(BIN)/python -m tests.shard $(SHARD)))
 THIS := $(INSTALL) --no-deps --no-build-isolation --editable .
 COMPILE := $(UV) pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-annotate \
@@ -59,6 +59,7 @@ test-ci: $(VENV)/.dev ## run what CI adds: tests that take minutes in all, and m
 	$(PYTEST) --tier ci $(SHARDED)
 
 uncovered: $(VENV)/.dev ## print the lines that no test has run, after `make test test-ci COVERAGE=1`
+	$(BIN)/python -m coverage combine --quiet
 	$(BIN)/python -m coverage report --show-missing --fail-under=95
 
 release-tests: $(VENV)/.dev ## run what a release adds, into out/release/; goes on where it was stopped

@@ -25,11 +25,18 @@ PLACEHOLDERS = (type(None), bool, int)  # of in_axes, static marks and the like,
 
 
 class Finder(MetaPathFinder):
-    """Finds files as Python does, and checks those of the packages once they have been imported."""
+    """Finds files as Python does, and checks those of the packages once they have been imported.
+
+    prepare: changes what Python found before the file is imported.
+    """
+
+    def __init__(self, prepare):
+        self.prepare = prepare
 
     def find_spec(self, name, path, target=None):
         spec = PathFinder.find_spec(name, path, target) if name.split(".")[0] in PACKAGES else None
         if spec is not None and spec.loader is not None:
+            self.prepare(spec)
             execute = spec.loader.exec_module
             spec.loader.exec_module = lambda module: (execute(module), check_module(module))[0]
         return spec
@@ -110,6 +117,6 @@ def check_fields(record, value, hints):
             raise TypeError(f"{record.__module__}.{record.__name__}.{name}: {type(field)}{shape} is no {hint}")
 
 
-def install():
+def install(prepare=lambda spec: None):
     """Check what is imported from now on."""
-    sys.meta_path.insert(0, Finder())
+    sys.meta_path.insert(0, Finder(prepare))

@@ -14,18 +14,22 @@ CACHE = {
 }
 os.environ.update({name: value for name, value in CACHE.items() if name not in os.environ})  # before jax is imported
 
+COVERAGE = "COVERAGE" in os.environ and "PYTEST_XDIST_WORKER" in os.environ  # whether lines are recorded here
+
 import jax  # noqa: E402
 import matplotlib as mpl  # noqa: E402
 import pytest  # noqa: E402
 from hypothesis import settings  # noqa: E402
 
-from . import checked_types, tiers  # noqa: E402
+from . import checked_types, line_coverage, tiers  # noqa: E402
 
 LARGE = 4e9  # bytes that a process may hold: ten scenes with soft walls, each with functions of its own
 
 jax.config.update("jax_enable_x64", True)
 gc.set_threshold(50_000, 20, 50)  # tracing makes many objects that stay: a twentieth of the time went to their rounds
-checked_types.install()
+if COVERAGE:
+    line_coverage.record_started_processes()
+checked_types.install(*([line_coverage.record] if COVERAGE else []))
 mpl.use("Agg")
 settings.register_profile("same", deadline=None, derandomize=True, print_blob=True)
 settings.load_profile("same")
@@ -44,6 +48,12 @@ def pytest_configure(config):
     if config.getoption("tier") == "ci":
         os.environ["JAX_DISABLE_MOST_OPTIMIZATIONS"] = "1"
         jax.config.update("jax_disable_most_optimizations", True)
+
+
+def pytest_sessionfinish():
+    """Write the lines that this process has run."""
+    if COVERAGE:
+        line_coverage.write(checked_types.PACKAGES)
 
 
 def module_name(module):
