@@ -101,6 +101,7 @@ def test_the_programs_of_studies(study, walls, monkeypatch, request):
         return load(function, args, kwargs)
 
     monkeypatch.setattr(persistent_jit, "_load_or_export_module", record)
+    monkeypatch.setattr(persistent_jit, "_pending", [])  # not what earlier tests of this process left to compile
     jax.clear_caches()
     study(scene(walls))
     for _ in persistent_jit.compile_numpy_functions():
