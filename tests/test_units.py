@@ -11,6 +11,7 @@ import pytest
 from matplotlib.figure import Figure
 
 import jaxvibro as jv
+from jaxvibro.output.units import display_unit, unit_of
 from jaxvibro.plot.branch import find_covering_line
 from jaxvibro.problem.end import End, parse_end
 from jaxvibro.problem.impact_loads import largest_speed, work_rate
@@ -49,6 +50,16 @@ def test_the_three_ways_to_give_a_quantity_agree():
     assert float(at_zero.right.position) == 0.0 and float(at_zero.left.position) == -1.0
     assert rig(mass=np.array([0.5, 0.6])).scales is None
     assert jax.jit(lambda force: rig(force=force).amplitude)(30.0) == scene.amplitude
+
+
+def test_quantities_of_a_rig_are_those_it_was_given():
+    """Along a parameter of the scene, pictures and tables show the SI quantity."""
+    damper = 2 * 0.05 * np.sqrt(3e4 * 0.5)
+    scene = rig(frequency_hz=None, frequency=2 * np.pi * 82.0, damping_ratio=None, damping=damper)
+    quantities = {"amplitude": 30.0, "frequency": 82.0, "damping": damper, "left.position": -0.5}
+    for name, expected in quantities.items():
+        shown = float(scene.parameter(name)) * display_unit(unit_of(name), scene.scales)[1]
+        assert shown == pytest.approx(expected, rel=1e-14), name
 
 
 LEFT_OF_ZERO = "length: must be given if the right wall is not right of 0: are the walls in the wrong order"
