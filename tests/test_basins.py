@@ -126,6 +126,7 @@ def test_a_picture_of_basins_distinguishes_all_attractors():
     data = jv.basins(scene, np.linspace(-1.2, 1.0, 23), np.linspace(-3.0, 3.0, 21), 0.0, attractors)
     ax = Figure().subplots()
     assert jv.plot.basins(data, ax) is ax
+    assert [cells.get_rasterized() for cells in ax.images] == [True]  # in files of vectors too
     marks = [line for line in ax.lines if line.get_gid() == "attractor"]
     assert [line.get_marker() for line in marks] == ["<", ">", "^", "v"]
     assert len({line.get_color() for line in marks}) == 4

@@ -41,6 +41,16 @@ def test_a_branch_goes_on_where_a_chatter_just_does_not_complete(from_rest):
     assert (again.state.x, again.state.v) == pytest.approx((orbit.state.x, orbit.state.v), abs=1e-11)
 
 
+def test_an_impact_with_r_0_at_which_the_force_on_the_wall_grows_is_an_ordinary_one():
+    branch = followed(2.0, (1.9, 2.1), frequency=0.7, damping=0.1, restitution=0.0)
+    assert len(branch) > 5 and {point.kind for point in branch.special} == {"EP"}
+    for place, amplitude in ((0, 1.9), (-1, 2.1)):
+        (time,) = branch.orbit(place).impacts.time
+        assert amplitude * np.cos(0.7 * time) > 0.5 and np.sin(0.7 * time) < 0.0  # presses, and ever more
+        again = jv.find_orbit(branch.scene.replace(amplitude=amplitude), jv.State(0.0, 0.0))
+        assert time == pytest.approx(float(again.impacts.time[0]), abs=1e-12)
+
+
 def test_a_branch_that_starts_without_a_rest_has_the_same_completion(from_rest):
     scene = from_rest.scene.replace(amplitude=1.37)
     diagram = jv.explore(scene, "amplitude", (1.35, 1.6), max_period=1)
