@@ -157,6 +157,21 @@ def test_half_of_a_symmetric_orbit(gamma, amplitude):
         jv.period_adding(told.special)
 
 
+def test_windows_of_half_of_a_symmetric_orbit():
+    """After two returns the orbit is one of two mirror images, after three it is its own mirror image."""
+    scene = jv.make_scene(1.06, 0.45, 0.2, 0.3, (-1.0, 1.0))
+    (orbit,) = (one for one in jv.find_orbits(scene, 1, 16) if one.label == "P111")
+    (grazing,) = jv.follow(orbit, "amplitude", (1.0, 1.1), stop="GR").points("GR")
+    found = jv.period_adding(grazing, 3)
+    assert found.scenario.half and found.scenario.follows is FOLLOWS.OVERLAPPING
+    assert [one.orbit.label for one in found.windows] == ["P121", "P344"]
+    for one, close in zip(found.windows, (0.2, 1e-3), strict=True):
+        assert one.found == pytest.approx(one.predicted, abs=close * (one.found - grazing.value))
+        again = jv.find_orbit(one.orbit.scene, one.orbit.state, settle=0)
+        assert again.stable and again.label == one.orbit.label
+        assert (again.state.x, again.state.v) == pytest.approx((one.orbit.state.x, one.orbit.state.v), abs=1e-11)
+
+
 def test_walls_that_are_unlike_are_open():
     scene = jv.make_scene(4.5, OMEGA, GAMMA, R, (jv.Wall(-1.0, 0.5), jv.Wall(1.0, 0.8)))
     told = jv.scenario(first_grazing(scene, bounds=(4.5, 6.2)))

@@ -206,7 +206,7 @@ def added_impact_orbits(grazing_return, n_returns, length_scale):
             first_contact.time + k * grazing_return.return_time,
             grazing_return.omitted_grazings[k % 2 if grazing_return.is_half_orbit else 0].depth.side,
         )
-        row = sum(time < event_time for time, *_ in impacts) - 1
+        row = int(sum(time < event_time for time, *_ in impacts)) - 1
         if (k, 1) not in added_impact_indices(grazing_return, n_returns):
             pass_locations.append(
                 (
