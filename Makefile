@@ -59,7 +59,7 @@ test-ci: $(VENV)/.dev ## run what CI adds: tests that take minutes in all, and m
 	$(PYTEST) --tier ci $(SHARDED)
 
 uncovered: $(VENV)/.dev ## print the lines that no test has run, after `make test test-ci COVERAGE=1`
-	$(BIN)/python -m coverage combine --quiet
+	-$(BIN)/python -m coverage combine --append --quiet  # nothing new since the last call is no error
 	$(BIN)/python -m coverage report --show-missing --fail-under=95
 
 release-tests: $(VENV)/.dev ## run what a release adds, into out/release/; goes on where it was stopped
@@ -99,7 +99,7 @@ lock: $(UV) ## resolve the dependencies again, with hashes for every platform
 	echo "uv==$$($(UV) --version | cut -d' ' -f2)" | $(COMPILE) - --output-file requirements-uv.lock
 
 clean: ## remove everything that make created, results included
-	rm -rf $(VENV) .tools out .pytest_cache .ruff_cache .mypy_cache .hypothesis
+	rm -rf $(VENV) .tools out .coverage* .pytest_cache .ruff_cache .mypy_cache .hypothesis
 
 $(UV): requirements-uv.lock
 	@echo "fetching uv into .tools"

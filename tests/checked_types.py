@@ -117,6 +117,6 @@ def check_fields(record, value, hints):
             raise TypeError(f"{record.__module__}.{record.__name__}.{name}: {type(field)}{shape} is no {hint}")
 
 
-def install(prepare=lambda spec: None):
-    """Check what is imported from now on."""
+def install(prepare):
+    """Check what is imported from now on; prepare: as of `Finder`."""
     sys.meta_path.insert(0, Finder(prepare))

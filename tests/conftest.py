@@ -27,9 +27,7 @@ LARGE = 4e9  # bytes that a process may hold: ten scenes with soft walls, each w
 
 jax.config.update("jax_enable_x64", True)
 gc.set_threshold(50_000, 20, 50)  # tracing makes many objects that stay: a twentieth of the time went to their rounds
-if COVERAGE:
-    line_coverage.record_started_processes()
-checked_types.install(*([line_coverage.record] if COVERAGE else []))
+checked_types.install(line_coverage.record if COVERAGE else lambda spec: None)
 mpl.use("Agg")
 settings.register_profile("same", deadline=None, derandomize=True, print_blob=True)
 settings.load_profile("same")

@@ -17,25 +17,21 @@ DATA = ROOT / ".coverage"
 
 
 @cache
-def lines():
-    """Return what records lines in this process."""
+def recorder():
+    """Return the recorder of this process; coverage records the processes that it starts from now on."""
+    os.environ |= {"COVERAGE_PROCESS_START": str(ROOT / "pyproject.toml"), "COVERAGE_FILE": str(DATA)}
     return Slipcover()
 
 
 def record(spec):
     """Have the lines of a module recorded when it is imported."""
-    spec.loader = SlipcoverLoader(lines(), spec.loader, spec.origin)
-
-
-def record_started_processes():
-    """Have coverage record the processes that this one starts."""
-    os.environ |= {"COVERAGE_PROCESS_START": str(ROOT / "pyproject.toml"), "COVERAGE_FILE": str(DATA)}
+    spec.loader = SlipcoverLoader(recorder(), spec.loader, spec.origin)
 
 
 def write(packages):
     """Write the recorded lines beside those of other processes, and the names of files of which no line has run."""
     data = CoverageData(DATA, suffix=True)
-    recorded = {file: rows["executed_lines"] for file, rows in lines().get_coverage()["files"].items()}
+    recorded = {file: rows["executed_lines"] for file, rows in recorder().get_coverage()["files"].items()}
     data.add_lines({str(ROOT / file): numbers for file, numbers in recorded.items()})
     data.touch_files(str(file) for package in packages for file in (ROOT / package).rglob("*.py"))
     data.write()

@@ -121,8 +121,8 @@ def test_the_site_is_built_without_a_warning(tmp_path):
     pages.write(tmp_path / "pages")
     build = [sys.executable, "-m", "sphinx", "--fail-on-warning", "--keep-going", "--quiet"]
     build += ["-c", str(ROOT / "docs" / "site"), str(tmp_path / "pages"), str(tmp_path / "html")]
-    env = {name: value for name, value in os.environ.items() if name != "COVERAGE_PROCESS_START"}  # half the time
-    ended = subprocess.run(build, capture_output=True, text=True, timeout=600, env=env)
+    env = {name: value for name, value in os.environ.items() if name != "COVERAGE_PROCESS_START"}  # not recorded
+    ended = subprocess.run(build, capture_output=True, text=True, timeout=300, env=env)
     assert (ended.returncode, ended.stderr) == (0, "")
     html = "".join(path.read_text() for path in (tmp_path / "html").rglob("*.html"))
     assert not re.search(r"(?:src|<link[^>]*href)=\"https?:", html)  # the files of a page lie beside it
