@@ -98,6 +98,19 @@ def test_shallow_impacts():
     assert (np.asarray(hits.count) == np.repeat([1, 0], len(depth))).all()
 
 
+@pytest.mark.parametrize(
+    "force", [lambda t, x, v, p: p["g"], lambda t, x, v, p: -1.25, lambda t, x, v, p: p["g"] * jax.jit(lambda x: 1.0)(x)]
+)
+def test_a_constant_force_is_gravity(force):
+    """A mass falls from rest, bounces once and rises; the force is a parameter, a number, or calls an inner function."""
+    scene = jv.make_scene(0.0, 3.0, restitution=R, walls=(-1.0, None), force=jv.Force(force, {"g": -1.25}))
+    end, hits = jv.strobe(scene, jv.State(0.0, 0.0))
+    fall = np.sqrt(2.0 / 1.25)
+    rise, speed = 2.0 * np.pi / 3.0 - fall, R * 1.25 * fall
+    assert hits.count == 1
+    assert abs(end.x - (-1.0 + speed * rise - 0.625 * rise**2)) < 1e-13 and abs(end.v - (speed - 1.25 * rise)) < 1e-13
+
+
 # ---- files and studies ---------------------------------------------------------------------------------------------
 
 
