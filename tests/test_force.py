@@ -99,7 +99,8 @@ def test_shallow_impacts():
 
 
 @pytest.mark.parametrize(
-    "force", [lambda t, x, v, p: p["g"], lambda t, x, v, p: -1.25, lambda t, x, v, p: p["g"] * jax.jit(lambda x: 1.0)(x)]
+    "force",
+    [lambda t, x, v, p: p["g"], lambda t, x, v, p: -1.25, lambda t, x, v, p: p["g"] * jax.jit(lambda x: 1.0)(x)],
 )
 def test_a_constant_force_is_gravity(force):
     """A mass falls from rest, bounces once and rises; the force is a parameter, a number, or calls an inner function."""

@@ -11,7 +11,7 @@ import pytest
 
 import jaxvibro as jv
 from jaxvibro.loci.loci_of_branches import contains_point, count_points_to_follow, follow_loci
-from jaxvibro.studies.result_pictures import draw_loci_picture, draw_main_picture
+from jaxvibro.studies.result_pictures import describe_scene, draw_loci_picture, draw_main_picture
 from jaxvibro.studies.scene_file import read_scene_file
 from tests.reference import closed
 from tests.scene_files import SCENE, SCENES, refusal
@@ -93,6 +93,14 @@ def test_data_of_branches(branches):
     assert data["branch_last_reason"].values.tolist() == 3 * ["the parameter reached its bound 4"]
 
 
+def test_the_heading_of_a_picture_names_the_drive_and_then_the_walls():
+    scene = jv.make_scene(0.5, 2.0, 0.1, 0.7, (-1.0, 1.5))
+    drive, walls = describe_scene(scene, ["amplitude"], "scene").split("\n")
+    assert (drive, walls) == (r"$\omega$ = 2,  $\gamma$ = 0.1,  $R$ = 0.7", "left wall at -1,  right wall at 1.5")
+    free = describe_scene(jv.make_scene(0.5, 2.0, 0.1, 0.7, (None, None)), [], "scene").split("\n")
+    assert free == [r"$A$ = 0.5,  $\omega$ = 2,  $\gamma$ = 0.1", "no walls"]
+
+
 @pytest.mark.filterwarnings("ignore:No artists with labels")
 def test_branches_are_drawn_alone_or_over_a_sweep_along_their_parameter(branches, monkeypatch):
     drawn, results = [], branches.results
@@ -134,11 +142,13 @@ def test_symmetric_orbits_that_cross_a_loop_of_asymmetric_ones_are_followed(tmp_
 
 def test_an_explored_diagram_is_reported_and_drawn_as_branches(branches, tmp_path, monkeypatch):
     calls, branch = [], branches.results.branches[0]
+    gentle = jv.find_orbit(branch.scene.replace(amplitude=0.1), jv.State(0.0, 0.0), settle=100)
+    gentle = jv.follow(gentle, "amplitude", (0.05, 0.25))
 
     def explore(scene, name, bounds, **settings):
         settings.pop("progress")(1)
         calls.append((scene, name, bounds, settings))
-        return jv.Diagram(name, bounds, scene, (branch,), (), True, "all was followed", {})
+        return jv.Diagram(name, bounds, scene, (branch, gentle), (), True, "all was followed", {})
 
     monkeypatch.setattr(STUDY + "explore", explore)
     study = run(tmp_path, EXPLORE + SCENE)
@@ -146,17 +156,19 @@ def test_an_explored_diagram_is_reported_and_drawn_as_branches(branches, tmp_pat
     assert (name, bounds) == ("amplitude", (0.0, 4.0))
     assert settings == {"max_period": 2, "seed": 3, "budget": 7, "max_seconds": None}
     assert [float(scene.parameter(key)) for key in ("amplitude", "frequency", "damping")] == [4.65, 2.1, 0.06]
-    assert study.results.diagram_branches == (branch,) and float(study.results.diagram_scene.damping) == 0.06
-    (summary,) = study.summary["branches"]
+    assert study.results.diagram_branches == (branch, gentle) and float(study.results.diagram_scene.damping) == 0.06
+    summary, _ = study.summary["branches"]
     assert [point["kind"] for point in summary["special"]] == [point.kind for point in branch.special]
     assert study.summary["explored"] == {"complete": True, "reason": "all was followed"}
-    start = "from many starts at damping = 0.06, max_period 2 (seed 3): 1"
+    start = "from many starts at damping = 0.06, max_period 2 (seed 3): 2"
     place = study.lines.index(f"branches of periodic orbits for amplitude from 0 to 4, {start}")
     assert study.lines[place + 1] == "all was followed"
     for point in branch.special:
         row = f"{point.kind} {point.value:.12g} {point.label}"
         assert sum(line.startswith(row) for line in study.lines) == 1
-    np.testing.assert_array_equal(study.data["branch_value"], branch.values)
+    np.testing.assert_array_equal(study.data["branch_value"], [*branch.values, *gentle.values])
+    assert gentle.data.sizes["impact"] == 0 and study.data.sizes["branch_impact"] == 2
+    np.testing.assert_array_equal(study.data["branch_side"] == 0, np.isnan(study.data["branch_time"]))
 
 
 def test_a_refusal_of_explore_names_the_key_of_the_file(tmp_path, monkeypatch):
