@@ -187,6 +187,10 @@ def test_the_least_shock_of_the_free_response_by_flights_in_numpy(direction):
     np.testing.assert_allclose([shock.state.x, shock.state.v], free_response(), rtol=1e-12)
     change = np.array([shock.dx, shock.dv])
     assert np.hypot(*change) == pytest.approx(shock.size, rel=1e-15) and (direction == "xv" or not shock.dx)
+    x, v = free_response()
+    fastest = 3.0 * max(1.0, np.hypot(UNEVEN["frequency"] * x, v))  # of the box of initial states, between the walls
+    farthest = max(x - WALLS[0].position, WALLS[1].position - x), fastest + abs(v)
+    assert shock.reach == pytest.approx(np.hypot(*farthest) if direction == "xv" else farthest[1], rel=1e-12)
     assert returns(change * np.array([[1.0 - 1e-7], [1.0 + 1e-7], [1.01]])).tolist() == [True, False, False]
     assert (1.0 - 1e-7) * shock.size < shock.bracket[0] < shock.size < shock.until
     if direction == "v":  # a strip of its own basin, 1e-5 above: by both methods
