@@ -283,3 +283,12 @@ def test_new_points_alone_are_diagnosed(kept, new):
     assert detector.asked == new
     for computed, expected in zip((*diagnosed, *known), (*detector.diagnose(zs), *held), strict=True):
         np.testing.assert_array_equal(computed, expected)
+
+
+@pytest.mark.parametrize("start", [0.0, 1.2])
+def test_a_pitchfork_moves_alike_from_both_of_its_branches(start):
+    """a + b^2 = 0 at the pitchfork, whether it is met along u = 0 or along u^2 = a + b^2."""
+    system = co.equilibria(lambda u, p, _: (p["a"] + p["b"] ** 2) * u - u**3, symmetry=lambda u: -u)
+    branch = co.trace(system, [start], {"a": 1.0, "b": 0.3}, "a", bounds=(-1.0, 2.0))
+    (pitchfork,) = branch.points("SB")
+    assert abs(pitchfork.p["a"] + 0.09) < 1e-9 and abs(co.sensitivity(pitchfork, "b") + 0.6) < 1e-9
