@@ -103,7 +103,7 @@ def test_shallow_impacts():
     [lambda t, x, v, p: p["g"], lambda t, x, v, p: -1.25, lambda t, x, v, p: p["g"] * jax.jit(lambda x: 1.0)(x)],
 )
 def test_a_constant_force_is_gravity(force):
-    """A mass falls from rest, bounces once and rises; the force is a parameter, a number, or calls an inner function."""
+    """A mass falls from rest, bounces and rises; the force is a parameter, a number, or calls an inner function."""
     scene = jv.make_scene(0.0, 3.0, restitution=R, walls=(-1.0, None), force=jv.Force(force, {"g": -1.25}))
     end, hits = jv.strobe(scene, jv.State(0.0, 0.0))
     fall = np.sqrt(2.0 / 1.25)
