@@ -142,13 +142,13 @@ def test_symmetric_orbits_that_cross_a_loop_of_asymmetric_ones_are_followed(tmp_
 
 def test_an_explored_diagram_is_reported_and_drawn_as_branches(branches, tmp_path, monkeypatch):
     calls, branch = [], branches.results.branches[0]
-    gentle = jv.find_orbit(branch.scene.replace(amplitude=0.1), jv.State(0.0, 0.0), settle=100)
-    gentle = jv.follow(gentle, "amplitude", (0.05, 0.25))
+    orbit = jv.find_orbit(branch.scene.replace(amplitude=0.1), jv.State(0.0, 0.0), settle=100)
+    without_impacts = jv.follow(orbit, "amplitude", (0.05, 0.25))
 
     def explore(scene, name, bounds, **settings):
         settings.pop("progress")(1)
         calls.append((scene, name, bounds, settings))
-        return jv.Diagram(name, bounds, scene, (branch, gentle), (), True, "all was followed", {})
+        return jv.Diagram(name, bounds, scene, (branch, without_impacts), (), True, "all was followed", {})
 
     monkeypatch.setattr(STUDY + "explore", explore)
     study = run(tmp_path, EXPLORE + SCENE)
@@ -156,7 +156,10 @@ def test_an_explored_diagram_is_reported_and_drawn_as_branches(branches, tmp_pat
     assert (name, bounds) == ("amplitude", (0.0, 4.0))
     assert settings == {"max_period": 2, "seed": 3, "budget": 7, "max_seconds": None}
     assert [float(scene.parameter(key)) for key in ("amplitude", "frequency", "damping")] == [4.65, 2.1, 0.06]
-    assert study.results.diagram_branches == (branch, gentle) and float(study.results.diagram_scene.damping) == 0.06
+    assert (
+        study.results.diagram_branches == (branch, without_impacts)
+        and float(study.results.diagram_scene.damping) == 0.06
+    )
     summary, _ = study.summary["branches"]
     assert [point["kind"] for point in summary["special"]] == [point.kind for point in branch.special]
     assert study.summary["explored"] == {"complete": True, "reason": "all was followed"}
@@ -166,8 +169,8 @@ def test_an_explored_diagram_is_reported_and_drawn_as_branches(branches, tmp_pat
     for point in branch.special:
         row = f"{point.kind} {point.value:.12g} {point.label}"
         assert sum(line.startswith(row) for line in study.lines) == 1
-    np.testing.assert_array_equal(study.data["branch_value"], [*branch.values, *gentle.values])
-    assert gentle.data.sizes["impact"] == 0 and study.data.sizes["branch_impact"] == 2
+    np.testing.assert_array_equal(study.data["branch_value"], [*branch.values, *without_impacts.values])
+    assert without_impacts.data.sizes["impact"] == 0 and study.data.sizes["branch_impact"] == 2
     np.testing.assert_array_equal(study.data["branch_side"] == 0, np.isnan(study.data["branch_time"]))
 
 
