@@ -10,10 +10,10 @@ import jaxvibro
 from benchmarks import harness, ours, pictures, scipy_arclength
 from benchmarks.rows import Row, Topic, spread
 from continuation import arclength
+from continuation.hostcall import compile_at_once
 from jaxvibro.branches.follow import polish_orbit
 from jaxvibro.compiled.lane_arithmetic import COMPILER_OPTIONS
 from jaxvibro.problem import orbit_diagnostics
-from jaxvibro.problem.grazing_contact import arclength_weights
 from jaxvibro.problem.orbit_equations import IMPACT_PROBLEM
 
 LANES, STEPS, POINTS, ROUNDS = 1_000, 32, 8, 9
@@ -34,7 +34,7 @@ def measure(size):
     rows, curve = [], []
     for step in LARGEST:
         call = partial(followed, orbit, step)
-        with harness.compiled():
+        with compile_at_once():
             points = len(call())
         spent = harness.alone(call, rounds)
         per = 1e6 * spent / points
@@ -69,7 +69,7 @@ def many(orbit, lanes, rounds):
     Returns microseconds per point, one number per round.
     """
     along, z = polish_orbit(orbit, "amplitude")
-    scale = arclength_weights(along, 1.0)
+    scale = along.weights(1.0)
     numbers = (jnp.asarray(each) for each in (1e-8, 0.1, 1e-10, 0.0, 1e3))
     control = arclength.StepControl(jnp.asarray(scale), *numbers)
     begun = jaxvibro.follow(orbit, "amplitude", (1.5, 2.5), "both", 0.01, 0.001)

@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from benchmarks.rows import spread
-from continuation import numpy_evaluation
 
 
 class Side(NamedTuple):
@@ -125,16 +124,6 @@ def undisturbed():
         yield
     finally:
         gc.enable()
-
-
-@contextmanager
-def compiled():
-    """Compile functions that the host calls at once, as after some thousand calls or by `jaxvibro warm`."""
-    before, numpy_evaluation.MAX_EVALUATIONS = numpy_evaluation.MAX_EVALUATIONS, 0
-    try:
-        yield
-    finally:
-        numpy_evaluation.MAX_EVALUATIONS = before
 
 
 def latency(call, repeats):

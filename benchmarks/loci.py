@@ -5,6 +5,7 @@ from functools import partial
 import jaxvibro
 from benchmarks import harness, ours, pictures
 from benchmarks.rows import Row, Topic
+from continuation.hostcall import compile_at_once
 
 ROUNDS, STEP = 7, 0.005
 ASKED = {"SN": 60, "PD": 150, "SB": 150, "GR": 40}  # largest microseconds per point
@@ -25,7 +26,7 @@ def measure(size):
     rows = []
     for start, kind in size.few(asked):
         call = partial(jaxvibro.locus, start.points(kind)[0], tuple(BOUNDS), BOUNDS, largest_step=STEP)
-        with harness.compiled():
+        with compile_at_once():
             locus = call()
         per = 1e6 * harness.alone(call, size.rounds(ROUNDS)) / len(locus)
         row = Row(f"{kind} of {locus.label}", "microseconds per point", ASKED[kind])

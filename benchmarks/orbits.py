@@ -8,6 +8,7 @@ import numpy as np
 import jaxvibro
 from benchmarks import harness, ours, pictures
 from benchmarks.rows import Row, Topic, spread
+from continuation.hostcall import compile_at_once
 from jaxvibro.compiled.kernel_calls import call_as_kernel
 from jaxvibro.orbits import impact_equations
 from jaxvibro.orbits.orbit_from_impacts import padded_sequence
@@ -28,7 +29,7 @@ def measure(size):
     kernel = jax.jit(lambda scene, guess: call_as_kernel(impact_equations.solve_sequence, scene, guess))
     seconds, one = harness.clock(lambda: kernel.lower(scene, guess).compile())
     newton = harness.latency(lambda: jax.block_until_ready(one(scene, guess)), size.rounds(REPEATS))
-    with harness.compiled():
+    with compile_at_once():
         jaxvibro.find_orbit(scene, orbit.state, 1, settle=0)
     whole = harness.latency(lambda: jaxvibro.find_orbit(scene, orbit.state, 1, settle=0), size.rounds(101))
     counts = [size.states(n) for n in size.few((100, 1000, MANY))]

@@ -16,13 +16,14 @@ import numpy as np
 from scipy.optimize import minimize
 
 import jaxvibro as jv
+from continuation.computation_limits import UNLIMITED
 from continuation.implicit_function import make_lane_loop_function
 from jaxvibro.compiled.kernel_calls import call_as_kernel
+from jaxvibro.contact.kinds import flow_coefficients
 from jaxvibro.design import search as ours
 from jaxvibro.design.bifurcation_gradients import FLIP, FOLD
-from jaxvibro.design.free_parameter_checks import bounds_of_changes
+from jaxvibro.design.free_parameters import FreeParameters, bounds_of_changes
 from jaxvibro.design.parameter_rays import bifurcation_test_values, sequence_at
-from jaxvibro.flight.flight_coefficients import flow_coefficients
 from jaxvibro.orbits import impact_equations
 from jaxvibro.orbits.impact_equations import ImpactSequence
 
@@ -52,17 +53,18 @@ def one_kernel_of(function):
 def compared(kind, starts, seed=0):
     """{method: (the itineraries of the boundaries met, seconds, orbits solved)} of a kind."""
     scene = jv.make_scene(2.0, 2.1, 0.05, 0.7, (-1.0, 1.0))
-    room = bounds_of_changes(scene, FREE, BOUNDS)
+    parameters = FreeParameters(scene, FREE, *bounds_of_changes(scene, FREE, BOUNDS))
+    room = parameters.lower, parameters.upper
     seeds = [
         one
-        for one in ours._limit_per_itinerary(ours._settled_orbit_seeds(scene, FREE, room, starts, 2, seed))
+        for one in ours._limit_per_itinerary(ours._settled_orbit_seeds(parameters, starts, 2, seed))
         if len(one.impacts[0])
     ]
-    tree, base, marks = ours._flatten_scene(scene, FREE)
+    tree, base, marks = parameters.scene_space()
     test, told = KINDS[kind], {}
     for _ in range(2):  # the second is warm
         begun = time.process_time()
-        places, rays, _ = ours._follow_rays_from_seeds(scene, FREE, room, seeds, (kind,))
+        places, rays, _ = ours._follow_rays_from_seeds(parameters, seeds, (kind,), UNLIMITED)
         words = [ours._itinerary_key(one.orbit_seed) for one in places]
         told["gradient"] = words, time.process_time() - begun, rays * SOLVES
     each = max(1, rays * SOLVES // len(seeds))

@@ -8,6 +8,7 @@ corrects it in the hyperplane perpendicular to the tangent. Lengths are weighted
 from typing import NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jaxtyping import ArrayLike, Bool, Float, Int
 
@@ -15,7 +16,7 @@ from .array_type import Array
 from .linear_solver import solve as dense
 
 RUNNING, OUTSIDE, UNDERFLOW, NONFINITE = range(4)
-STATUS_TEXTS = ("on", "out of bounds", "step underflow", "not finite")
+MIN_STEP = 1e-8  # smallest step length, unless the first step is smaller
 MAX_NEWTON_STEPS = 8  # Newton steps per continuation step
 TARGET_ANGLE, MAX_ANGLE = 0.12, 0.3  # target and largest angle between successive tangents, in rad
 MAX_STEP_GROWTH, MIN_STEP_GROWTH = 2.0, 0.25  # bounds on the ratio of successive step lengths
@@ -108,6 +109,36 @@ class Point(NamedTuple):
     accepted: Bool[ArrayLike, "*points"]
 
 
+def make_start_point(z, tangent):
+    """Make the starting `Point` of a continuation.
+
+    Parameters
+    ----------
+    z : ndarray
+        Point of shape (n + 1,).
+    tangent : ndarray
+        Unit tangent of shape (n + 1,).
+
+    Returns
+    -------
+    Point
+        The point, with step length 0.
+    """
+    zero = np.zeros(())
+    return Point(z, tangent, zero, zero, zero, np.True_, np.True_)
+
+
+def make_track_state(point, step_length):
+    """Make the `TrackState` of a step from a point."""
+    return TrackState(point.z, point.tangent, np.float64(step_length), np.int32(RUNNING))
+
+
+def make_control(scale, first_step, largest_step, tolerance, bounds):
+    """Make the `StepControl` of a continuation from the bounds of its last parameter and the lengths of steps."""
+    numbers = (min(MIN_STEP, first_step), largest_step, tolerance, *bounds)
+    return StepControl(scale, *map(np.float64, numbers))
+
+
 def solve_bordered(jacobian, last_row, rhs):
     """Solve a linear system whose matrix consists of an n by n + 1 matrix and one additional row.
 
@@ -126,11 +157,6 @@ def solve_bordered(jacobian, last_row, rhs):
         Solution, pivot ratio and determinant.
     """
     return dense(jnp.concatenate([jacobian, last_row[None]]), rhs)
-
-
-def normalise_tangent(tangent, scale):
-    """Scale a tangent to length 1."""
-    return tangent / jnp.linalg.norm(scale * tangent)
 
 
 def correct_step(
@@ -175,7 +201,8 @@ def correct_step(
     z, tangent, change_length, residual, determinant, _ = lax.while_loop(is_unfinished, newton_step, initial_carry)
     is_residual_roundoff = residual <= ROUNDOFF_FACTOR * jnp.finfo(z.dtype).eps * (1.0 + jnp.max(abs(z)))
     converged = (change_length <= control.tolerance) | (is_residual_roundoff & (change_length <= LOOSE_TOLERANCE))
-    point = Point(z, normalise_tangent(tangent, control.scale), step, residual, determinant, converged, converged)
+    unit_tangent = tangent / jnp.linalg.norm(control.scale * tangent)
+    point = Point(z, unit_tangent, step, residual, determinant, converged, converged)
     return point, jnp.sum(tangent_row * point.tangent), jnp.linalg.norm(control.scale * (z - guess))
 
 

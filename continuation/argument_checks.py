@@ -22,7 +22,7 @@ Result = TypeVar("Result")
 ErrorFactory = Callable[[str, str, Any], Exception]
 
 LARGEST_FLOAT = float(np.finfo(float).max)
-NUMBER_DTYPE_KINDS, INTEGER_DTYPE_KINDS = "fiu", "iu"  # kinds of NumPy types
+NUMBER_DTYPE_KINDS = "fiu"  # kinds of NumPy types
 UNION_TYPES = (typing.Union, types.UnionType)
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Float
 
-from .persistent_jit import FAST_COMPILE, persistent_jit
+from .hostcall import FAST_COMPILE, persistent_jit
 
 MAX_NEWTON_STEPS = 12  # largest number of Newton steps
 DIFFERENCE_STEP = 1e-5  # step of central differences, relative to 1 + abs(z)
@@ -37,11 +37,7 @@ class RootAndResidual(NamedTuple):
     residual: float
 
 
-def _evaluate_uncompiled(problem, z, constants):
-    return problem.dense_function(z, constants)
-
-
-@persistent_jit(static_argnums=0, compiler_options=FAST_COMPILE, numpy_first=_evaluate_uncompiled)
+@persistent_jit(static_argnums=0, compiler_options=FAST_COMPILE, numpy_first=True)
 def evaluate_problem(problem, z, constants):
     """Evaluate a problem.
 
@@ -60,11 +56,6 @@ def evaluate_problem(problem, z, constants):
         F and dF/dz.
     """
     return problem.runner(problem.dense_function, z, constants)
-
-
-def jacobian_at(problem, z, constants):
-    """Compute dF/dz of a problem as a NumPy array."""
-    return np.asarray(evaluate_problem(problem, z, constants)[1])
 
 
 @persistent_jit(static_argnums=0, compiler_options=FAST_COMPILE, numpy_first=True)
@@ -145,24 +136,15 @@ def two_point_derivative(function, z, entry_indices=None):
         Derivative of shape (..., n), accurate to about nine digits. With this derivative, Newton's method needs one
         additional step to reach rounding accuracy.
     """
-    entry_indices = range(len(z)) if entry_indices is None else entry_indices
-
-    def partial_derivative(index):
-        step = np.zeros(len(z))
-        step[index] = DIFFERENCE_STEP * (1.0 + abs(z[index]))
-        return (function(z + step) - function(z - step)) / (2.0 * step[index])
-
-    partial_derivatives = [partial_derivative(index) for index in entry_indices]
+    indices = list(range(len(z)) if entry_indices is None else entry_indices)
+    steps = np.diag(DIFFERENCE_STEP * (1.0 + abs(z)))[indices]
+    partial_derivatives = [(function(z + step) - function(z - step)) / (2.0 * step.max()) for step in steps]
     full_derivative = np.zeros((*np.shape(partial_derivatives[0]), len(z)))
-    full_derivative[..., list(entry_indices)] = np.stack(partial_derivatives, axis=-1)
+    full_derivative[..., indices] = np.stack(partial_derivatives, axis=-1)
     return full_derivative
 
 
-def _test_matrices_on_host(problem, test_function, zs, constants):
-    return _evaluate_test_matrices(zs, constants, test_function)
-
-
-@persistent_jit(static_argnums=(0, 1), compiler_options=FAST_COMPILE, numpy_first=_test_matrices_on_host)
+@persistent_jit(static_argnums=(0, 1), compiler_options=FAST_COMPILE, numpy_first=True)
 def _compute_test_matrices(problem, test_function, zs, constants):
     return problem.runner(_evaluate_test_matrices, zs, constants, test_function=test_function)
 
@@ -206,8 +188,8 @@ def locate_fold(problem, z, constants, max_distance=np.inf):
     """
 
     def augmented_system(z):
-        residual, jacobian = _evaluate_on_host(problem, z, constants)
-        left_null_vector, singularity_measure, right_null_vector, _ = _bordered_null_vectors(
+        residual, jacobian = evaluate_problem(problem, z, constants)
+        left_null_vector, singularity_measure, right_null_vector, _ = bordered_null_vectors(
             jacobian[:, :-1], border_vectors
         )
         (minus_measure_gradient,) = bilinear_gradients(
@@ -215,7 +197,7 @@ def locate_fold(problem, z, constants, max_distance=np.inf):
         )
         return np.append(residual, singularity_measure), np.vstack([jacobian, -minus_measure_gradient])
 
-    border_vectors = _border_vectors(_evaluate_on_host(problem, z, constants)[1][:, :-1])
+    border_vectors = singular_borders(evaluate_problem(problem, z, constants)[1][:, :-1])
     return solve_newton(augmented_system, z, max_distance)
 
 
@@ -248,8 +230,8 @@ def locate_branch_point(problem, z, constants, max_distance=np.inf):
 
     def augmented_system(z_and_unfolding):
         z = z_and_unfolding[:-1]
-        residual, jacobian = _evaluate_on_host(problem, z, constants)
-        left_null_vector, singularity_measure, right_null_vector, solve_bordered = _bordered_null_vectors(
+        residual, jacobian = evaluate_problem(problem, z, constants)
+        left_null_vector, singularity_measure, right_null_vector, solve_bordered = bordered_null_vectors(
             jacobian[:, :-1], border_vectors
         )
         transversal_vector = np.append(-solve_bordered(jacobian[:, -1]), 1.0)
@@ -273,7 +255,7 @@ def locate_branch_point(problem, z, constants, max_distance=np.inf):
             ]
         ), augmented_jacobian
 
-    border_vectors = _border_vectors(_evaluate_on_host(problem, z, constants)[1][:, :-1])
+    border_vectors = singular_borders(evaluate_problem(problem, z, constants)[1][:, :-1])
     solution = solve_newton(
         augmented_system, np.append(z, 0.0), np.append(np.broadcast_to(max_distance, z.shape), np.inf)
     )
@@ -304,15 +286,47 @@ def locate_singularity(problem, test_function, z, constants, max_distance=np.inf
     """
 
     def augmented_system(z):
-        residual, jacobian = _evaluate_on_host(problem, z, constants)
+        residual, jacobian = evaluate_problem(problem, z, constants)
         matrix, matrix_derivative = matrix_and_derivative(problem, test_function, z, constants)
-        left_null_vector, singularity_measure, right_null_vector, _ = _bordered_null_vectors(matrix, border_vectors)
+        left_null_vector, singularity_measure, right_null_vector, _ = bordered_null_vectors(matrix, border_vectors)
         return np.append(residual, singularity_measure), np.vstack(
             [jacobian, -np.einsum("i,ijk,j->k", left_null_vector, matrix_derivative, right_null_vector)]
         )
 
-    border_vectors = _border_vectors(matrix_and_derivative(problem, test_function, z, constants)[0])
+    border_vectors = singular_borders(matrix_and_derivative(problem, test_function, z, constants)[0])
     return solve_newton(augmented_system, z, max_distance)
+
+
+def locate_zero(problem, z, constants, zero_functions, entry_indices=None, n_extra=0):
+    """Locate the point near z at which F and further functions vanish.
+
+    Parameters
+    ----------
+    problem : Problem
+        The problem.
+    z : ndarray
+        Guess of shape (n + 1 + n_extra,).
+    constants : Any
+        Further argument of the functions of the problem.
+    zero_functions : callable
+        Function of z that returns 1 + n_extra numbers.
+    entry_indices : sequence of int, optional
+        Entries of z on which `zero_functions` depends. By default all.
+    n_extra : int, optional
+        Number of last entries of z on which F does not depend.
+
+    Returns
+    -------
+    RootAndResidual
+        The point and the residual.
+    """
+
+    def extended_system(z):
+        residual, jacobian = evaluate_problem(problem, z[: len(z) - n_extra], constants)
+        gradients = two_point_derivative(zero_functions, z, entry_indices)
+        return np.append(residual, zero_functions(z)), np.vstack([np.pad(jacobian, ((0, 0), (0, n_extra))), gradients])
+
+    return solve_newton(extended_system, z)
 
 
 def solve_newton(residual_and_jacobian, initial_guess, max_distance=np.inf):
@@ -348,11 +362,7 @@ def solve_newton(residual_and_jacobian, initial_guess, max_distance=np.inf):
     return RootAndResidual(None, np.nan)
 
 
-def _evaluate_on_host(problem, z, constants):
-    return tuple(np.asarray(array) for array in evaluate_problem(problem, z, constants))
-
-
-def _border_vectors(matrix):
+def singular_borders(matrix):
     """Return (b, c), the left and right singular vectors of the smallest singular value of a matrix.
 
     The entries are nan if the matrix is not finite.
@@ -363,7 +373,7 @@ def _border_vectors(matrix):
     return left_singular_vectors[:, -1], right_singular_vectors[-1]
 
 
-def _bordered_null_vectors(matrix, border_vectors):
+def bordered_null_vectors(matrix, border_vectors):
     """Return (w, g, v) of the bordered matrix, and a function of y that solves ``A x + b s = y``, ``c x = 0`` for x."""
     matrix_size = len(matrix)
     bordered_matrix = np.zeros((matrix_size + 1, matrix_size + 1))
@@ -387,4 +397,4 @@ def _bordered_null_vectors(matrix, border_vectors):
 
 def null_vector(matrix):
     """Return the unit null vector of a singular matrix."""
-    return _border_vectors(matrix)[1]
+    return singular_borders(matrix)[1]

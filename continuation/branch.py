@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Complex, Float
 
-from .problem import EQUILIBRIA, System
+from .problem import EQUILIBRIA, System, SystemConstants
 
 KIND_MEANINGS = {
     "SN": "fold",
@@ -93,6 +93,13 @@ class Special:
     def z(self) -> Float[np.ndarray, " z"]:
         """Solution and values of the continuation parameters, shape (n + names,)."""
         return np.append(self.u, [self.p[name] for name in self.names])
+
+
+def unknowns_and_constants(special, param_names):
+    """Return z = (u, values of the named parameters) at a `Special` and the `SystemConstants` of the others."""
+    fixed_params = {name: value for name, value in special.p.items() if name not in param_names}
+    z = np.append(special.u, [special.p[name] for name in param_names])
+    return z, SystemConstants(fixed_params, special.args)
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,9 +10,9 @@ import numpy as np
 
 from .continuation_loop import EventDetector
 from .event_search import SAME_POINT_DISTANCE
+from .hostcall import persistent_jit
 from .intermediate_points import point_at_length
 from .multiple_shooting import points_and_period
-from .persistent_jit import persistent_jit
 from .problem import ORBITS
 from .roots import find_bracketed_root
 

@@ -11,10 +11,18 @@ import numpy as np
 from . import augmented_systems, event_search
 from .branch_closure import SystemEventDetector
 from .continuation_loop import End
-from .event_search import Event
 from .intermediate_points import point_at_length
-from .normal_forms import border_vectors, critical_eigenvalue, lyapunov_coefficient, normal_form_coefficient
-from .problem import EQUILIBRIA, FIXED_POINTS, ORBITS, eigenvalues_at, is_hopf, is_neimark_sacker, matrix_of_kind
+from .normal_forms import critical_eigenvalue, lyapunov_coefficient, normal_form_coefficient
+from .point_rows import row_at
+from .problem import (
+    EQUILIBRIA,
+    FIXED_POINTS,
+    ORBITS,
+    distance_from_criticality,
+    eigenvalues_at,
+    has_critical_pair,
+    matrix_of_kind,
+)
 
 # Tolerance of a double eigenvalue, relative to 1 + the largest: its error is the square root of a rounding error.
 DOUBLE_TOLERANCE = 1e-4
@@ -26,12 +34,10 @@ INTERSECTIONS = {
     FIXED_POINTS: _MAP_INTERSECTIONS,
     ORBITS: _MAP_INTERSECTIONS,
 }
-# {label: (double eigenvalue, kind of the point if it is simple, condition in this case)}
-DOUBLE_EIGENVALUES = {
-    "BT": (0.0, "ZH", is_hopf),
-    "R1": (1.0, "FN", is_neimark_sacker),
-    "R2": (-1.0, "PN", is_neimark_sacker),
-}
+# {label: (double eigenvalue, kind of the point if it is simple and another pair of eigenvalues is critical)}
+DOUBLE_EIGENVALUES = {"BT": (0.0, "ZH"), "R1": (1.0, "FN"), "R2": (-1.0, "PN")}
+# Labels of the zeros of the leading normal-form coefficient on a curve of each kind.
+LEADING_LABELS = {"SN": "CP", "PD": "GPD", "SB": "DSB", "HB": "GH", "NS": "CH"}
 ZERO_COEFFICIENT = 1e-12  # largest absolute value of a vanishing coefficient
 SELF_CROSSINGS = {"HB": "HH", "NS": "NN"}  # kinds of points where two pairs of eigenvalues are critical
 RESONANCE_ANGLES = {"R3": 0.5, "R4": 0.0}  # negative cosine of the angle of the multipliers on a curve of NS
@@ -67,13 +73,13 @@ class CurveEventDetector(SystemEventDetector):
             return self.classify_self_crossing(event, constants)
         if event.kind not in DOUBLE_EIGENVALUES:
             return event
-        double_eigenvalue, kind_if_simple, critical_pair_test = DOUBLE_EIGENVALUES[event.kind]
+        double_eigenvalue, kind_if_simple = DOUBLE_EIGENVALUES[event.kind]
         eigenvalues = eigenvalues_at(self.system, self.names, event.z, constants)
         if np.sum(abs(eigenvalues - double_eigenvalue) < DOUBLE_TOLERANCE * (1.0 + abs(eigenvalues).max())) > 1:
             return event
         return (
             event._replace(kind=kind_if_simple)
-            if critical_pair_test(self.system, self.names, event.z, constants)
+            if has_critical_pair(self.system, self.names, event.z, constants)
             else None
         )
 
@@ -81,11 +87,9 @@ class CurveEventDetector(SystemEventDetector):
         """Return an HH or NN event if two pairs of eigenvalues are critical, else None."""
         eigenvalues = eigenvalues_at(self.system, self.names, event.z, constants)
         complex_eigenvalues = eigenvalues[eigenvalues.imag > CRITICAL_TOLERANCE]
-        critical_distances = abs(complex_eigenvalues.real) if self.kind == "HB" else abs(abs(complex_eigenvalues) - 1.0)
-        has_two_pairs = (
-            self.kind in SELF_CROSSINGS
-            and np.sum(critical_distances < CRITICAL_TOLERANCE * (1.0 + abs(eigenvalues).max())) > 1
-        )
+        distances = distance_from_criticality(self.system, complex_eigenvalues)
+        n_critical = np.sum(distances < CRITICAL_TOLERANCE * (1.0 + abs(eigenvalues).max()))
+        has_two_pairs = self.kind in SELF_CROSSINGS and n_critical > 1
         return event._replace(kind=SELF_CROSSINGS[self.kind]) if has_two_pairs else None
 
     def locate_codim2_events(self, task, points):
@@ -96,12 +100,11 @@ class CurveEventDetector(SystemEventDetector):
                 function_values = np.cumprod(np.append(1.0, np.sign(tangent_products)))
             else:
                 function_values = np.array([codim2_function(z, z) for z in points.z])
-            if (
-                abs(function_values).max() <= ZERO_COEFFICIENT
-            ):  # it vanishes along the curve, as in area-preserving systems
+            # The coefficient vanishes along the curve in area-preserving systems.
+            if abs(function_values).max() <= ZERO_COEFFICIENT:
                 continue
             for row_before in np.flatnonzero(function_values[:-1] * function_values[1:] < 0):
-                event = self.locate_zero(label, codim2_function, task, points, int(row_before))
+                event = self.locate_codim2_event(label, codim2_function, task, points, int(row_before))
                 if event is not None:
                     yield event
 
@@ -110,40 +113,27 @@ class CurveEventDetector(SystemEventDetector):
 
         Functions that need third derivatives are omitted for periodic orbits.
         """
-        system_kind_and_names, is_periodic_orbit = (self.system, self.kind, self.names), self.system.kind == ORBITS
+        arguments = self.system, self.kind, self.names
 
         def leading_coefficient(z, reference_z):
-            return normal_form_coefficient(
-                *system_kind_and_names,
-                z,
-                constants,
-                border_vectors(matrix_of_kind(*system_kind_and_names, reference_z, constants)),
-            )
+            borders = augmented_systems.singular_borders(matrix_of_kind(*arguments, reference_z, constants))
+            return normal_form_coefficient(*arguments, z, constants, borders)
 
         def first_lyapunov(z, reference_z):
-            return lyapunov_coefficient(*system_kind_and_names, z, constants)
+            return lyapunov_coefficient(self.system, self.names, z, constants)
 
-        def cosine_difference(z, reference_z, minus_cosine):
-            return (
-                critical_eigenvalue(self.kind, eigenvalues_at(self.system, self.names, z, constants)).real
-                + minus_cosine
-            )
+        def cosine_difference(minus_cosine, z, reference_z):
+            eigenvalues = eigenvalues_at(self.system, self.names, z, constants)
+            return critical_eigenvalue(self.system, eigenvalues).real + minus_cosine
 
-        if self.kind == "SN":
-            return {"CP": leading_coefficient}
-        label = {"PD": "GPD", "SB": "DSB", "HB": "GH", "NS": "CH"}[self.kind]
-        coefficient_functions = {label: leading_coefficient if self.kind in ("PD", "SB") else first_lyapunov}
-        resonance_functions = (
-            {
-                label: partial(cosine_difference, minus_cosine=minus_cosine)
-                for label, minus_cosine in RESONANCE_ANGLES.items()
-            }
-            if self.kind == "NS"
-            else {}
-        )
-        return resonance_functions if is_periodic_orbit else coefficient_functions | resonance_functions
+        functions = {LEADING_LABELS[self.kind]: first_lyapunov if self.kind in SELF_CROSSINGS else leading_coefficient}
+        if self.system.kind == ORBITS and self.kind != "SN":
+            functions = {}
+        if self.kind == "NS":
+            functions |= {label: partial(cosine_difference, number) for label, number in RESONANCE_ANGLES.items()}
+        return functions
 
-    def locate_zero(self, label, codim2_function, task, points, row_before):
+    def locate_codim2_event(self, label, codim2_function, task, points, row_before):
         """Locate the zero of a function on the curve by Newton's method.
 
         Returns None if the method does not converge or the zero lies outside the step.
@@ -154,20 +144,9 @@ class CurveEventDetector(SystemEventDetector):
             z_before + 0.5 * step_length * points.tangent[row_before] if halfway_point is None else halfway_point.z
         )
 
-        def augmented_system(z):
-            residual, jacobian = (
-                np.asarray(array) for array in augmented_systems.evaluate_problem(task.problem, z, task.args)
-            )
-            function_gradient = augmented_systems.two_point_derivative(lambda z: codim2_function(z, z_guess), z)
-            return np.append(residual, codim2_function(z, z_guess)), np.vstack([jacobian, function_gradient])
+        def zero_function(z):
+            return codim2_function(z, z_guess)
 
-        solution = augmented_systems.solve_newton(augmented_system, z_guess)
-        if solution.z is None:
-            return None
-        event_length = float(np.sum(task.control.scale**2 * points.tangent[row_before] * (solution.z - z_before)))
-        is_in_interval = -0.05 * step_length <= event_length <= 1.05 * step_length
-        return (
-            Event(label, row_before, min(max(event_length, 0.0), step_length), solution.z, solution.residual)
-            if is_in_interval
-            else None
-        )
+        solution = augmented_systems.locate_zero(task.problem, z_guess, task.args, zero_function)
+        base_point = row_at(points, row_before)
+        return event_search.make_event(label, base_point, row_before, (0.0, step_length), solution, task.control)

@@ -6,72 +6,43 @@ detects folds. A turning point of the last parameter is in general not a fold.
 """
 
 from collections.abc import Callable, Mapping
-from functools import lru_cache, partial
-from typing import Any, NamedTuple
+from functools import lru_cache
+from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike
 
-from .arclength import solve_bordered
 from .errors import ContinuationError
-from .problem import Problem, System, TestFunction, make_problem, residual_and_jacobian, singular_matrix, split_unknowns
+from .problem import (
+    Problem,
+    System,
+    extend_function,
+    make_dense_problem,
+    make_problem,
+    make_test_function,
+    split_unknowns,
+)
 
 FOLD = "fold"  # label of points with singular dF/du; SN denotes turning points of the last parameter
 ConstraintFunction = Callable[[Any, Any, Any], ArrayLike]  # function of (u, p, args)
-
-
-class HoldConstants(NamedTuple):
-    """Constants of a `System` with held functions along a branch.
-
-    Attributes
-    ----------
-    fixed_params : dict of str to float
-        Values of the parameters that are not continued.
-    args : Any
-        Further argument of the functions.
-    values : tuple of float
-        Values of the held functions.
-    """
-
-    fixed_params: dict[str, float]
-    args: Any
-    values: tuple[float, ...]
 
 
 @lru_cache
 def make_constrained_problem(
     system: System, constraint_functions: tuple[ConstraintFunction, ...], param_names: tuple[str, ...]
 ) -> Problem:
-    """Make the `Problem` with n held functions in n + 1 parameters. The args of the problem are `HoldConstants`."""
+    """Make the `Problem` with n held functions, whose values are part of the constants, in n + 1 parameters."""
 
     def constraint_residual(z, constants):
         u, p = split_unknowns(param_names, z, constants)
-        return jnp.stack(
-            [jnp.asarray(constraint(u, p, constants.args)) for constraint in constraint_functions]
-        ) - jnp.stack(constants.values)
-
-    def augmented_function(z, constants):
-        residual, jacobian = residual_and_jacobian(system, param_names, z, constants)
-        constraint_jacobian = jax.jacfwd(constraint_residual)(z, constants)
-        return jnp.concatenate([residual, constraint_residual(z, constants)]), jnp.concatenate(
-            [jacobian, constraint_jacobian]
-        )
+        values = [jnp.asarray(constraint(u, p, constants.args)) for constraint in constraint_functions]
+        return jnp.stack(values) - jnp.stack(constants.values)
 
     base_problem = make_problem(system, param_names)
-    test_functions = (
-        TestFunction(FOLD, partial(singular_matrix, system, "SN", param_names)),
-        *base_problem.test_functions,
-    )
-    return Problem(
-        augmented_function,
-        solve_bordered,
-        augmented_function,
-        test_functions,
-        compile_at_once=base_problem.compile_at_once,
-        noise_floor=base_problem.noise_floor,
-    )
+    test_functions = make_test_function(system, FOLD, "SN", param_names), *base_problem.test_functions
+    function = extend_function(system, param_names, constraint_residual)
+    return make_dense_problem(system, function, test_functions, base_problem.compile_at_once)
 
 
 def resolve_constraints(

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from . import arclength, event_search
-from .arclength import OUTSIDE, RUNNING, Point, StepControl, TrackState
+from .arclength import OUTSIDE, RUNNING, Point, StepControl, make_start_point, make_track_state
 from .branch_point_tangents import tangent_through_point
 from .branch_segment import BranchSegment, SpecialIndex, join_segments
 from .computation_limits import UNLIMITED, Limits
@@ -204,13 +204,36 @@ def follow_branch(task, start_point):
     BranchSegment
         The branch in this direction.
     """
-    segments, track_state = [], _make_track_state(start_point, task.first_step)
-    while track_state is not None:
-        for points, diagnosed_points, track_status in _generate_chunks(task, track_state, _count_points(segments)):
-            track_state = _append_segment(task, segments, points, diagnosed_points, track_status)
-            if segments[-1].end is not None or track_state is not None:
+    segments, start_state = [], make_track_state(start_point, task.first_step)
+    while start_state is not None:
+        for points, diagnosed_points, track_status in _generate_chunks(task, start_state, _count_points(segments)):
+            segment, retry_step = _make_segment(task, points, diagnosed_points, track_status)
+            segment = _apply_limits(task.limits, segment, _count_points([*segments, segment]))
+            task.limits.report(_count_points([*segments, segment]))
+            if not any(map(has_slow_progress, segments)):  # warn once per branch
+                warn_if_slow(task.control, segment)
+            segments.append(segment)
+            if segment.end is not None or retry_step is not None:
                 break
+        is_retried = segment.end is None and retry_step is not None
+        start_state = make_track_state(row_at(segment.points, -1), retry_step) if is_retried else None
     return join_segments(segments)
+
+
+def follow_both_directions(task, z, tangent, direction="both"):
+    """Continue from a solution in the requested directions.
+
+    Returns (backward `BranchSegment`, forward `BranchSegment`). A segment is None if its direction is not requested.
+    The backward segment is also None if the forward segment closes.
+    """
+    backward_segment, forward_segment, limits = None, None, task.limits
+    if direction != "backward":
+        forward_task = task._replace(limits=limits.half_points() if direction == "both" else limits)
+        forward_segment = follow_branch(forward_task, make_start_point(z, tangent))
+        limits = limits.after_points(len(forward_segment.points.z) - 1)
+    if direction != "forward" and (forward_segment is None or forward_segment.end is not End.CLOSED):
+        backward_segment = follow_branch(task._replace(limits=limits), make_start_point(z, -tangent))
+    return backward_segment, forward_segment
 
 
 class DiagnosedPoints(NamedTuple):
@@ -271,69 +294,6 @@ def _generate_chunks(task, track_state, n_earlier_points):
             n_earlier_points, chunk_points = n_earlier_points + len(chunk_points.z) - 1, None
 
 
-def follow_branches(tasks, start_points):
-    """Continue several branches; tasks with the same problem and size run as lanes of one compiled call.
-
-    Parameters
-    ----------
-    tasks : sequence of ContinuationTask
-        The tasks.
-    start_points : sequence of Point
-        Starting point of each task.
-
-    Returns
-    -------
-    list of BranchSegment
-        One segment per task.
-    """
-    lanes_by_problem, segment_of_lane = {}, {}
-    for lane, (task, start_point) in enumerate(zip(tasks, start_points, strict=True)):
-        lanes_by_problem.setdefault((task.problem, len(start_point.z)), []).append(lane)
-    for (problem, _), lanes in lanes_by_problem.items():
-        lane_segments = _follow_lanes(problem, [tasks[lane] for lane in lanes], [start_points[lane] for lane in lanes])
-        segment_of_lane |= zip(lanes, lane_segments, strict=True)
-    return [segment_of_lane[lane] for lane in range(len(tasks))]
-
-
-def _follow_lanes(problem, tasks, start_points):
-    segments_by_lane = [[] for _ in tasks]
-
-    def on_chunk(lane, points, track_status):
-        state = _append_segment(
-            tasks[lane], segments_by_lane[lane], points, _diagnose_points(tasks[lane].detector, points.z), track_status
-        )
-        return None if segments_by_lane[lane][-1].end is not None else state or True
-
-    initial_states = [
-        _make_track_state(start_point, task.first_step) for task, start_point in zip(tasks, start_points, strict=True)
-    ]
-    event_search.track_branches(
-        problem, initial_states, [task.control for task in tasks], [task.args for task in tasks], on_chunk
-    )
-    return [join_segments(segments) for segments in segments_by_lane]
-
-
-def _make_track_state(start_point, step_length):
-    return TrackState(start_point.z, start_point.tangent, np.float64(step_length), np.int32(RUNNING))
-
-
-def _append_segment(task, segments, points, diagnosed_points, track_status):
-    """Append the `BranchSegment` of a chunk of steps.
-
-    Returns the `TrackState` with which to retry with a smaller step, or None if no retry is needed.
-    """
-    segment, retry_step = _make_segment(task, points, diagnosed_points, track_status)
-    n_points = _count_points([*segments, segment])
-    if segment.end is None and n_points > POINT_LIMIT:
-        segment = segment._replace(end=End.POINTS)
-    segment = _apply_limits(task.limits, segment, n_points)
-    segments.append(segment)
-    task.limits.report(_count_points(segments))
-    if not any(has_slow_progress(segment) for segment in segments[:-1]):  # warn once per branch
-        warn_if_slow(task.control, segment)
-    return _make_track_state(row_at(segment.points, -1), retry_step) if segment.end is None and retry_step else None
-
-
 def _count_points(segments):
     """Count the points of consecutive `BranchSegment` objects."""
     return 1 + sum(len(segment.points.z) - 1 for segment in segments)
@@ -344,8 +304,8 @@ def _apply_limits(limits, segment, n_points):
 
     `n_points` counts the points of the branch up to the end of the segment.
     """
-    n_excess_points = 0 if limits.points_remaining is None else n_points - max(limits.points_remaining, 1)
-    if n_excess_points > 0 or (n_excess_points == 0 and limits.points_remaining is not None and segment.end is None):
+    n_excess_points = -1 if limits.points_remaining is None else n_points - max(limits.points_remaining, 1)
+    if n_excess_points > 0 or (n_excess_points == 0 and segment.end is None):
         n_allowed_rows = max(len(segment.points.z) - n_excess_points, 1)
         specials = tuple(special for special in segment.specials if special.row < n_allowed_rows)
         points, diagnostics = (
@@ -353,8 +313,8 @@ def _apply_limits(limits, segment, n_points):
             first_rows(segment.diagnostics, n_allowed_rows),
         )
         return BranchSegment(segment.args, points, diagnostics, specials, End.MAX_POINTS, -1, float(points.z[-1, -1]))
-    if segment.end is None and limits.expired:
-        return segment._replace(end=End.MAX_SECONDS)
+    if segment.end is None and (n_points > POINT_LIMIT or limits.expired):
+        return segment._replace(end=End.POINTS if n_points > POINT_LIMIT else End.MAX_SECONDS)
     return segment
 
 
@@ -364,97 +324,76 @@ def _make_segment(task, points, known_points, track_status):
     Returns the segment and a step length. If a step from the last point failed, the step length is that of a retry,
     else None.
     """
-    detector, retry_step = task.detector, None
+    detector = task.detector
     # Truncate first: points beyond a bound must not be examined.
     points, end, param_index = _truncate_at_bounds(task, points, ENDS[track_status])
-    points, diagnostics = detector.refine_points(
-        task, points, _diagnose_new_points(detector, points.z, known_points.z, known_points.diagnostics)
-    )
-    admissible = (
-        known_points.admissible
-        if np.array_equal(points.z, known_points.z)
-        else detector.is_admissible(points.z, diagnostics)
-    )
+    diagnostics = _diagnose_new_points(detector, points.z, known_points.z, known_points.diagnostics)
+    points, diagnostics = detector.refine_points(task, points, diagnostics)
+    is_known = np.array_equal(points.z, known_points.z)
+    admissible = known_points.admissible if is_known else detector.is_admissible(points.z, diagnostics)
     admissible[0] = True
-    n_points, first_inadmissible, diagnosed_z = len(points.z), int(np.argmin(np.append(admissible, False))), points.z
-    is_time_up = task.limits.expired  # then skip the search for the end and for jumps, which may take long
-    is_truncated_by_time = is_time_up and first_inadmissible < n_points
-    points, end = (first_rows(points, first_inadmissible), End.MAX_SECONDS) if is_truncated_by_time else (points, end)
-    candidate_points = first_rows(points, first_inadmissible + 1)
-    jump_row, known_branch_points = event_search.find_jump(
-        task.problem,
-        candidate_points,
-        task.control,
-        task.args,
-        detector.is_past_singularity(candidate_points) | is_time_up,
-    )
-    termination = (
-        None
-        if is_truncated_by_time
-        else detector.find_early_end(task, first_rows(points, first_inadmissible if jump_row is None else jump_row))
-    )
-    termination = None if termination is not None and _is_out_of_bounds(task, termination.points.z[-1]) else termination
-    if termination is None and jump_row is not None:
-        points, (end, retry_step) = (
-            first_rows(points, jump_row),
-            _retry_step_or_end(points.step[jump_row], task.control),
-        )
-    elif termination is None and first_inadmissible < n_points and not is_truncated_by_time:
-        termination, failed_step = (
-            detector.find_boundary_end(task, points, diagnostics, first_inadmissible),
-            points.step[first_inadmissible],
-        )
-        if termination is None:
-            points, (end, retry_step) = (
-                first_rows(points, first_inadmissible),
-                _retry_step_or_end(failed_step, task.control),
-            )
-            end = End.MAX_SECONDS if task.limits.expired else end  # the search may have been aborted
-    if termination is not None:
-        points, end = termination.points, termination.end
+    diagnosed_z = points.z
+    points, end, retry_step, termination, branch_points = _cut_at_end(task, points, diagnostics, admissible, end)
     closure_position = detector.find_closure(task, points)
     if closure_position is not None:
-        points, termination, end, retry_step = (
-            truncate_at_length(task, points, *closure_position),
-            None,
-            End.CLOSED,
-            None,
-        )
-    if len(points.z) != n_points or termination is not None or closure_position is not None:
-        diagnosed_z, diagnostics = points.z, _diagnose_new_points(detector, points.z, diagnosed_z, diagnostics)
-    events = sorted(
-        detector.find_events(task, points, diagnostics, known_branch_points, termination),
-        key=lambda event: (event.row_before, event.length),
-    )
-    points, specials = _insert_events(task, points, events)
+        points = truncate_at_length(task, points, *closure_position)
+        end, retry_step, termination = End.CLOSED, None, None
+    diagnostics = _diagnose_new_points(detector, points.z, diagnosed_z, diagnostics)
+    diagnosed_z = points.z
+    events = detector.find_events(task, points, diagnostics, branch_points, termination)
+    points, specials = _insert_events(task, points, sorted(events, key=lambda event: (event.row_before, event.length)))
     if termination is not None:
         specials.append(termination.special._replace(row=len(points.z) - 1))
     points, specials, end_at_special = _truncate_at_stop(task, points, specials)
-    diagnostics = (
-        _diagnose_new_points(detector, points.z, diagnosed_z, diagnostics) if events or end_at_special else diagnostics
+    diagnostics = _diagnose_new_points(detector, points.z, diagnosed_z, diagnostics)
+    end, end_value = end_at_special or end, float(points.z[-1, param_index])
+    segment = BranchSegment(task.args, points, diagnostics, tuple(specials), end, param_index, end_value)
+    return segment, None if end_at_special else retry_step
+
+
+def _cut_at_end(task, points, diagnostics, admissible, end):
+    """Truncate points at an early end, a jump or the first inadmissible point.
+
+    Returns the points, the `End` or None, the step length of a retry or None, the `Termination` or None, and the branch
+    points by the row before each.
+    """
+    detector, n_admissible = task.detector, int(np.argmin(np.append(admissible, False)))
+    is_time_up = task.limits.expired  # then skip the search for the end and for jumps, which may take long
+    is_truncated_by_time = is_time_up and n_admissible < len(points.z)
+    if is_truncated_by_time:
+        points, end = first_rows(points, n_admissible), End.MAX_SECONDS
+    candidate_points = first_rows(points, n_admissible + 1)
+    is_past_singularity = detector.is_past_singularity(candidate_points) | is_time_up
+    jump_row, branch_points = event_search.find_jump(
+        task.problem, candidate_points, task.control, task.args, is_past_singularity
     )
-    end_value = float(points.z[-1, param_index])
-    return BranchSegment(
-        task.args, points, diagnostics, tuple(specials), end_at_special or end, param_index, end_value
-    ), None if end_at_special else retry_step
+    end_row = n_admissible if jump_row is None else jump_row
+    termination = None if is_truncated_by_time else detector.find_early_end(task, first_rows(points, end_row))
+    if termination is not None and not _is_out_of_bounds(task, termination.points.z[-1]):
+        return termination.points, termination.end, None, termination, branch_points
+    if end_row == len(points.z):
+        return points, end, None, None, branch_points
+    failed_step = points.step[end_row]
+    termination = detector.find_boundary_end(task, points, diagnostics, end_row) if jump_row is None else None
+    if termination is not None:
+        return termination.points, termination.end, None, termination, branch_points
+    end, retry_step = _retry_step_or_end(failed_step, task.control)
+    if jump_row is None and task.limits.expired:  # the search may have been aborted
+        end = End.MAX_SECONDS
+    return first_rows(points, end_row), end, retry_step, None, branch_points
 
 
 def _diagnose_new_points(detector, zs, known_zs, known_diagnostics):
     """Compute the diagnostics of new points and reuse those of known points. Diagnostics depend only on z."""
-    if known_diagnostics is None:
-        return None
+    if known_diagnostics is None or zs is known_zs:
+        return known_diagnostics
     row_by_z_bytes = {z.tobytes(): row for row, z in enumerate(known_zs)}
     known_rows = np.array([row_by_z_bytes.get(z.tobytes(), -1) for z in zs])
-    if (known_rows >= 0).all():
-        return map_fields(lambda leaf: leaf[known_rows], known_diagnostics)
-    is_new = known_rows < 0
-
-    def fill_leaf(leaf, new_values):
-        values = leaf[known_rows]
-        values[is_new] = new_values
-        return values
-
-    return map_fields(fill_leaf, known_diagnostics, detector.diagnose(zs[is_new]))
+    diagnostics, is_new = map_fields(lambda leaf: leaf[known_rows], known_diagnostics), known_rows < 0
+    if is_new.any():
+        for leaf, new_values in zip(diagnostics, detector.diagnose(zs[is_new]), strict=True):
+            leaf[is_new] = new_values
+    return diagnostics
 
 
 def _truncate_at_bounds(task, points, end):

@@ -4,17 +4,16 @@ import numpy as np
 
 from . import augmented_systems, hopf_orbits
 from . import branch_point_tangents as crossing
-from .problem import ORBITS, SystemConstants, make_problem, matrix_of_kind
+from .branch import unknowns_and_constants
+from .problem import ORBITS, make_problem, matrix_of_kind
 
 KINDS = ("BP", "SB", "PD", "HB")  # special points from which branches emanate
 
 
 def emanating_directions(special, orbit_system):
     """Return the `System`, z, `SystemConstants` and tangents of the branches that emanate from a special point."""
-    param_names, system, z = special.names, special.system, special.z
-    constants = SystemConstants(
-        {name: value for name, value in special.p.items() if name not in param_names}, special.args
-    )
+    param_names, system = special.names, special.system
+    z, constants = unknowns_and_constants(special, param_names)
     if special.kind == "HB":
         z, tangent = hopf_orbits.hopf_orbit_start(special, orbit_system, constants)
         return orbit_system, z, constants, [tangent]

@@ -8,8 +8,8 @@ import numpy as np
 from jaxtyping import Float
 
 from . import arclength, augmented_systems
-from .arclength import OUTSIDE, RUNNING, Point, TrackState
-from .persistent_jit import persistent_jit
+from .arclength import RUNNING, make_start_point, make_track_state
+from .hostcall import persistent_jit
 from .point_rows import map_fields, row_at
 
 CHUNK_SIZE = 128  # steps attempted in a compiled call
@@ -87,19 +87,13 @@ def oriented_null_vector(jacobian, scale, reference_direction=None):
     return orientation_sign * null_vector / np.linalg.norm(scale * null_vector)
 
 
-def _track_uncompiled(problem, state, control, constants, capacity, max_steps):
-    return arclength.track_branch(problem.function, problem.solve, state, control, constants, capacity, max_steps)
+@persistent_jit(static_argnums=0, numpy_first=True)
+def _track_chunk(problem, state, control, constants, max_steps):
+    return problem.runner(_track_inside_runner, state, control, constants, max_steps, problem=problem)
 
 
-@persistent_jit(static_argnums=(0, 4), numpy_first=_track_uncompiled)
-def _track_chunk(problem, state, control, constants, capacity, max_steps):
-    return problem.runner(
-        _track_inside_runner, state, control, constants, max_steps, problem=problem, capacity=capacity
-    )
-
-
-def _track_inside_runner(state, control, constants, max_steps, problem, capacity):
-    return _track_uncompiled(problem, state, control, constants, capacity, max_steps)
+def _track_inside_runner(state, control, constants, max_steps, problem):
+    return arclength.track_branch(problem.function, problem.solve, state, control, constants, CHUNK_SIZE, max_steps)
 
 
 def take_step(problem, base_point, length, control, constants):
@@ -123,8 +117,8 @@ def take_step(problem, base_point, length, control, constants):
     Point
         The point of the branch; `converged` states whether Newton's method succeeded.
     """
-    state = TrackState(base_point.z, base_point.tangent, np.float64(length), np.int32(RUNNING))
-    return row_at(_track_chunk(problem, state, control, constants, CHUNK_SIZE, np.int32(1))[1], 0)
+    state = make_track_state(base_point, length)
+    return row_at(_track_chunk(problem, state, control, constants, np.int32(1))[1], 0)
 
 
 def solve_with_fixed_entry(problem, z, index, value, control, constants):
@@ -156,7 +150,7 @@ def solve_with_fixed_entry(problem, z, index, value, control, constants):
     z_guess[index] = value
     return take_step(
         problem,
-        Point(z_guess, pinning_row, *[np.zeros(())] * 3, *[np.True_] * 2),
+        make_start_point(z_guess, pinning_row),
         0.0,
         polishing_control(problem, control),
         constants,
@@ -196,7 +190,7 @@ def track_chunks(problem, state, control, constants, n_first_steps=CHUNK_SIZE):
     """
     start_point, max_steps = _evaluate_start(problem, state, control, constants), n_first_steps
     while True:
-        state, attempted_points = _track_chunk(problem, state, control, constants, CHUNK_SIZE, np.int32(max_steps))
+        state, attempted_points = _track_chunk(problem, state, control, constants, np.int32(max_steps))
         chunk_points, max_steps = _join_accepted_points(start_point, attempted_points), min(2 * max_steps, CHUNK_SIZE)
         yield chunk_points, int(state.status)
         if state.status != RUNNING:
@@ -204,85 +198,11 @@ def track_chunks(problem, state, control, constants, n_first_steps=CHUNK_SIZE):
         start_point = row_at(chunk_points, -1)
 
 
-def track_branches(problem, states, controls, constants, on_chunk):
-    """Compute several branches chunk by chunk, as the lanes of one compiled call.
-
-    Parameters
-    ----------
-    problem : Problem
-        The problem.
-    states : list of TrackState
-        State of each lane.
-    controls : list of StepControl
-        Control of each lane.
-    constants : list
-        Further argument of each lane. The arguments of all lanes have the same shapes.
-    on_chunk : callable
-        Function of the index of a lane and the points and status that `track_chunks` yields. It returns True to
-        continue the lane, False or None to end the lane, or a `TrackState` from which the lane continues.
-
-    Notes
-    -----
-    The number of lanes is padded to a power of two.
-    """
-    start_points = [
-        _evaluate_start(problem, *lane_inputs) for lane_inputs in zip(states, controls, constants, strict=True)
-    ]
-    n_idle_lanes = (1 << (len(states) - 1).bit_length()) - len(states)
-    idle_states = [states[-1]._replace(status=np.int32(OUTSIDE))] * n_idle_lanes
-    states = jax.tree.map(lambda *leaves: np.stack(leaves), *states, *idle_states)
-    controls, constants = (
-        jax.tree.map(lambda *leaves: np.stack(leaves), *lane_inputs, *lane_inputs[-1:] * n_idle_lanes)
-        for lane_inputs in (controls, constants)
-    )
-    while (states.status == RUNNING).any():
-        running_lanes = np.flatnonzero(states.status == RUNNING)
-        states, attempted_points = _track_lanes_chunk(problem, states, controls, constants, CHUNK_SIZE)
-        status = np.array(states.status)
-        for lane in running_lanes:
-            chunk_points = _join_accepted_points(
-                start_points[lane], jax.tree.map(lambda leaf, lane=lane: leaf[lane], attempted_points)
-            )
-            start_points[lane] = row_at(chunk_points, -1)
-            next_state = on_chunk(int(lane), chunk_points, int(status[lane]))
-            if isinstance(next_state, TrackState):
-                states = jax.tree.map(
-                    lambda leaf, entry, lane=lane: _replace_lane(leaf, lane, entry), states, next_state
-                )
-                start_points[lane], status[lane] = (
-                    _evaluate_start(problem, next_state, *_select_lane_inputs(controls, constants, lane)),
-                    RUNNING,
-                )
-            elif not next_state:
-                status[lane] = OUTSIDE
-        states = states._replace(status=status)
-
-
-def _replace_lane(lane_array, lane, lane_value):
-    lane_array = np.array(lane_array)
-    lane_array[lane] = lane_value
-    return lane_array
-
-
-def _select_lane_inputs(controls, constants, lane):
-    return jax.tree.map(lambda leaf: leaf[lane], (controls, constants))
-
-
-@persistent_jit(static_argnums=(0, 4), numpy_first=True)
-def _track_lanes_chunk(problem, states, controls, constants, capacity):
-    def track_lane(*lane_inputs):
-        return arclength.track_branch(problem.function, problem.solve, *lane_inputs, capacity)
-
-    return jax.vmap(track_lane)(states, controls, constants)
-
-
 def _evaluate_start(problem, state, control, constants):
     """Return the `Point` at the start of a branch."""
-    zero = np.zeros_like(state.step)
-    start_point = take_step(
-        problem, Point(state.z, state.tangent, *[zero] * 3, *[np.True_] * 2), 0.0, control, constants
-    )
-    return start_point._replace(z=state.z, tangent=state.tangent, step=zero, accepted=np.True_)
+    start_point = make_start_point(state.z, state.tangent)
+    point = take_step(problem, start_point, 0.0, control, constants)
+    return point._replace(z=state.z, tangent=state.tangent, step=start_point.step, accepted=np.True_)
 
 
 def _join_accepted_points(start_point, points):
@@ -410,17 +330,22 @@ def _locate_event(problem, kind, points, row_before, test_values, control, const
 def _event_between(
     problem, kind, base_point, row_before, length_interval, trial_point, length_guess, control, constants
 ):
-    """Return the event to which Newton's method converges from a guess.
-
-    Returns None if the method does not converge or the event lies outside `length_interval`.
-    """
-    lower_length, upper_length = length_interval
+    """Return the event to which Newton's method converges from a guess; None if it fails or leaves the interval."""
     z = trial_point.z if trial_point.converged else base_point.z + length_guess * base_point.tangent
     with np.errstate(divide="ignore"):  # entries of weight 0 have no largest distance
-        max_distance = SEARCH_RADIUS_FACTOR * upper_length / control.scale
+        max_distance = SEARCH_RADIUS_FACTOR * length_interval[1] / control.scale
     solution = _polish_event(problem, kind, z, constants, max_distance)
+    return make_event(kind, base_point, row_before, length_interval, solution, control)
+
+
+def make_event(kind, base_point, row_before, length_interval, solution, control):
+    """Return the `Event` of a `RootAndResidual`; None if there is no root or it lies outside `length_interval`.
+
+    Lengths are measured from `base_point`, whose row is `row_before`.
+    """
     if solution.z is None:
         return None
+    lower_length, upper_length = length_interval
     length = float(np.sum(control.scale**2 * base_point.tangent * (solution.z - base_point.z)))
     length_margin = 0.05 * (upper_length - lower_length)
     if not lower_length - length_margin <= length <= upper_length + length_margin:
@@ -432,29 +357,22 @@ def _event_function_sign(problem, kind, point, constants):
     """Return the sign, at a point, of the function that changes sign at events of a kind."""
     if kind in ("SN", "BP"):
         return np.sign(point.tangent[-1] if kind == "SN" else point.determinant)
-    (test_function,) = (test_function for test_function in problem.test_functions if test_function.label == kind)
-    return np.linalg.slogdet(augmented_systems.matrix_and_derivative(problem, test_function, point.z, constants)[0])[0]
+    matrix, _ = augmented_systems.matrix_and_derivative(problem, problem.test_function(kind), point.z, constants)
+    return np.linalg.slogdet(matrix)[0]
 
 
 def _polish_event(problem, kind, z, constants, max_distance):
     """Locate an event by Newton's method; z of the `RootAndResidual` is None if the event is invalid."""
+    conditions = [problem.is_valid]
     if kind == "SN":
         solution = augmented_systems.locate_fold(problem, z, constants, max_distance)
     elif kind == "BP":
         solution = augmented_systems.locate_branch_point(problem, z, constants, max_distance)
     else:
-        solution = _polish_test_event(problem, kind, z, constants, max_distance)
-    return (
-        solution
-        if solution.z is None or problem.is_valid(solution.z, constants)
-        else augmented_systems.RootAndResidual(None, np.nan)
-    )
-
-
-def _polish_test_event(problem, kind, z, constants, max_distance):
-    (test_function,) = (test_function for test_function in problem.test_functions if test_function.label == kind)
-    solution = augmented_systems.locate_singularity(problem, test_function, z, constants, max_distance)
-    if solution.z is None or test_function.is_valid(solution.z, constants):
+        test_function = problem.test_function(kind)
+        solution = augmented_systems.locate_singularity(problem, test_function, z, constants, max_distance)
+        conditions.insert(0, test_function.is_valid)
+    if solution.z is None or all(is_valid(solution.z, constants) for is_valid in conditions):
         return solution
     return augmented_systems.RootAndResidual(None, np.nan)
 

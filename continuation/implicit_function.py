@@ -213,7 +213,7 @@ def continue_root(
     short, Newton's method is applied at the end of the line, starting at the last root. F occurs once in a single loop,
     so that it is compiled once and lanes do not wait for each other.
     """
-    n_unknowns, eps = len(start_root), jnp.finfo(start_root.dtype).eps
+    n_unknowns = len(start_root)
 
     def residual_at_fraction(root_and_fraction):
         residual_vector = function(
@@ -228,60 +228,7 @@ def continue_root(
             jnp.append(state.u, state.trial_fraction)
         )
         solution = solve(jacobian[:, :n_unknowns], jnp.stack([residual_vector, jacobian[:, n_unknowns]], 1)).x
-        u, step_size, root_scale = (
-            state.u - solution[:, 0],
-            jnp.max(abs(solution[:, 0])),
-            1.0 + jnp.max(abs(state.root)),
-        )
-        is_tracking, converged, n_steps = (
-            state.kind == TRACKING,
-            state.step <= eps**0.7 * root_scale,
-            state.n_steps + 1.0,
-        )
-        max_correction = CORRECTION_FACTOR * jnp.max(abs(state.guess - state.root)) + CORRECTION_OFFSET * root_scale
-        is_newton_finished = (
-            ~jnp.isfinite(step_size)
-            | converged
-            | (n_steps >= jnp.where(is_tracking, MAX_NEWTON_STEPS, 3 * MAX_NEWTON_STEPS))
-        )
-        is_acceptable = (
-            converged & jnp.isfinite(step_size) & (~is_tracking | (jnp.max(abs(u - state.guess)) <= max_correction))
-        )
-        next_stride = jnp.where(
-            is_acceptable,
-            jnp.where(state.trial_fraction > 0, 2.0 * (state.trial_fraction - state.last_fraction), 1.0),
-            0.5 * (state.trial_fraction - state.last_fraction),
-        )
-        root, tangent = (
-            jnp.where(is_acceptable, *new_and_old_value)
-            for new_and_old_value in ((u, state.root), (-solution[:, 1], state.tangent))
-        )
-        fraction = jnp.where(is_acceptable, state.trial_fraction, state.last_fraction)
-        kind_if_path_ends = jnp.where(
-            is_tracking, jnp.where(is_acceptable, CONTINUED, RESTARTED), jnp.where(is_acceptable, JUMPED, FAILED)
-        )
-        keeps_tracking = is_tracking & jnp.where(is_acceptable, fraction < 1.0, next_stride >= MIN_STRIDE)
-        kind = jnp.where(is_newton_finished & ~keeps_tracking, kind_if_path_ends, state.kind)
-        trial_fraction = jnp.where(keeps_tracking, jnp.minimum(1.0, fraction + next_stride), 1.0)
-        guess = root + jnp.where(keeps_tracking, trial_fraction - fraction, 0.0) * tangent
-        next_stride_state = _PathState(
-            guess,
-            guess,
-            trial_fraction,
-            0.0 * n_steps,
-            jnp.inf * n_steps,
-            root,
-            tangent,
-            fraction,
-            jnp.max(abs(residual_vector)),
-            kind,
-        )
-        next_newton_state = state._replace(u=u, n_steps=n_steps, step=step_size)
-        return jax.tree.map(
-            lambda restarted_leaf, advanced_leaf: jnp.where(is_newton_finished, restarted_leaf, advanced_leaf),
-            next_stride_state,
-            next_newton_state,
-        )
+        return _next_path_state(state, residual_vector, solution)
 
     zero = jnp.zeros((), start_root.dtype)
     initial_state = _PathState(
@@ -298,3 +245,65 @@ def continue_root(
     )
     final_state = lax.while_loop(lambda state: state.kind < CONTINUED, advance_path, initial_state)
     return RootContinuation(final_state.root, final_state.residual, final_state.kind)
+
+
+def _next_path_state(state, residual_vector, solution):
+    """Return the `_PathState` after a step of Newton's method.
+
+    `solution` contains the negative Newton step and the negative derivative of the root with respect to the fraction.
+    """
+    eps = jnp.finfo(state.root.dtype).eps
+    u, step_size, root_scale = (
+        state.u - solution[:, 0],
+        jnp.max(abs(solution[:, 0])),
+        1.0 + jnp.max(abs(state.root)),
+    )
+    is_tracking, converged, n_steps = (
+        state.kind == TRACKING,
+        state.step <= eps**0.7 * root_scale,
+        state.n_steps + 1.0,
+    )
+    max_correction = CORRECTION_FACTOR * jnp.max(abs(state.guess - state.root)) + CORRECTION_OFFSET * root_scale
+    is_newton_finished = (
+        ~jnp.isfinite(step_size)
+        | converged
+        | (n_steps >= jnp.where(is_tracking, MAX_NEWTON_STEPS, 3 * MAX_NEWTON_STEPS))
+    )
+    is_acceptable = (
+        converged & jnp.isfinite(step_size) & (~is_tracking | (jnp.max(abs(u - state.guess)) <= max_correction))
+    )
+    next_stride = jnp.where(
+        is_acceptable,
+        jnp.where(state.trial_fraction > 0, 2.0 * (state.trial_fraction - state.last_fraction), 1.0),
+        0.5 * (state.trial_fraction - state.last_fraction),
+    )
+    root, tangent = (
+        jnp.where(is_acceptable, *new_and_old_value)
+        for new_and_old_value in ((u, state.root), (-solution[:, 1], state.tangent))
+    )
+    fraction = jnp.where(is_acceptable, state.trial_fraction, state.last_fraction)
+    kind_if_path_ends = jnp.where(
+        is_tracking, jnp.where(is_acceptable, CONTINUED, RESTARTED), jnp.where(is_acceptable, JUMPED, FAILED)
+    )
+    keeps_tracking = is_tracking & jnp.where(is_acceptable, fraction < 1.0, next_stride >= MIN_STRIDE)
+    kind = jnp.where(is_newton_finished & ~keeps_tracking, kind_if_path_ends, state.kind)
+    trial_fraction = jnp.where(keeps_tracking, jnp.minimum(1.0, fraction + next_stride), 1.0)
+    guess = root + jnp.where(keeps_tracking, trial_fraction - fraction, 0.0) * tangent
+    next_stride_state = _PathState(
+        guess,
+        guess,
+        trial_fraction,
+        0.0 * n_steps,
+        jnp.inf * n_steps,
+        root,
+        tangent,
+        fraction,
+        jnp.max(abs(residual_vector)),
+        kind,
+    )
+    next_newton_state = state._replace(u=u, n_steps=n_steps, step=step_size)
+    return jax.tree.map(
+        lambda restarted_leaf, advanced_leaf: jnp.where(is_newton_finished, restarted_leaf, advanced_leaf),
+        next_stride_state,
+        next_newton_state,
+    )

@@ -3,27 +3,8 @@
 import numpy as np
 
 from . import event_search
-from .arclength import Point
 from .point_rows import first_rows, insert_row, row_at
-
-
-def make_start_point(z, tangent):
-    """Make the starting `Point` of a continuation.
-
-    Parameters
-    ----------
-    z : ndarray
-        Point of shape (n + 1,).
-    tangent : ndarray
-        Unit tangent of shape (n + 1,).
-
-    Returns
-    -------
-    Point
-        The point, with step length 0.
-    """
-    zero = np.zeros(())
-    return Point(z, tangent, zero, zero, zero, np.True_, np.True_)
+from .roots import find_bracketed_root
 
 
 def point_at_length(task, points, row_before, length):
@@ -123,3 +104,39 @@ def truncate_at_length(task, points, row_before, length):
     point = point_at_length(task, points, row_before, length)
     points_before = first_rows(points, row_before + 1)
     return points_before if point is None else insert_row(points_before, row_before + 1, point)
+
+
+def locate_sign_changes(task, points, kind, values, value_at, make_error):
+    """Yield the `Event` of each sign change of a function along a branch.
+
+    Parameters
+    ----------
+    task : ContinuationTask
+        The task.
+    points : Point
+        Points, one row each.
+    kind : str
+        Kind of the events.
+    values : ndarray
+        Values of the function at the points.
+    value_at : callable
+        The function of z.
+    make_error : callable
+        Function of (kind, row before). It returns the error to raise if Newton's method fails between two points.
+
+    Yields
+    ------
+    Event
+        The sign changes, in order.
+    """
+    for row_before in np.flatnonzero(values[:-1] * values[1:] < 0).tolist():
+
+        def value_at_length(length, row_before=row_before):
+            point = point_at_length(task, points, row_before, length)
+            if point is None:
+                raise make_error(kind, row_before)
+            return value_at(point.z)
+
+        length = find_bracketed_root(value_at_length, float(points.step[row_before + 1]))
+        point = point_at_length(task, points, row_before, length)
+        yield event_search.Event(kind, row_before, length, point.z, float(point.residual))

@@ -7,20 +7,28 @@ of its transpose.
 """
 
 from functools import partial
+from itertools import product
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .persistent_jit import FAST_COMPILE, persistent_jit
-from .problem import matrix_of_kind, residual_at
+from . import augmented_systems
+from .hostcall import FAST_COMPILE, persistent_jit
+from .problem import EQUILIBRIA, distance_from_criticality, matrix_of_kind, residual_at
 
 
 def _derivative_along(function, direction, u):
     return jax.jvp(function, (u,), (direction,))[1]
 
 
-def _directional_derivatives(system, param_names, z, constants, direction_sets):
+@persistent_jit(static_argnums=(0, 1), compiler_options=FAST_COMPILE, numpy_first=True)
+def directional_derivatives(system, param_names, z, constants, direction_sets):
+    """Compute derivatives of F with respect to u along sets of directions.
+
+    `direction_sets` has shape (count, order, n). Each derivative has the given order, with one direction for each
+    differentiation. The result has shape (count, n).
+    """
     n_unknowns = len(z) - len(param_names)
 
     def differentiate(directions):
@@ -34,22 +42,6 @@ def _directional_derivatives(system, param_names, z, constants, direction_sets):
     return jax.vmap(differentiate)(direction_sets)
 
 
-@persistent_jit(static_argnums=(0, 1), compiler_options=FAST_COMPILE, numpy_first=True)
-def directional_derivatives(system, param_names, z, constants, direction_sets):
-    """Compute derivatives of F with respect to u along sets of directions.
-
-    `direction_sets` has shape (count, order, n). Each derivative has the given order, with one direction for each
-    differentiation. The result has shape (count, n).
-    """
-    return _directional_derivatives(system, param_names, z, constants, direction_sets)
-
-
-def border_vectors(matrix):
-    """Return (b, c), the left and right singular vectors of the smallest singular value of a matrix."""
-    left_singular_vectors, _, right_singular_vectors = np.linalg.svd(np.asarray(matrix))
-    return left_singular_vectors[:, -1], right_singular_vectors[-1]
-
-
 def normal_form_coefficient(system, kind, param_names, z, constants, reference_borders):
     """Compute the leading coefficient at SN, PD or SB.
 
@@ -58,13 +50,7 @@ def normal_form_coefficient(system, kind, param_names, z, constants, reference_b
     define (p, q), so that the coefficient is a smooth function of z.
     """
     matrix = matrix_of_kind(system, kind, param_names, z, constants)
-    left_border, right_border = reference_borders
-    bordered_matrix = np.block([[matrix, left_border[:, None]], [right_border[None], np.zeros((1, 1))]])
-    unit_rhs = np.append(np.zeros(len(right_border)), 1.0)
-    right_null_vector, left_null_vector = (
-        np.linalg.solve(bordered_matrix, unit_rhs)[:-1],
-        np.linalg.solve(bordered_matrix.T, unit_rhs)[:-1],
-    )
+    left_null_vector, _, right_null_vector, _ = augmented_systems.bordered_null_vectors(matrix, reference_borders)
     # At PD the matrix is A + 2, so that the operator is -A.
     unrestricted_system, minus_jacobian = system._replace(within=False), 2.0 * np.eye(len(right_null_vector)) - matrix
     (quadratic_term,) = directional_derivatives(
@@ -85,24 +71,21 @@ def normal_form_coefficient(system, kind, param_names, z, constants, reference_b
     return float(left_null_vector @ (cubic_term + 3.0 * mixed_term) / (6.0 * (left_null_vector @ right_null_vector)))
 
 
-def critical_eigenvalue(kind, eigenvalues):
+def critical_eigenvalue(system, eigenvalues):
     """Return the eigenvalue with positive imaginary part that is closest to criticality (HB or NS), or nan."""
     complex_eigenvalues = eigenvalues[eigenvalues.imag > 0]
-    critical_distances = abs(complex_eigenvalues.real) if kind == "HB" else abs(abs(complex_eigenvalues) - 1.0)
-    return (
-        complex_eigenvalues[int(np.argmin(critical_distances))] if len(complex_eigenvalues) else complex(np.nan, np.nan)
-    )
+    if not len(complex_eigenvalues):
+        return complex(np.nan, np.nan)
+    return complex_eigenvalues[int(np.argmin(distance_from_criticality(system, complex_eigenvalues)))]
 
 
-def lyapunov_coefficient(system, kind, param_names, z, constants):
+def lyapunov_coefficient(system, param_names, z, constants):
     """Compute the first Lyapunov coefficient of a Hopf or Neimark-Sacker point.
 
     Parameters
     ----------
     system : System
-        The system.
-    kind : {"HB", "NS"}
-        Kind of the point.
+        The system; the point is an HB of equilibria or an NS of fixed points.
     param_names : tuple of str
         Continuation parameters.
     z : ndarray
@@ -118,85 +101,44 @@ def lyapunov_coefficient(system, kind, param_names, z, constants):
     Notes
     -----
     The critical eigenvalue mu is i omega at HB and a multiplier at NS. The coefficient is ``Re(g) / (2 omega)`` at HB
-    and ``Re(conj(mu) g) / 2`` at NS. q has length 1 and ``p q = 1``; ``*`` denotes the conjugate and A the matrix with
-    the eigenvalue mu::
+    and ``Re(conj(mu) g) / 2`` at NS. q is the right null vector, of length 1, and p the left one, with ``p q = 1``;
+    ``*`` denotes the conjugate and A the matrix with the eigenvalue mu::
 
         g = p (C(q, q, q*) + 2 B(q, (s - A)^-1 B(q, q*)) + B(q*, (r - A)^-1 B(q, q)))
 
     with s = 0 and r = 2 mu at HB, s = 1 and r = mu^2 at NS.
     """
     jacobian = matrix_of_kind(system, "", param_names, z, constants)
-    critical_value, identity_matrix = (
-        critical_eigenvalue(kind, np.linalg.eigvals(jacobian).astype(complex)),
-        np.eye(len(jacobian)),
-    )
+    critical_value = critical_eigenvalue(system, np.linalg.eigvals(jacobian).astype(complex))
     if not np.isfinite(critical_value):
         return np.nan
+    is_hopf, identity_matrix = system.kind == EQUILIBRIA, np.eye(len(jacobian))
     left_singular_vectors, _, right_singular_vectors = np.linalg.svd(jacobian - critical_value * identity_matrix)
-    right_null_vector, left_null_vector = right_singular_vectors[-1].conj(), left_singular_vectors[:, -1].conj()
-    null_vector_real, null_vector_imag = right_null_vector.real, right_null_vector.imag
-    quadratic_rr, quadratic_ri, quadratic_ii = directional_derivatives(
-        system,
-        param_names,
-        z,
-        constants,
-        np.array(
-            [
-                [null_vector_real, null_vector_real],
-                [null_vector_real, null_vector_imag],
-                [null_vector_imag, null_vector_imag],
-            ]
-        ),
+    right_null_vector = right_singular_vectors[-1].conj()
+    left_null_vector = left_singular_vectors[:, -1].conj()
+    conjugate_vector = right_null_vector.conj()
+    form = partial(_multilinear_form, system, param_names, z, constants)
+    mean_shift = 0.0 if is_hopf else 1.0
+    double_shift = 2.0 * critical_value if is_hopf else critical_value * critical_value
+    mean_response = np.linalg.solve(
+        mean_shift * identity_matrix - jacobian, form(right_null_vector, conjugate_vector).real
     )
-    mean_resolvent_shift, double_resolvent_shift = (
-        (0.0, 2.0 * critical_value) if kind == "HB" else (1.0, critical_value * critical_value)
-    )
-    mean_response = np.linalg.solve(mean_resolvent_shift * identity_matrix - jacobian, quadratic_rr + quadratic_ii)
     double_response = np.linalg.solve(
-        double_resolvent_shift * identity_matrix - jacobian, quadratic_rr - quadratic_ii + 2j * quadratic_ri
+        double_shift * identity_matrix - jacobian, form(right_null_vector, right_null_vector)
     )
-    direction_pairs = [
-        (null_vector_real, mean_response),
-        (null_vector_imag, mean_response),
-        (null_vector_real, double_response.real),
-        (null_vector_imag, double_response.imag),
-        (null_vector_real, double_response.imag),
-        (null_vector_imag, double_response.real),
-    ]
-    mixed_real_mean, mixed_imag_mean, *mixed_double_terms = directional_derivatives(
-        system, param_names, z, constants, np.array(direction_pairs)
+    cubic_vector = (
+        form(right_null_vector, right_null_vector, conjugate_vector)
+        + 2.0 * form(right_null_vector, mean_response)
+        + form(conjugate_vector, double_response)
     )
-    cubic_rrr, cubic_rri, cubic_rii, cubic_iii = directional_derivatives(
-        system,
-        param_names,
-        z,
-        constants,
-        np.array(
-            [
-                [null_vector_real, null_vector_real, null_vector_real],
-                [null_vector_real, null_vector_real, null_vector_imag],
-                [null_vector_real, null_vector_imag, null_vector_imag],
-                [null_vector_imag, null_vector_imag, null_vector_imag],
-            ]
-        ),
-    )
-    cubic_term, mixed_term = (
-        cubic_rrr + cubic_rii + 1j * (cubic_rri + cubic_iii),
-        2.0 * (mixed_real_mean + 1j * mixed_imag_mean),
-    )
-    cubic_coefficient = (
-        left_null_vector
-        @ (
-            cubic_term
-            + mixed_term
-            + mixed_double_terms[0]
-            + mixed_double_terms[1]
-            + 1j * (mixed_double_terms[2] - mixed_double_terms[3])
-        )
-        / (left_null_vector @ right_null_vector)
-    )
-    return float(
-        cubic_coefficient.real / (2.0 * critical_value.imag)
-        if kind == "HB"
-        else 0.5 * (critical_value.conjugate() * cubic_coefficient).real
-    )
+    cubic_coefficient = left_null_vector @ cubic_vector / (left_null_vector @ right_null_vector)
+    if is_hopf:
+        return float(cubic_coefficient.real / (2.0 * critical_value.imag))
+    return float(0.5 * (critical_value.conjugate() * cubic_coefficient).real)
+
+
+def _multilinear_form(system, param_names, z, constants, *vectors):
+    """Compute the derivative of F along complex vectors from the derivatives along their real and imaginary parts."""
+    direction_sets = np.array(list(product(*((vector.real, vector.imag) for vector in vectors))))
+    factors = [np.prod(parts) for parts in product((1.0, 1.0j), repeat=len(vectors))]
+    return factors @ directional_derivatives(system, param_names, z, constants, direction_sets)

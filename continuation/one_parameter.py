@@ -1,6 +1,7 @@
 """Continue solutions in one parameter (`trace`) and along the branches that emanate from special points (`switch`)."""
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import jax
@@ -9,17 +10,16 @@ import numpy as np
 from jaxtyping import ArrayLike, Real
 
 from . import constraint, continuation_loop, emanating_branches, event_search, hopf_orbits
-from .arclength import StepControl
+from .arclength import make_control, make_start_point
 from .branch import Branch, Special
 from .branch_closure import SystemEventDetector
 from .branch_segment import join_segments, reverse_segment
 from .computation_limits import make_limits
-from .continuation_loop import ContinuationTask, End
+from .continuation_loop import ContinuationTask, follow_both_directions
 from .errors import ContinuationError, check_types
-from .event_search import Event
-from .intermediate_points import make_start_point, point_at_length
+from .hostcall import persistent_jit
+from .intermediate_points import locate_sign_changes
 from .newton import ADVICE, newton
-from .persistent_jit import persistent_jit
 from .problem import (
     EQUILIBRIA,
     ORBITS,
@@ -28,15 +28,20 @@ from .problem import (
     make_problem,
     matrix_of_kind,
     newton_step_floor,
+    split_unknowns,
     stability_matrix,
 )
-from .roots import find_bracketed_root
-from .validation import require_settings, require_system, validate_start
+from .validation import (
+    SYMMETRY_TOLERANCE,
+    require_settings,
+    require_system,
+    restrict_to_symmetric,
+    validate_bounds,
+    validate_start,
+)
 
 TOLERANCE = 1e-10  # tolerance of Newton's method, a length
-MIN_STEP = 1e-8  # smallest step length
 EIGENVALUE_BATCH = 64  # number of points whose eigenvalues one call computes
-SYMMETRY_TOLERANCE = 1e-9  # largest difference between a symmetric u and its image
 EIGENVALUE_FLOOR = 1e-9  # smallest distance of an eigenvalue from criticality that counts as nonzero
 Monitors = Mapping[str, Callable[[Any, Any, Any], ArrayLike]]  # functions of (u, p, args)
 
@@ -63,33 +68,19 @@ class BranchEventDetector(SystemEventDetector):
                 if event.kind != "SN"
             ]
         for monitor_name in self.monitors:
-            monitor_values = np.array([self.monitor_value(monitor_name, z, task.args) for z in points.z])
-            for row_before in np.flatnonzero(monitor_values[:-1] * monitor_values[1:] < 0):
-                events.append(self.locate_monitor_event(monitor_name, task, points, int(row_before)))
+            value_at = partial(self.monitor_value, monitor_name, task.args)
+            monitor_values = np.array([value_at(z) for z in points.z])
+            events += locate_sign_changes(task, points, monitor_name, monitor_values, value_at, self.monitor_error)
         return events
 
-    def monitor_value(self, monitor_name, z, constants):
+    def monitor_value(self, monitor_name, constants, z):
         """Evaluate a monitor at a point."""
-        n_unknowns = len(z) - len(self.names)
-        p = {**constants.fixed_params, **dict(zip(self.names, z[n_unknowns:], strict=True))}
-        return float(self.monitors[monitor_name](z[:n_unknowns], p, constants.args))
+        return float(self.monitors[monitor_name](*split_unknowns(self.names, z, constants), constants.args))
 
-    def locate_monitor_event(self, monitor_name, task, points, row_before):
-        """Locate the zero of a monitor between two points."""
-
-        def monitor_at_length(length):
-            point = point_at_length(task, points, row_before, length)
-            if point is None:
-                raise ContinuationError(
-                    "monitors",
-                    "must be evaluated between two points, where Newton's method does not converge",
-                    monitor_name,
-                )
-            return self.monitor_value(monitor_name, point.z, task.args)
-
-        length = find_bracketed_root(monitor_at_length, float(points.step[row_before + 1]))
-        point = point_at_length(task, points, row_before, length)
-        return Event(monitor_name, row_before, length, point.z, float(point.residual))
+    def monitor_error(self, monitor_name, row_before):
+        """Return the error for a monitor that cannot be evaluated after a point."""
+        rule = "must be evaluated between two points, where Newton's method does not converge"
+        return ContinuationError("monitors", rule, monitor_name)
 
 
 @check_types
@@ -195,11 +186,7 @@ def trace(
     bounds_by_name = bounds if isinstance(bounds, Mapping) else dict.fromkeys(param_names, bounds)
     bounds = validate_bounds(at, param_names, bounds_by_name)
     fixed_params = {name: value for name, value in at.items() if name not in param_names}
-    constants = (
-        constraint.HoldConstants(fixed_params, args, tuple(constraints.values()))
-        if constraints
-        else SystemConstants(fixed_params, args)
-    )
+    constants = SystemConstants(fixed_params, args, tuple(constraints.values()))
     start_z = np.append(start_u, [at[name] for name in param_names])
     problem = (
         constraint.make_constrained_problem(system, tuple(constraints), param_names)
@@ -306,29 +293,6 @@ def switch(
     return tuple(assemble_branch(system, None, bounds, constants, None, branch_half) for branch_half in segments)
 
 
-def follow_both_directions(task, z, tangent, direction="both"):
-    """Continue from a solution in the requested directions.
-
-    Returns (backward `BranchSegment`, forward `BranchSegment`). A segment is None if its direction is not requested.
-    The backward segment is also None if the forward segment closes.
-    """
-    limits = task.limits
-    forward_task = task._replace(limits=limits.half_points() if direction == "both" else limits)
-    forward_segment = (
-        continuation_loop.follow_branch(forward_task, make_start_point(z, tangent)) if direction != "backward" else None
-    )
-    is_closed = forward_segment is not None and forward_segment.end is End.CLOSED
-    task = task._replace(
-        limits=limits.after_points(0 if forward_segment is None else len(forward_segment.points.z) - 1)
-    )
-    backward_segment = (
-        None
-        if direction == "forward" or is_closed
-        else continuation_loop.follow_branch(task, make_start_point(z, -tangent))
-    )
-    return backward_segment, forward_segment
-
-
 def assemble_branch(system, kind, bounds, constants, backward_segment, forward_segment):
     """Make the `Branch` of the segments backward and forward from a start; either segment may be None."""
     param_names = tuple(bounds)
@@ -390,49 +354,6 @@ def _kind_with_symmetry(system, u, kind):
     return "SB" if may_break_symmetry and np.allclose(system.symmetry(u), u, rtol=0, atol=SYMMETRY_TOLERANCE) else kind
 
 
-def restrict_to_symmetric(system, u, param_values, args):
-    """Restrict a system to symmetric solutions if u is symmetric; raise ContinuationError for an invalid symmetry."""
-    if not isinstance(system, System) or system.symmetry is None:
-        return system
-    random_u = u + np.random.default_rng(0).normal(size=len(u))
-    twice_mapped_u = np.asarray(system.symmetry(system.symmetry(random_u)))
-    function_of_image, image_of_function = (
-        system.function(system.symmetry(random_u), param_values, args),
-        system.symmetry(system.function(random_u, param_values, args)),
-    )
-    if not np.allclose(twice_mapped_u, random_u, rtol=0, atol=1e-9) or not np.allclose(
-        function_of_image, image_of_function, rtol=1e-9, atol=1e-9
-    ):
-        raise ContinuationError(
-            "symmetry", "must satisfy S(S(u)) = u and function(S(u)) = S(function(u))", system.symmetry
-        )
-    return system._replace(within=bool(np.allclose(system.symmetry(u), u, rtol=0, atol=SYMMETRY_TOLERANCE)))
-
-
-def validate_bounds(param_values, param_names, bounds):
-    """Return the bounds {name: (low, high)} as floats; raise ContinuationError if they are invalid.
-
-    Bounds must be given for each name, and must be finite with low < high and contain the value at the start.
-    """
-    if set(bounds) != set(param_names):
-        raise ContinuationError(
-            "bounds", f"must contain the interval of each parameter: {', '.join(param_names)}", bounds
-        )
-    interval_by_name = {}
-    for name, interval in ((name, bounds[name]) for name in param_names):
-        if name not in param_values:
-            raise ContinuationError("along", f"must be one of the parameters {', '.join(param_values)}", name)
-        interval_ends = np.asarray(interval, float) if np.shape(interval) == (2,) else np.array([np.nan, np.nan])
-        if not (np.isfinite(interval_ends).all() and interval_ends[0] < interval_ends[1]):
-            raise ContinuationError("bounds", "must be (low, high), two finite numbers with low < high", interval)
-        if not interval_ends[0] <= float(param_values[name]) <= interval_ends[1]:
-            raise ContinuationError(
-                "bounds", f"must contain the value of {name} at the start, {float(param_values[name]):.12g}", interval
-            )
-        interval_by_name[name] = (float(interval_ends[0]), float(interval_ends[1]))
-    return interval_by_name
-
-
 @persistent_jit(static_argnums=0, numpy_first=True)
 def _correct_unknowns(problem, z, constants):
     def residual_and_jacobian(unknowns):
@@ -478,8 +399,7 @@ def make_task(
         if not (np.isscalar(value) and np.isfinite(value) and value > 0):
             raise ContinuationError(key, "must be greater than 0", value)
     param_names, intervals = tuple(bounds), tuple(bounds.values())
-    control_values = (min(MIN_STEP, first_step), max_step, tolerance, *intervals[-1])
-    control = StepControl(np.ones(len(start_z)), *(np.float64(control_value) for control_value in control_values))
+    control = make_control(np.ones(len(start_z)), first_step, max_step, tolerance, intervals[-1])
     detector = BranchEventDetector(system, param_names, monitors or {})
     first_step_length = min(first_step, max_step)
     return ContinuationTask(
@@ -515,21 +435,17 @@ def _test_signs(system, param_names, zs, constants):
     pair_crossing_signs = np.cumprod(np.append(1.0, np.where(abs(np.diff(n_unstable)) >= 2, -1.0, 1.0)))
     signs_by_kind = (
         {constraint.FOLD: _smooth_product_signs(eigenvalues if is_equilibrium else eigenvalues - 1.0)}
-        if isinstance(constants, constraint.HoldConstants)
+        if constants.values
         else {}
     )
     if system.within:
-        signs_by_kind["SB"] = _symmetry_breaking_signs(system, param_names, zs, constants)
+        matrices = [matrix_of_kind(system, "SB", param_names, z, constants) for z in zs]
+        signs_by_kind["SB"] = np.linalg.slogdet(matrices)[0]
     return signs_by_kind | (
         {"HB": pair_crossing_signs}
         if is_equilibrium
         else {"PD": _smooth_product_signs(eigenvalues + 1.0), "NS": pair_crossing_signs}
     )
-
-
-def _symmetry_breaking_signs(system, param_names, zs, constants):
-    """Return the sign of the determinant of the SB matrix at each point."""
-    return np.array([np.linalg.slogdet(matrix_of_kind(system, "SB", param_names, z, constants))[0] for z in zs])
 
 
 def _smooth_product_signs(factors):

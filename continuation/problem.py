@@ -15,8 +15,8 @@ from jaxtyping import ArrayLike, Float
 from . import multiple_shooting
 from .arclength import solve_bordered
 from .errors import ContinuationError, check_types
+from .hostcall import FAST_COMPILE, persistent_jit
 from .linear_solver import LinearSolution
-from .persistent_jit import FAST_COMPILE, persistent_jit
 
 CIRCLE_TOLERANCE = 1e-6  # largest distance from the unit circle or the real line at which a multiplier lies on it
 
@@ -98,6 +98,10 @@ class Problem(NamedTuple):
     is_valid: Callable[..., bool] = always_true
     compile_at_once: bool = False
     noise_floor: float = 0.0
+
+    def test_function(self, label: str) -> TestFunction:
+        """Return the test function of a label."""
+        return next(test_function for test_function in self.test_functions if test_function.label == label)
 
 
 # Function of (u, p, args).
@@ -236,10 +240,13 @@ class SystemConstants(NamedTuple):
         Values of the other parameters.
     args : Any
         Further argument of the function.
+    values : tuple of float
+        Values of the functions that are held constant along the branch.
     """
 
     fixed_params: dict[str, float]
     args: Any
+    values: tuple[float, ...] = ()
 
 
 @lru_cache
@@ -259,25 +266,40 @@ def make_problem(system, param_names):
         Problem with z = (u, values of the named parameters); its args are `SystemConstants`.
     """
 
-    def make_test(kind, is_genuine=always_true):
-        return TestFunction(kind, partial(singular_matrix, system, kind, param_names), is_genuine)
-
+    kinds = ("HB",) if system.kind == EQUILIBRIA else ("PD", "NS")
+    kinds += ("SB",) if system.within else ()
+    test_functions = [make_test_function(system, kind, kind, param_names) for kind in kinds]
     function = partial(residual_and_jacobian, system, param_names)
-    neimark_sacker_test = make_test("NS", partial(is_neimark_sacker, system, param_names))
-    test_functions = (
-        (make_test("HB", partial(is_hopf, system, param_names)),)
-        if system.kind == EQUILIBRIA
-        else (make_test("PD"), neimark_sacker_test)
-    )
-    test_functions += (make_test("SB"),) if system.within else ()
+    return make_dense_problem(system, function, test_functions, compile_at_once=system.kind == ORBITS)
+
+
+def make_test_function(system, label, kind, param_names):
+    """Make the `TestFunction` of the `singular_matrix` of a kind; HB and NS must have complex eigenvalues."""
+    is_valid = partial(has_critical_pair, system, param_names) if label in ("HB", "NS") else always_true
+    return TestFunction(label, partial(singular_matrix, system, kind, param_names), is_valid)
+
+
+def make_dense_problem(system, function, test_functions, compile_at_once=False):
+    """Make the `Problem` of a function of (z, constants) that returns F and dF/dz of a `System`."""
     return Problem(
         function,
         solve_bordered,
         function,
-        test_functions,
-        compile_at_once=system.kind == ORBITS,
+        tuple(test_functions),
+        compile_at_once=compile_at_once,
         noise_floor=newton_step_floor(system),
     )
+
+
+def extend_function(system, param_names, further_function):
+    """Return a function of (z, constants): F and dF/dz of a `System` with one or more further equations appended."""
+
+    def extended_function(z, constants):
+        residual, jacobian = residual_and_jacobian(system, param_names, z, constants)
+        gradients = jnp.atleast_2d(jax.jacfwd(further_function)(z, constants))
+        return jnp.append(residual, further_function(z, constants)), jnp.concatenate([jacobian, gradients])
+
+    return extended_function
 
 
 def split_unknowns(param_names, z, constants):
@@ -325,18 +347,13 @@ def split_by_symmetry(system, u):
     return 0.5 * (u + image), 0.5 * (u - image)
 
 
-def jacobian_at(system, param_names, z, constants):
-    """Compute dF/dz, shape (n, n + names)."""
-    return residual_and_jacobian(system, param_names, z, constants)[1]
-
-
 def stability_matrix(system, param_names, z, constants):
     """Compute the matrix whose eigenvalues determine stability.
 
     The matrix is the derivative of the field or of the map with respect to u. For periodic orbits it is the block of
     the monodromy matrix that is transverse to the field.
     """
-    jacobian = jacobian_at(system._replace(within=False), param_names, z, constants)
+    _, jacobian = residual_and_jacobian(system._replace(within=False), param_names, z, constants)
     if system.kind == ORBITS:
         u, p = split_unknowns(param_names, z, constants)
         first_point = multiple_shooting.points_and_period(u, system.segments * system.times)[0][0]
@@ -358,14 +375,14 @@ def singular_matrix(system, kind, param_names, z, constants):
             stability_matrix(system, param_names, z, constants)
         )
     if kind == "SB":
-        jacobian = jacobian_at(system._replace(within=False), param_names, z, constants)[:, : -len(param_names)]
+        _, derivative = residual_and_jacobian(system._replace(within=False), param_names, z, constants)
+        jacobian = derivative[:, : -len(param_names)]
         symmetric_projector, antisymmetric_projector = jax.vmap(partial(split_by_symmetry, system), 1, 1)(
             jnp.eye(len(jacobian))
         )
         return antisymmetric_projector @ jacobian @ antisymmetric_projector + symmetric_projector
-    jacobian = jacobian_at(system._replace(within=system.within and kind != "PD"), param_names, z, constants)[
-        :, : -len(param_names)
-    ]
+    restricted_system = system._replace(within=system.within and kind != "PD")
+    jacobian = residual_and_jacobian(restricted_system, param_names, z, constants)[1][:, : -len(param_names)]
     if kind == "SN":
         return jacobian
     return (
@@ -376,17 +393,11 @@ def singular_matrix(system, kind, param_names, z, constants):
 
 
 @persistent_jit(static_argnums=(0, 1, 2), compiler_options=FAST_COMPILE, numpy_first=True)
-def _compute_matrix_of_kind(system, kind, param_names, z, constants):
-    return (
-        singular_matrix(system, kind, param_names, z, constants)
-        if kind
-        else stability_matrix(system, param_names, z, constants)
-    )
-
-
 def matrix_of_kind(system, kind, param_names, z, constants):
     """Compute the `singular_matrix` of a kind at one point on the host; the `stability_matrix` if the kind is empty."""
-    return np.asarray(_compute_matrix_of_kind(system, kind, param_names, z, constants))
+    if kind:
+        return singular_matrix(system, kind, param_names, z, constants)
+    return stability_matrix(system, param_names, z, constants)
 
 
 def eigenvalues_at(system, param_names, z, constants):
@@ -394,28 +405,20 @@ def eigenvalues_at(system, param_names, z, constants):
     return np.linalg.eigvals(matrix_of_kind(system, "", param_names, z, constants)).astype(complex)
 
 
-def is_hopf(system, param_names, z, constants):
-    """Return True if two complex eigenvalues lie on the imaginary axis.
+def distance_from_criticality(system, eigenvalues):
+    """Return the distances of eigenvalues from the imaginary axis, or of multipliers from the unit circle."""
+    return abs(eigenvalues.real) if system.kind == EQUILIBRIA else abs(abs(eigenvalues) - 1.0)
 
-    The result is False for a neutral saddle: two real eigenvalues with sum 0.
+
+def has_critical_pair(system, param_names, z, constants):
+    """Return True if two complex eigenvalues lie on the imaginary axis, or two complex multipliers on the unit circle.
+
+    The result is False for a neutral saddle: two real eigenvalues with sum 0, or two real multipliers with product 1.
     """
     eigenvalues = eigenvalues_at(system, param_names, z, constants)
-    eigenvalue_scale = max(1.0, abs(eigenvalues).max())
-    return bool(
-        np.any(
-            (abs(eigenvalues.real) < CIRCLE_TOLERANCE * eigenvalue_scale)
-            & (abs(eigenvalues.imag) > CIRCLE_TOLERANCE * eigenvalue_scale)
-        )
-    )
-
-
-def is_neimark_sacker(system, param_names, z, constants):
-    """Return True if two complex multipliers lie on the unit circle.
-
-    The result is False for a neutral saddle: two real multipliers with product 1.
-    """
-    eigenvalues = eigenvalues_at(system, param_names, z, constants)
-    return bool(np.any((abs(abs(eigenvalues) - 1.0) < CIRCLE_TOLERANCE) & (abs(eigenvalues.imag) > CIRCLE_TOLERANCE)))
+    eigenvalue_scale = max(1.0, abs(eigenvalues).max()) if system.kind == EQUILIBRIA else 1.0
+    is_critical = distance_from_criticality(system, eigenvalues) < CIRCLE_TOLERANCE * eigenvalue_scale
+    return bool(np.any(is_critical & (abs(eigenvalues.imag) > CIRCLE_TOLERANCE * eigenvalue_scale)))
 
 
 def bialternate_product(matrix):
@@ -433,20 +436,7 @@ def bialternate_product(matrix):
 def bialternate_sum(matrix):
     """Return twice the bialternate product of a matrix with the identity.
 
-    The eigenvalues of the result are the sums of all pairs of eigenvalues of the matrix (Kuznetsov, Elements of Applied
-    Bifurcation Theory, 10.2).
+    It is the derivative of `bialternate_product` at the identity. The eigenvalues of the result are the sums of all
+    pairs of eigenvalues of the matrix (Kuznetsov, Elements of Applied Bifurcation Theory, 10.2).
     """
-    first_indices, second_indices = jnp.triu_indices(len(matrix), 1)
-    identity = jnp.eye(len(matrix))
-
-    def kronecker_entries(matrix_rows, identity_rows, matrix_columns, identity_columns):
-        return matrix[matrix_rows][:, matrix_columns] * identity[identity_rows][:, identity_columns]
-
-    direct_terms = kronecker_entries(first_indices, second_indices, first_indices, second_indices) + kronecker_entries(
-        second_indices, first_indices, second_indices, first_indices
-    )
-    return (
-        direct_terms
-        - kronecker_entries(first_indices, second_indices, second_indices, first_indices)
-        - kronecker_entries(second_indices, first_indices, first_indices, second_indices)
-    )
+    return jax.jvp(bialternate_product, (jnp.eye(len(matrix)),), (matrix,))[1]

@@ -175,7 +175,7 @@ def settled(
         raise ContinuationError("system", "must be a system made by `periodic_orbits`", system)
     p = {name: float(value) for name, value in at.items()}
     n_segments = system.segments * system.times
-    compiled_flow = jax.jit(partial(_call_flow, system.fly))
+    compiled_flow = jax.jit(partial(system.fly))  # a new function, which is traced anew
     orbit_points = [np.asarray(start, float)]
     if orbit_points[0].ndim != 1 or not orbit_points[0].size:
         raise ContinuationError("start", "must be a state with one number per equation", start)
@@ -187,7 +187,3 @@ def settled(
     for _ in range(n_segments * (rounds + 1) - 1):
         orbit_points.append(np.asarray(compiled_flow(orbit_points[-1], period / n_segments, p, args)))
     return np.append(np.concatenate(orbit_points[-n_segments:]), period)
-
-
-def _call_flow(flow, start_point, time, p, args):
-    return flow(start_point, time, p, args)

@@ -7,22 +7,21 @@ if the null space is one-dimensional.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from functools import lru_cache, partial
+from functools import lru_cache
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from . import augmented_systems, event_search
-from .arclength import solve_bordered
-from .branch import Branch, Special
+from .branch import Branch, Special, unknowns_and_constants
 from .codim2_events import INTERSECTIONS, CurveEventDetector
 from .computation_limits import make_limits
+from .continuation_loop import follow_both_directions
 from .errors import ContinuationError, check_types
-from .one_parameter import assemble_branch, follow_both_directions, make_task, validate_bounds
-from .problem import Problem, SystemConstants, TestFunction, newton_step_floor, residual_and_jacobian, singular_matrix
-from .validation import require_settings
+from .one_parameter import assemble_branch, make_task
+from .problem import extend_function, make_dense_problem, make_test_function, singular_matrix
+from .validation import require_settings, validate_bounds
 
 KINDS = ("SN", "PD", "HB", "NS", "SB")
 TOLERANCE = 1e-12  # tolerance of Newton's method, a length
@@ -106,10 +105,7 @@ def curve(
     require_settings("both", None, stop)
     bounds = validate_bounds(special.p, name_pair, bounds)
     limits = make_limits(max_points, max_seconds, progress, ContinuationError)
-    constants = SystemConstants(
-        {name: value for name, value in special.p.items() if name not in name_pair}, special.args
-    )
-    start_z = np.append(special.u, [special.p[name] for name in name_pair])
+    start_z, constants = unknowns_and_constants(special, name_pair)
     system = special.system._replace(within=special.kind == "SB" or special.system.within)
     detector = CurveEventDetector(system, special.kind, name_pair)
     task = make_task(
@@ -136,19 +132,9 @@ def curve_problem(system, kind, param_names):
     def determinant(z, constants):
         return jnp.linalg.det(singular_matrix(system, kind, param_names, z, constants))
 
-    def augmented_function(z, constants):
-        residual, jacobian = residual_and_jacobian(system, param_names, z, constants)
-        gradient = jax.jacfwd(determinant)(z, constants)
-        return jnp.append(residual, determinant(z, constants)), jnp.concatenate([jacobian, gradient[None]])
-
     kinds_by_label = INTERSECTIONS[system.kind].get(kind, {})
-    test_functions = tuple(
-        TestFunction(label, partial(singular_matrix, system, other_kind, param_names))
-        for label, other_kind in kinds_by_label.items()
-    )
-    return Problem(
-        augmented_function, solve_bordered, augmented_function, test_functions, noise_floor=newton_step_floor(system)
-    )
+    test_functions = [make_test_function(system, label, other, param_names) for label, other in kinds_by_label.items()]
+    return make_dense_problem(system, extend_function(system, param_names, determinant), test_functions)
 
 
 @check_types
@@ -203,11 +189,9 @@ def sensitivity(special: Special, names: str | Sequence[str]) -> Float[np.ndarra
             "names", f"must be one or more different parameters other than {special.names[0]}", other_param_names
         )
     all_param_names = (*special.names, *other_param_names)
-    constants = SystemConstants(
-        {name: value for name, value in special.p.items() if name not in all_param_names}, special.args
-    )
-    z = np.append(special.u, [special.p[name] for name in all_param_names])
+    z, constants = unknowns_and_constants(special, all_param_names)
     system = special.system._replace(within=special.kind == "SB" or special.system.within)
-    jacobian = augmented_systems.jacobian_at(curve_problem(system, special.kind, all_param_names), z, constants)
+    problem = curve_problem(system, special.kind, all_param_names)
+    _, jacobian = augmented_systems.evaluate_problem(problem, z, constants)
     n_unknowns = len(z) - len(other_param_names)
     return -np.linalg.solve(jacobian[:, :n_unknowns], jacobian[:, n_unknowns:])[-1]

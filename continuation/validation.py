@@ -10,6 +10,7 @@ from .errors import ContinuationError, error_summary
 from .problem import ORBITS, System
 
 DIRECTIONS = ("both", "forward", "backward")
+SYMMETRY_TOLERANCE = 1e-9  # largest difference between a symmetric u and its image
 
 
 def validate_start(u, start_params):
@@ -75,3 +76,46 @@ def require_settings(direction, monitors, stop):
     known_kinds = [*KIND_MEANINGS, *(monitors or {})]
     if isinstance(stop, str) or not set(stop) <= set(known_kinds):
         raise ContinuationError("stop", f"must be a tuple of kinds of special points ({', '.join(known_kinds)})", stop)
+
+
+def restrict_to_symmetric(system, u, param_values, args):
+    """Restrict a system to symmetric solutions if u is symmetric; raise ContinuationError for an invalid symmetry."""
+    if not isinstance(system, System) or system.symmetry is None:
+        return system
+    random_u = u + np.random.default_rng(0).normal(size=len(u))
+    twice_mapped_u = np.asarray(system.symmetry(system.symmetry(random_u)))
+    function_of_image, image_of_function = (
+        system.function(system.symmetry(random_u), param_values, args),
+        system.symmetry(system.function(random_u, param_values, args)),
+    )
+    if not np.allclose(twice_mapped_u, random_u, rtol=0, atol=1e-9) or not np.allclose(
+        function_of_image, image_of_function, rtol=1e-9, atol=1e-9
+    ):
+        raise ContinuationError(
+            "symmetry", "must satisfy S(S(u)) = u and function(S(u)) = S(function(u))", system.symmetry
+        )
+    return system._replace(within=bool(np.allclose(system.symmetry(u), u, rtol=0, atol=SYMMETRY_TOLERANCE)))
+
+
+def validate_bounds(param_values, param_names, bounds):
+    """Return the bounds {name: (low, high)} as floats; raise ContinuationError if they are invalid.
+
+    Bounds must be given for each name, and must be finite with low < high and contain the value at the start.
+    """
+    if set(bounds) != set(param_names):
+        raise ContinuationError(
+            "bounds", f"must contain the interval of each parameter: {', '.join(param_names)}", bounds
+        )
+    interval_by_name = {}
+    for name, interval in ((name, bounds[name]) for name in param_names):
+        if name not in param_values:
+            raise ContinuationError("along", f"must be one of the parameters {', '.join(param_values)}", name)
+        interval_ends = np.asarray(interval, float) if np.shape(interval) == (2,) else np.array([np.nan, np.nan])
+        if not (np.isfinite(interval_ends).all() and interval_ends[0] < interval_ends[1]):
+            raise ContinuationError("bounds", "must be (low, high), two finite numbers with low < high", interval)
+        if not interval_ends[0] <= float(param_values[name]) <= interval_ends[1]:
+            raise ContinuationError(
+                "bounds", f"must contain the value of {name} at the start, {float(param_values[name]):.12g}", interval
+            )
+        interval_by_name[name] = (float(interval_ends[0]), float(interval_ends[1]))
+    return interval_by_name

@@ -39,9 +39,9 @@ from .design.located_orbit import LocatedOrbit as LocatedOrbit
 from .design.located_orbit import OrbitOfScene as OrbitOfScene
 from .design.located_point import Located as Located
 from .design.located_point import LocatedPoint as LocatedPoint
-from .design.margin import Margin as Margin
-from .design.margin import NearPoint as NearPoint
 from .design.margin import margin as margin
+from .design.margin_result import Margin as Margin
+from .design.margin_result import NearPoint as NearPoint
 from .design.place import Placement as Placement
 from .design.place import place as place
 from .design.point_sensitivity import sensitivity as sensitivity

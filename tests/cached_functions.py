@@ -1,6 +1,7 @@
 """Functions whose modules and programs tests keep in a cache folder, and damage to its files."""
 
 from contextlib import contextmanager
+from functools import wraps
 from typing import NamedTuple
 
 import jax
@@ -8,7 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from continuation.persistent_jit import persistent_jit
+from continuation.hostcall import persistent_jit
+from continuation.hostcall.host_jit import HostFunction
 
 FOLDER = "modules"  # of the package's own files, in JAX's cache folder
 DIGEST = 32  # bytes at the begin of a file
@@ -33,14 +35,34 @@ def other_waves(x):
 
 def evaluated(function=waves):
     """Return a function's values by its program, as a new process computes them."""
-    return [np.asarray(each) for each in persistent_jit(function, numpy_first=True)(GIVEN)]
+    return [np.asarray(each) for each in persistent_jit(numpy_first=True)(function)(GIVEN)]
 
 
 def compiled(function=waves):
     """Return the same by its module."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("continuation.numpy_evaluation.MAX_EVALUATIONS", 0)
+        patch.setattr("continuation.hostcall.host_jit.max_evaluations", 0)
         return evaluated(function)
+
+
+def host_function(function, static=()):
+    """Return a function as the host calls it, without a place among the stored ones."""
+
+    @wraps(function)
+    def call(*given):
+        return function(*given)
+
+    return HostFunction(jax.jit(function, static_argnums=static), call, {"static_argnums": static})
+
+
+def in_numpy(function, *given):
+    """Return a function's values by its program; None if it has none, so that it would be compiled."""
+    program, tree = host_function(function).find_program(given)
+    if program is None:
+        return None
+    with np.errstate(all="ignore"):
+        results, _ = program.run(*[np.asarray(leaf)[()] for leaf in jax.tree.leaves(given)])
+    return jax.tree.unflatten(tree, results)
 
 
 def require_right(values):

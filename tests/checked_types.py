@@ -21,6 +21,8 @@ from jaxtyping import jaxtyped
 
 PACKAGES = ("jaxvibro", "continuation")
 FIRST, EVERY = 100, 16  # number of first calls that are all checked; period of the checked calls after them
+# files that build trees of results: descriptions with numbers for arrays, batches of compiled functions
+TREE_BUILDERS = tuple(f"continuation.hostcall.{name}" for name in ("host_jit", "module_store", "tree_description"))
 PLACEHOLDERS = (type(None), bool, int)  # of in_axes, static marks and the like, where a record has arrays
 
 
@@ -95,7 +97,7 @@ def check_record(record):
     def construct(first, /, *args, **named):
         result = original(first, *args, **named)
         caller = sys._getframe(1).f_globals.get("__name__", "") if is_checked(next(calls)) else ""
-        if caller.split(".")[0] in PACKAGES and caller != "continuation.persistent_jit":
+        if caller.split(".")[0] in PACKAGES and caller not in TREE_BUILDERS:
             hints.update(hints or get_type_hints(record, include_extras=True))
             check_fields(record, first if result is None else result, hints)
         return result

@@ -203,8 +203,8 @@ def test_one_impact_at_the_phase_breaks_a_curve_once(position, counts):
     x = position - np.abs(np.r_[np.linspace(0.04, 0.01, 4), np.zeros(len(counts) - 8), np.linspace(0.01, 0.04, 4)])
     z = np.stack([x, np.where(counts == 0, 1.0, -0.7) + x - position], -1)
     level = ManifoldLevel(np.linspace(0.0, 1.0, len(x)), z, counts, np.full(len(x), True))
-    rules = ManifoldPointRules(0.02, 0.1, 1e-5, 3.0, 6.0, 1.0, 1000)
-    branch = _assemble_side(scene, 0.0, z[0], [level], "length", 1.0, rules)
+    rules = ManifoldPointRules(0.02, 0.1, 1e-5, 3.0, 6.0, 1.0, 1000, 1.0)
+    branch = _assemble_side(scene, 0.0, z[0], [level], "length", rules)
     assert list(branch["began"]) == ["saddle", "section"] and list(branch["ended"]) == ["section", "length"]
     assert branch["z"][branch["piece"] == 0][-1] == pytest.approx([position, z[0, 1] + 0.04], abs=1e-12)
     assert branch["z"][branch["piece"] == 1][0] == pytest.approx([position, z[-1, 1] + 0.04], abs=1e-12)

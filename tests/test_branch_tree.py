@@ -9,10 +9,12 @@ import pytest
 import jaxvibro as jv
 from jaxvibro.branches import branch_tree
 from jaxvibro.problem.end import End
-from jaxvibro.problem.orbit_point import OrbitPoint
+from jaxvibro.problem.orbit_point import OrbitPoint, make_orbit_point
+from jaxvibro.problem.orbit_problem import make_orbit_problem
 
 PLAIN = jv.make_scene(2.0, 2.1, 0.05, 0.7, (-1.0, 1.0))
 HALF = np.pi / 2.1
+PROBLEM = make_orbit_problem(PLAIN, "amplitude", periods=1)
 
 
 @dataclass
@@ -31,8 +33,8 @@ def point(kind, value, right, left=(), periods=1):
     """Return a `Point` whose orbit hits the right wall at phase 0 and the left one half a turn later."""
     sides = np.array([1.0] * len(right) + [-1.0] * len(left))
     times = np.where(sides < 0, HALF, 0.0)
-    spot = OrbitPoint(value, times, np.array([*right, *left], float), sides, periods, 0.0, 0.0, 0.0)
-    return Point(kind, value, spot, int(kind != "EP"))
+    impacts = list(zip(times, [*right, *left], sides, strict=True))
+    return Point(kind, value, make_orbit_point(PROBLEM, value, impacts, periods), int(kind != "EP"))
 
 
 class Walk(list):
@@ -45,10 +47,7 @@ class Walk(list):
 
 def reflected(branch):
     """Return the mirror image of a `Walk`."""
-    twins = [
-        replace(one, spot=one.spot._replace(times=one.spot.times + HALF, sides=-one.spot.sides))
-        for one in branch.special
-    ]
+    twins = [replace(one, spot=one.spot.mirror()) for one in branch.special]
     return Walk(branch.segments[0].label, *twins, ends=branch.ends)
 
 
@@ -78,7 +77,6 @@ def follow_tree(monkeypatch, first, ways, symmetric=False, **given):
     monkeypatch.setattr(branch_tree, "follow", lambda orbit, name, bounds, **settings: first)
     monkeypatch.setattr(branch_tree, "_prime_period_starts", starts)
     monkeypatch.setattr(branch_tree, "follow_away_from_point", lambda one, start, bounds, **settings: start)
-    monkeypatch.setattr(branch_tree, "set_up_equations", lambda scene, name, spot: (None, None))
     monkeypatch.setattr(branch_tree, "is_repeated", lambda along, z: False)
     monkeypatch.setattr(branch_tree, "stays_symmetric", lambda scene, name: symmetric)
     monkeypatch.setattr(branch_tree, "mirror_branch", reflected)

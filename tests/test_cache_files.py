@@ -2,6 +2,7 @@
 that are damaged, of another origin or open to other users are never used."""
 
 import errno
+import marshal
 import os
 import random
 import stat
@@ -18,15 +19,15 @@ import numpy as np
 import pytest
 
 import jaxvibro as jv
-from continuation.jaxpr_to_python import compile_program_text
-from continuation.persistent_jit import persistent_jit, reason_without_cache
-from continuation.trusted_cache_file import distrust_from_status, read, reason_for_distrust, write
+from continuation.hostcall import persistent_jit, reason_without_cache
+from continuation.hostcall.trusted_cache_file import distrust_from_status, read, reason_for_distrust, write
 from jaxvibro.compiled.lane_arithmetic import COMPILER_OPTIONS
 from jaxvibro.maps.strobe import _two_tier_strobe
 
 from .cached_functions import DIGEST, FOLDER, compiled, evaluated, flipped, own_files, require_right, separate_cache
 
-CACHE_FILE, JIT = "continuation.trusted_cache_file", "continuation.persistent_jit"
+CACHE_FILE, STORE = "continuation.hostcall.trusted_cache_file", "continuation.hostcall.module_store"
+TREES = "continuation.hostcall.tree_description"
 ROOT = Path(__file__).parents[1]
 GENERATIONS = 3  # versions of the sources whose modules are kept
 
@@ -34,7 +35,7 @@ GENERATIONS = 3  # versions of the sources whose modules are kept
 @pytest.fixture
 def cache(tmp_path, monkeypatch):
     """JAX's compile cache in a folder of its own; repeated warnings are repeated here."""
-    monkeypatch.setattr(f"{JIT}._own_packages", {"continuation", "jaxvibro"})
+    monkeypatch.setattr(f"{TREES}.own_packages", {"continuation", "jaxvibro"})
     monkeypatch.setattr(f"{CACHE_FILE}._warned", set())
     with separate_cache(tmp_path / "cache") as folder:
         yield folder
@@ -44,8 +45,8 @@ def cache(tmp_path, monkeypatch):
 def traces(monkeypatch):
     """How often a function is traced because nothing is kept of it, a list."""
     found = []
-    traced = "continuation.numpy_evaluation.NumpyEvaluator.trace_function"
-    for kind, name in (("program", traced), ("module", f"{JIT}._export_module")):
+    traced = "continuation.hostcall.host_jit.HostFunction._trace_program"
+    for kind, name in (("program", traced), ("module", f"{STORE}._export_module")):
         plain = resolve_name(name)
         monkeypatch.setattr(name, lambda *given, kind=kind, plain=plain: found.append(kind) or plain(*given))
     return found
@@ -61,7 +62,7 @@ def test_a_line_that_is_inserted_is_not_executed(cache, tmp_path):
     path = own_files(cache)[".code"]
     content = path.read_bytes()
     line = f"open({str(mark)!r}, 'w').close()\n"
-    code = compile_program_text(f"{line}size, run = 1, None")
+    code = marshal.dumps(compile(f"{line}size, run = 1, None", "<program>", "exec"))
     form = content[DIGEST:].split(b"\n")[0]
     for digest in (content[:DIGEST], b"\0" * DIGEST):
         path.write_bytes(digest + form + b"\n" + code)
@@ -199,7 +200,7 @@ def test_a_write_that_ends_half_way_leaves_nothing(tmp_path, monkeypatch):
 TOY = """
 from typing import NamedTuple
 import jax, jax.numpy as jnp, numpy as np
-from continuation.persistent_jit import persistent_jit
+from continuation.hostcall import persistent_jit
 traced = []
 
 class Pair(NamedTuple):
@@ -296,9 +297,9 @@ def test_a_module_is_passed_over_under_transformations(cache):
 SCENES = {"small": (1.0, 2.1, 0.05, 0.7, (-5.0, 5.0)), "full": (2.0, 2.1, 0.05, 0.7, (-1.0, 1.0))}
 WARMED = """
 import sys, numpy as np, jaxvibro as jv
-from continuation.numpy_evaluation import NumpyEvaluator
-traced, plain = [], NumpyEvaluator.trace_function
-NumpyEvaluator.trace_function = lambda self, args: traced.append(self.function.__name__) or plain(self, args)
+from continuation.hostcall.host_jit import HostFunction
+traced, plain = [], HostFunction._trace_program
+HostFunction._trace_program = lambda one, *given: traced.append(one.call_stored_module.__name__) or plain(one, *given)
 scene = jv.load_scene(sys.argv[1])
 state, _ = jv.strobe(scene, jv.State(0.9, -1.1))
 branch = jv.follow(jv.find_orbit(scene, state), "amplitude", (0.0, 3.0 * float(scene.amplitude)))

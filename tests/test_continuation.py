@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import continuation as co
+from continuation.arclength import make_start_point
 from continuation.augmented_systems import solve_newton
 from continuation.branch_point_tangents import branch_tangents, less_aligned_tangent
 from continuation.branch_segment import SpecialIndex
@@ -17,10 +18,9 @@ from continuation.continuation_loop import (
     Termination,
     _diagnose_new_points,
     follow_branch,
-    follow_branches,
 )
 from continuation.event_search import _event_between, find_jump, take_step, unit_tangent
-from continuation.intermediate_points import make_start_point, truncate_at_length
+from continuation.intermediate_points import truncate_at_length
 from continuation.linear_solver import solve
 from continuation.newton import ADVICE, newton
 from continuation.one_parameter import make_task
@@ -148,23 +148,19 @@ class RefusesOnce(EventDetector):
         return np.array([z.tobytes() not in self.refused for z in zs])
 
 
-def test_branches_together_are_those_one_by_one():
-    """Of four lanes one ends at a bound, one retries, one stops, and one, whose start is not finite, disturbs none."""
-
-    def tasks():
-        rows = ((1.0, -5.0, {}), (-0.5, 3.0, {"detector": RefusesOnce()}), (2.5, 3.0, {"stop": ("SN",)}))
-        return [task_from(CUSP, [-2.0, -8.0 + 2.0 * a], a, (-9.0, high), **more) for a, high, more in rows]
-
-    bad = task_from(CUSP, [-2.0, -6.0], 1.0)[0], make_start_point(np.array([-2.0, np.nan]), np.array([0.0, 1.0]))
-    *together, nowhere = follow_branches(*zip(*tasks(), bad, strict=True))
+def test_a_branch_ends_at_a_bound_retries_stops_and_does_not_start_where_nothing_is_finite():
+    rows = ((1.0, -5.0, {}), (-0.5, 3.0, {"detector": RefusesOnce()}), (2.5, 3.0, {"stop": ("SN",)}))
+    tasks = [task_from(CUSP, [-2.0, -8.0 + 2.0 * a], a, (-9.0, high), **more) for a, high, more in rows]
+    branches = [follow_branch(*task) for task in tasks]
+    assert [branch.end for branch in branches] == [End.BOUND, End.BOUND, End.STOPPED]
+    last_row = len(branches[2].points.z) - 1
+    assert [[special[:2] for special in branch.specials] for branch in branches] == [[], [], [(last_row, "SN")]]
+    fold = np.sqrt(2.5 / 3.0)
+    assert close(branches[2].points.z[last_row], [-fold, 2.0 * fold**3], 1e-12)
+    assert branches[1].points.step[1:].min() < 0.05 <= branches[0].points.step[1:-1].min()
+    task, _ = task_from(CUSP, [-2.0, -6.0], 1.0)
+    nowhere = follow_branch(task, make_start_point(np.array([-2.0, np.nan]), np.array([0.0, 1.0])))
     assert nowhere.end is End.NUMBER
-    assert [branch.end for branch in together] == [End.BOUND, End.BOUND, End.STOPPED]
-    for branch, task in zip(together, tasks(), strict=True):
-        alone = follow_branch(*task)
-        assert branch.end is alone.end and [one[:2] for one in branch.specials] == [one[:2] for one in alone.specials]
-        for computed, expected in zip(branch.points, alone.points, strict=True):
-            assert close(computed, expected, 1e-12)
-    assert together[1].points.step[1:].min() < 0.05 <= together[0].points.step[1:-1].min()
 
 
 class SeesAhead(EventDetector):

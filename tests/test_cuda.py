@@ -12,7 +12,7 @@ import pytest
 from jax import export
 
 import jaxvibro as jv
-from continuation import persistent_jit
+from continuation.hostcall import CompilationQueue, module_store
 
 WALLS = {
     "none": (None, None),
@@ -91,7 +91,7 @@ def surveys(given):
 @pytest.mark.parametrize("study", [branches, surveys, runs])
 @pytest.mark.parametrize("walls", ["two", "soft"])
 def test_the_programs_of_studies(study, walls, monkeypatch, request):
-    programs, load = {}, persistent_jit._load_or_export_module
+    programs, load = {}, module_store.load_or_export_module
 
     def record(function, args, kwargs):
         leaves, tree = jax.tree.flatten((args, kwargs))
@@ -100,11 +100,11 @@ def test_the_programs_of_studies(study, walls, monkeypatch, request):
         programs[function] = tree, leaves, traced, shapes
         return load(function, args, kwargs)
 
-    monkeypatch.setattr(persistent_jit, "_load_or_export_module", record)
-    monkeypatch.setattr(persistent_jit, "_pending", [])  # not what earlier tests of this process left to compile
+    monkeypatch.setattr(module_store, "load_or_export_module", record)
     jax.clear_caches()
-    study(scene(walls))
-    for _ in persistent_jit.compile_numpy_functions():
+    with CompilationQueue() as waiting:
+        study(scene(walls))
+    while waiting.compile_next():
         pass
     assert len(programs) > 1
     request.getfixturevalue("on_card")

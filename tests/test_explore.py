@@ -49,7 +49,7 @@ def test_the_same_again_in_two_parts_and_from_a_file(scene, diagram, tmp_path):
     whole = jv.explore(scene, "amplitude", BOUNDS, 2, resume=jv.load_diagram(tmp_path / "part"), progress=seen.append)
     assert whole.complete and seen == [5]
     for one, other in zip(whole.branches, diagram.branches, strict=True):
-        # but for roundings, as what is asked again may be compiled by then (`continuation.numpy_evaluation`)
+        # but for roundings, as what is asked again may be compiled by then (`continuation.hostcall`)
         np.testing.assert_allclose(one.values, other.values, rtol=1e-11, atol=1e-11)
         values = [[each.value for each in branch.special] for branch in (one, other)]
         np.testing.assert_allclose(*values, rtol=1e-13, atol=1e-13)

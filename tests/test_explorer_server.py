@@ -75,7 +75,7 @@ def status(served, path, host, more=""):
 
 def test_evaluated_functions_are_compiled_while_nobody_waits(monkeypatch):
     done, quiet = queue.Queue(), threading.Event()
-    monkeypatch.setattr(f"{PRECOMPUTATION}.compile_numpy_functions", lambda: iter([done.put(1)]))
+    monkeypatch.setattr(f"{PRECOMPUTATION}.CompilationQueue.compile_next", lambda _: done.put(1))
     monkeypatch.setattr(f"{PRECOMPUTATION}.DRAWING_TIME", 0.0)
     thread = PrecomputationThread(two_walls(), quiet.is_set)
     assert thread.ready.wait(PATIENCE)

@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 import jaxvibro as jv
+from jaxvibro.contact.kinds import make_flow_coefficients
 from jaxvibro.flight.fast_coefficients import make_fast_coefficients
 from jaxvibro.flight.fast_motion import drive_forces, propagate_free_flight
-from jaxvibro.flight.flight_coefficients import make_flow_coefficients
 from jaxvibro.flight.flow import fly, step_propagator
 from tests.reference import ball
 

@@ -8,7 +8,7 @@ import pytest
 
 import jaxvibro as jv
 from jaxvibro.problem.orbit_diagnostics import diagnose
-from jaxvibro.problem.orbit_point import OrbitPoint, set_up_equations
+from jaxvibro.problem.orbit_problem import make_orbit_problem
 
 from . import figure_4
 from .figure_4 import GAMMA, OMEGA, R
@@ -159,8 +159,8 @@ def test_clearances_see_a_short_hop():
     """A flight that leaves slowly, falls back, passes the wall and turns, all within one of the samples' cells."""
     for speed in (1e-3, 1e-2, 0.05, 0.2):
         scene = jv.make_scene(1.0, 1.0, 0.02, 0.1, (None, 0.0))
-        spot = OrbitPoint(1.0, np.array([0.3]), np.array([speed]), np.array([1.0]), 1, 0.0, 0.0, 0.0)
-        problem, z = set_up_equations(scene, "amplitude", spot)
+        still = make_orbit_problem(scene, "amplitude", periods=1), np.array([0.0, 0.0, 1.0])
+        problem, z = still[0].with_impacts(still[1], [(0.3, speed, 1.0)])
         seen = diagnose(problem, z[None])
         _, impacts = jv.strobe(scene, jv.State(0.0, -0.1 * speed, 0.3, 1.0), 1, 8)
         assert (impacts.time[0] < 6.0) == (seen.clearance.min() < 0)

@@ -6,7 +6,7 @@ import mpmath
 import numpy as np
 
 import jaxvibro as jv
-from jaxvibro.flight.flight_coefficients import make_flow_coefficients
+from jaxvibro.contact.kinds import make_flow_coefficients
 from jaxvibro.flight.impact import contact_after_event, is_complete_chatter
 
 from .lanes import one_by_one

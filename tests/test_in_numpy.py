@@ -1,5 +1,6 @@
 """Functions evaluated in NumPy, their stored programs, and packed calls; random functions are in the properties."""
 
+import marshal
 from typing import NamedTuple
 
 import jax
@@ -10,14 +11,20 @@ from jax import lax
 
 import continuation as co
 import jaxvibro as jv
-from continuation.jaxpr_to_python import build_program, compile_program_text, load_program
-from continuation.numpy_evaluation import NumpyEvaluator
-from continuation.numpy_gather_scatter import NoRuleError
-from continuation.persistent_jit import compile_numpy_functions, persistent_jit
-from continuation.python_literals import literal_text
+from continuation.hostcall import CompilationQueue, compile_at_once, fallback_counts, persistent_jit
+from continuation.hostcall.gather_scatter import NoRuleError
+from continuation.hostcall.literals import literal_text
+from continuation.hostcall.packed_call import PackedCall
+from continuation.hostcall.program_writer import ProgramWriter, load_program
+from continuation.hostcall.rules import RULES, make_rule
 from jaxvibro.branches.branch import scene_at_value
+from jaxvibro.orbits.orbit_from_impacts import padded_sequence, solve_guess
+from jaxvibro.orbits.shooting import _strobe_period_compiled
+from jaxvibro.scene.state import make_state_arrays
 
-EVALUATION = "continuation.numpy_evaluation"
+from .cached_functions import host_function, in_numpy
+
+EVALUATION = "continuation.hostcall.host_jit"
 rng = np.random.default_rng(0)
 ROW, OTHER = rng.normal(size=(2, 6))
 TABLE, CUBE = rng.normal(size=(6, 4)), rng.normal(size=(3, 6, 4))
@@ -95,8 +102,7 @@ CASES = {
 def test_structures_give_what_the_compiler_gives(name, kind):
     function, *given = CASES[name]
     given = [np.asarray(each, kind) if np.asarray(each).dtype.kind == "f" else each for each in given]
-    tried = NumpyEvaluator(function, (), {})
-    found = tried(tuple(given))
+    found = in_numpy(function, *given)
     assert found is not None, "no rule"
     expected = jax.jit(function)(*given)
     assert jax.tree.structure(found) == jax.tree.structure(expected)
@@ -116,12 +122,62 @@ def test_what_has_no_rule_or_is_traced_otherwise_by_another_jax_is_compiled(func
     if isinstance(given, str):
         monkeypatch.setattr(f"{EVALUATION}.build_program", otherwise)
         given = ROW
-    evaluator = NumpyEvaluator(function, (), {})
-    assert evaluator((given,)) is None and list(evaluator.evaluation_by_signature.values()) == [None]
+    before = fallback_counts()
+    assert in_numpy(function, given) is None
+    ((name, reason),) = {key for key, count in fallback_counts().items() if count > before.get(key, 0)}
+    assert name == function.__qualname__
+    assert any(
+        word in reason for word in ("KeyError: 'num_consts'", "NoRuleError: eigh", "NoRuleError: reduce_precision")
+    )
+
+
+def test_an_operand_that_a_rule_refuses_leads_to_the_compiled_function():
+    def halves(x):
+        return lax.bitcast_convert_type(x, np.float32)
+
+    call, before = host_function(halves), fallback_counts()
+    for _ in range(2):
+        np.testing.assert_array_equal(call(np.arange(30.0)), np.arange(30.0).view(np.float32).reshape(30, 2))
+    added = {key: count for key, count in fallback_counts().items() if key not in before}
+    assert added == {(halves.__qualname__, "NoRuleError: bitcast_convert_type between widths"): 1}
+
+
+class CompiledAtOnce(NamedTuple):
+    compile_at_once: bool = True
+
+
+def test_a_function_that_its_caller_wants_compiled_is_no_fallback():
+    def scaled(problem, x):
+        return (2.0 + problem.compile_at_once) * x
+
+    call, before = persistent_jit(numpy_first=True, static_argnums=0)(scaled), fallback_counts()
+    np.testing.assert_array_equal(call(CompiledAtOnce(), ROW), 3.0 * ROW)
+    assert fallback_counts() == before
+
+
+def test_what_is_compiled_at_once_stays_compiled():
+    def doubled(x):
+        return 2.0 * x
+
+    call = host_function(doubled)
+    with compile_at_once():
+        call(3.0)
+    np.testing.assert_array_equal(call(4.0), 8.0)
+    (signature_call,) = call.signature_calls.values()
+    assert signature_call.program is None and signature_call.n_lines_run == 0
+
+
+def test_the_table_of_rules_refuses_parameters_that_it_does_not_know():
+    assert len(RULES) > 80
+    assert make_rule("sin", {"accuracy": None})(0.5) == np.sin(0.5)
+    with pytest.raises(NoRuleError, match=r"sin: .*accuracy"):
+        make_rule("sin", {"accuracy": "high"})
+    with pytest.raises(NoRuleError, match="no_such_primitive"):
+        make_rule("no_such_primitive", {})
 
 
 def text_of(function, given):
-    return build_program(jax.jit(function).trace(given).jaxpr).text
+    return ProgramWriter(jax.jit(function).trace(given).jaxpr).text
 
 
 def test_programs_hold_neither_unused_results_nor_rules_twice():
@@ -135,14 +191,15 @@ def test_programs_hold_neither_unused_results_nor_rules_twice():
         return jnp.concatenate([lax.slice(x, (1,), (20,)), lax.slice(x * 2.0, (1,), (20,))])
 
     assert text_of(wasted, 1.0) == text_of(plain, 1.0)
-    assert text_of(twice, np.arange(30.0)).count("rules['slice']") == 1
+    assert text_of(twice, np.arange(30.0)).count("RULES['slice']") == 1
 
 
 def test_it_is_compiled_once_it_has_cost_as_much(monkeypatch):
-    monkeypatch.setattr(f"{EVALUATION}.MAX_EVALUATIONS", 3)
-    tried = NumpyEvaluator(lambda x, k: x * k + 1.0, (1,), {})
-    assert [tried((ROW, 2)) is None for _ in range(5)] == [False] * 3 + [True] * 2
-    assert tried((ROW, 3)) is not None and tried((ROW[:2], 2)) is not None  # of another kind
+    monkeypatch.setattr(f"{EVALUATION}.max_evaluations", 3)
+    monkeypatch.setattr(PackedCall, "__call__", lambda self, leaves: None)
+    tried = host_function(lambda x, k: x * k + 1.0, static=(1,))
+    assert [tried(ROW, 2) is None for _ in range(5)] == [False] * 3 + [True] * 2
+    assert tried(ROW, 3) is not None and tried(ROW[:2], 2) is not None  # of another kind
 
 
 class Pair(NamedTuple):
@@ -155,37 +212,39 @@ def turned(pair, times, by):
     return Pair(jnp.roll(pair.second, times), by * pair.first)
 
 
-def test_what_was_evaluated_is_compiled_when_there_is_time(monkeypatch):
-    monkeypatch.setattr("continuation.persistent_jit._pending", [])
+def test_what_was_evaluated_is_compiled_when_there_is_time():
     pair = Pair(np.arange(13.0), np.ones(13))
     turned(pair, 1, 2.0)
-    turned(pair, 1, 3.0)
-    assert list(compile_numpy_functions()) == [0]  # of two calls one kind
-    monkeypatch.setattr(NumpyEvaluator, "evaluate", None)
+    with CompilationQueue() as waiting, CompilationQueue() as others:
+        turned(pair, 1, 2.0)
+        turned(pair, 1, 3.0)
+    turned(Pair(np.arange(14.0), np.ones(14)), 1, 2.0)  # when no queue is open
+    (call,) = waiting.leaves_by_call  # of two calls one kind
+    assert others.leaves_by_call.keys() == {call} and call.program is not None
+    assert waiting.compile_next() and not waiting.compile_next()
+    assert call.program is None
     np.testing.assert_array_equal(turned(pair, 1, 3.0).second, 3.0 * np.arange(13.0))
 
 
 def constant(text):
     """The value of a literal in a program that is read."""
-    return load_program(compile_program_text(f"size = 1\ndef run():\n    return [{text}], 1")).run()[0][0]
+    code = compile(f"size = 1\ndef run():\n    return [{text}], 1", "<program>", "exec")
+    return load_program(marshal.dumps(code)).run()[0][0]
 
 
-def test_a_program_without_text_is_run_but_not_stored(monkeypatch):
+def test_a_function_whose_constants_have_no_text_is_compiled(monkeypatch):
     class Odd(int):
         pass
 
     with pytest.raises(NoRuleError):
         literal_text((1, Odd(2)))
-    with pytest.raises(NoRuleError):
-        literal_text(np.array([1j]))
 
     def refused(value):
-        raise NoRuleError(value)
+        raise NoRuleError("no text")
 
-    monkeypatch.setattr("continuation.jaxpr_to_python.literal_text", refused)
-    program = build_program(jax.jit(lambda x: jnp.asarray(TABLE).T @ x).trace(ROW).jaxpr)
-    assert program.text is None
-    np.testing.assert_allclose(program.run(ROW)[0][0], TABLE.T @ ROW, rtol=1e-14)
+    assert in_numpy(lambda x: jnp.asarray(TABLE).T @ x, ROW) is not None
+    monkeypatch.setattr("continuation.hostcall.program_writer.literal_text", refused)
+    assert in_numpy(lambda x: jnp.asarray(TABLE).T @ x, ROW) is None
 
 
 @pytest.mark.parametrize(
@@ -193,6 +252,7 @@ def test_a_program_without_text_is_run_but_not_stored(monkeypatch):
     (
         np.array([[0.1, -0.0, np.nan], [np.inf, 5e-324, -np.inf]]),
         np.zeros((0, 3), np.int32),
+        np.array([complex(-0.0, np.nan), 1j]),
         np.float32(0.1),
         np.array([True, False]),
         (1, (None, "a'b"), 2.5),
@@ -205,6 +265,7 @@ def test_a_literal_is_its_value(value):
     found = constant(literal_text(value))
     assert type(found) is type(value)
     if isinstance(value, np.ndarray | np.generic):
+        assert isinstance(found, np.generic) or found.flags.writeable
         assert found.dtype == value.dtype and found.shape == value.shape and found.tobytes() == value.tobytes()
     else:
         assert found == value
@@ -229,8 +290,8 @@ def everything(table, share, count, places, none, mask, single, row, more, weak)
 
 
 def test_a_compiled_call_of_many_types_is_that_of_jit(monkeypatch):
-    monkeypatch.setattr(f"{EVALUATION}.MAX_EVALUATIONS", 0)
-    found = persistent_jit(everything, numpy_first=True)(*MIXED)
+    monkeypatch.setattr(f"{EVALUATION}.max_evaluations", 0)
+    found = persistent_jit(numpy_first=True)(everything)(*MIXED)
     expected = jax.jit(everything)(*MIXED)
     assert jax.tree.structure(found) == jax.tree.structure(expected)
     for one, other in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
@@ -241,7 +302,7 @@ def test_a_compiled_call_of_many_types_is_that_of_jit(monkeypatch):
 @pytest.mark.parametrize("patience", [np.inf, 0])
 def test_calls_of_other_kinds_are_told_apart(patience, monkeypatch):
     """Of another length, type, static argument or form; with a number of the host's own; and under transformations."""
-    monkeypatch.setattr(f"{EVALUATION}.MAX_EVALUATIONS", patience)
+    monkeypatch.setattr(f"{EVALUATION}.max_evaluations", patience)
     for size, kind in ((3, float), (5, float), (3, np.float32), (3, np.int32)):
         one, two = np.arange(size).astype(kind), np.ones(size, kind)
         for times in (1, 2):
@@ -300,18 +361,39 @@ def state_of_orbit(scene, start):
     ids=["study", "no speed", "no wall"],
 )
 def test_results_in_numpy_are_those_of_the_compiled_functions(compute, restitution, walls, start, monkeypatch):
-    programs, trace = [], NumpyEvaluator.trace_function
-    monkeypatch.setattr(
-        NumpyEvaluator, "trace_function", lambda self, args: programs.append(trace(self, args)) or programs[-1]
-    )
+    before = fallback_counts()
     scene, results = jv.make_scene(2.0, 2.1, 0.05 if compute is study else 0.2, restitution, walls), []
     for evaluations in (np.inf, 0):
-        monkeypatch.setattr(f"{EVALUATION}.MAX_EVALUATIONS", evaluations)
+        monkeypatch.setattr(f"{EVALUATION}.max_evaluations", evaluations)
         results.append(compute(scene, jv.State(*start)))
-    assert all(program is not None for program in programs)
+    assert fallback_counts() == before
     (said, numbers), (expected, others) = results
     assert said == expected
     np.testing.assert_allclose(numbers, others, rtol=1e-12, atol=1e-12)
+
+
+SOFT = {"stiffness": 300.0, "damping": 2.0}
+SOFT_WALLS = jv.Wall(-1.0, **SOFT), jv.Wall(1.0, **SOFT, motion=jv.Motion(0.1, 0.5, 2))
+CONTACT_LAW = jv.Push("hunt_crossley", {"stiffness": 300.0, "dissipation": 0.5})
+DUFFING = jv.Force("polynomial", {"c1": 1.0, "c3": 0.2, "damping": 0.1})
+SCENES = {
+    "drive terms": {"damping": 0.1, "walls": (-1.0, 1.0), "drive": [(0.3, 2, 0.1)]},
+    "soft walls": {"damping": 0.1, "walls": SOFT_WALLS, "drive": [(0.3, 2, 0.1)]},
+    "force and contact law": {"force": DUFFING, "walls": (jv.Wall(-1.0, law=CONTACT_LAW), None)},
+}
+
+
+@pytest.mark.parametrize("solved", ["orbit", "period"])
+@pytest.mark.parametrize("name", SCENES)
+def test_the_motion_of_each_kind_of_scene_has_a_program(name, solved):
+    """Newton's method for an orbit, and a period of the map with its monodromy matrix, are traced and not run."""
+    scene, before = jv.make_scene(2.0, 1.7, restitution=0.7, **SCENES[name]), fallback_counts()
+    if solved == "orbit":
+        function, given = solve_guess, padded_sequence(scene, [0.5], [1.0], [-1.0], 0.0, 1)
+    else:
+        function, given = _strobe_period_compiled, make_state_arrays(scene, jv.State(0.0, 0.1))
+    program, _ = function.find_program((scene, given))
+    assert fallback_counts() == before and program.size > 1000
 
 
 def test_the_scene_on_a_branch_is_the_one_with_another_value():

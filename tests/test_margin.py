@@ -9,10 +9,11 @@ import pytest
 from scipy.optimize import minimize
 
 import jaxvibro as jv
-from continuation.computation_limits import Limits
+from continuation.computation_limits import UNLIMITED, Limits
 from jaxvibro.branches.follow import polish_orbit
 from jaxvibro.design import place
 from jaxvibro.design.bifurcation_gradients import FLIP, FOLD, ZERO_SPEED, evaluate_test_gradients
+from jaxvibro.design.free_parameters import FreeParameters
 from jaxvibro.design.parameter_rays import impact_sequence_of
 from jaxvibro.design.special_point_equations import complete_scene, parameter_mask
 from jaxvibro.problem.orbit_diagnostics import diagnose
@@ -167,8 +168,9 @@ def asked(is_virtual, bound=np.inf):
         return ["SN"] if is_virtual(float(change[0])) else []
 
     zero = np.zeros(1)
-    bounds = zero - np.inf, zero + bound
-    return place._PlacementProblem(("damping",), zero + 1.0, zero, *bounds, values_and_slopes, impossible)
+    scene = jv.make_scene(1.5, 1.7, 0.12, 0.6, (None, 0.8))
+    parameters = FreeParameters(scene, {"damping": 1.0}, zero - np.inf, zero + bound)
+    return place._PlacementProblem(parameters, values_and_slopes, impossible)
 
 
 @pytest.mark.parametrize(
@@ -183,11 +185,11 @@ def asked(is_virtual, bound=np.inf):
 )
 def test_the_way_to_a_target_ends_at_the_last_possible_orbit(low, high, bound, fraction, why):
     problem = asked(lambda change: low < change < high, bound)
-    last, held, kinds = place._follow_path_to_targets(problem, np.ones(1))
+    last, held, kinds = place._follow_path_to_targets(problem, np.ones(1), UNLIMITED)
     assert fraction - 1.0 / 256.0 < last.fraction <= fraction
     assert last.change[0] == pytest.approx(last.fraction, abs=1e-12)
     assert held.any() == (bound < 1.0)
-    reason = place._failure_reason(last.fraction, kinds, ("damping",) if held.any() else ())
+    reason = place._failure_reason(last.fraction, kinds, ("damping",) if held.any() else (), last.is_time_expired)
     assert why in reason and bool(why) == bool(reason)
 
 

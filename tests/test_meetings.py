@@ -7,7 +7,8 @@ import jaxvibro as jv
 from jaxvibro.maps.itinerary import canonical_itinerary
 from jaxvibro.orbits.orbit_comparison import impacts_as_points, is_same_orbit, mirror_points, repetition_count
 from jaxvibro.orbits.orbit_from_impacts import orbit_of_exact_impacts
-from jaxvibro.problem.orbit_point import OrbitPoint, itinerary_of_point
+from jaxvibro.problem.orbit_point import make_orbit_point
+from jaxvibro.problem.orbit_problem import make_orbit_problem
 
 from .properties.branches import end_names
 
@@ -77,11 +78,12 @@ def test_without_impacts_there_is_one_orbit():
 
 def test_an_impact_at_phase_0_belongs_to_the_period_that_ends():
     length = 2.0 * np.pi / 1.7
+    problem = make_orbit_problem(jv.make_scene(6.4, 1.7, 0.05, 0.7, (-1.0, 1.0)), "amplitude", periods=1)
     for turn, written in enumerate([("", "L", "LR"), ("L", "L", "R"), ("", "LR", "L"), ("", "L", "LR")]):
         for rounding in (-1e-14, 0.0, 1e-14):
             times = np.array([0.2, 1.0 + turn, 2.5]) * length + rounding
-            row = OrbitPoint(0.0, times, np.ones(3), np.array([-1.0, 1.0, -1.0]), 3, 0.0, 0.0, 0.0)
-            assert itinerary_of_point(row, 1.7) == written
+            impacts = list(zip(times, np.ones(3), (-1.0, 1.0, -1.0), strict=True))
+            assert make_orbit_point(problem, 6.4, impacts, 3).itinerary == written
 
 
 @pytest.mark.parametrize("seed", range(0, 40, 8))
@@ -89,13 +91,14 @@ def test_an_orbit_is_written_in_one_way_whichever_period_and_impact_come_first(s
     for impacts, periods, frequency in map(drawn_orbit, range(seed, seed + 8)):
         rng, scene = np.random.default_rng(seed), jv.make_scene(6.4, frequency, 0.05, 0.7, (-1.0, 1.0))
         orbit, written = orbit_of_exact_impacts(scene, *impacts, periods, 0.0), set()
+        problem = make_orbit_problem(scene, "amplitude", periods=1)
         assert orbit.itinerary == canonical_itinerary(orbit.itinerary)
         for by in range(periods):
             times, speeds, sides = turned(impacts, periods, frequency, by)
             for shift in (0, 1, -3):  # impacts are counted from any, of any time round
                 late = np.roll(times, shift) + shift * periods * 2.0 * np.pi / frequency
-                row = OrbitPoint(0.0, late, np.roll(speeds, shift), np.roll(sides, shift), periods, 0.0, 0.0, 0.0)
-                written.add(itinerary_of_point(row, frequency))
+                rows = list(zip(late, np.roll(speeds, shift), np.roll(sides, shift), strict=True))
+                written.add(make_orbit_point(problem, 6.4, rows, periods).itinerary)
             noisy = times + 1e-14 * rng.standard_normal(len(times))
             again = orbit_of_exact_impacts(scene, noisy, speeds, sides, periods, 0.0)
             assert again.itinerary == orbit.itinerary

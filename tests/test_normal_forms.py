@@ -113,7 +113,7 @@ def test_the_consequence_of_a_grazing_is_that_of_the_stable_orbits(branch, asymm
         assert len(sides) == 1 and point.normal_form.consequence == "jump"
     point = branch.points("GR")[0]
     free, hitting = sorted(point.joins, key=lambda one: len(one.times))
-    beyond = free._replace(value=2.0 * point.value - free.value)
+    beyond = free._replace(z=np.append(free.z[:-1], 2.0 * point.value - free.value))
     for joins, told in (((free,), "jump"), ((hitting,), "harmless"), ((free, beyond), "harmless")):
         assert replace(point, joins=joins).normal_form.consequence == told
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import jaxvibro as jv
-from jaxvibro.flight.flight_coefficients import make_flow_coefficients
+from jaxvibro.contact.kinds import make_flow_coefficients
 from jaxvibro.orbits.flight_clearance import _nearer_turning_point
 from jaxvibro.orbits.impact_equations import ImpactSequence, residual_and_jacobian, solve_cyclic
 from jaxvibro.orbits.orbit_from_impacts import _require_certified, orbit_from_impacts, padded_sequence, solve_guess

@@ -10,13 +10,13 @@ import jaxvibro as jv
 from continuation.arclength import Point
 from continuation.branch_segment import BranchSegment, SpecialIndex
 from jaxvibro.branches import itinerary_segment, largest_position, neimark_sacker
-from jaxvibro.branches.itinerary_segment import BranchEventDetector, GrazingPoint
+from jaxvibro.branches.itinerary_segment import BranchEventDetector
 from jaxvibro.branches.through_grazings import _choose_exit, _is_same_grazing
 from jaxvibro.orbits.orbit_comparison import impacts_as_points
-from jaxvibro.problem.branches_from_grazing import BranchFromGrazing
+from jaxvibro.problem.branches_from_grazing import BranchFromGrazing, GrazingPoint
 from jaxvibro.problem.end import End
 from jaxvibro.problem.grazing_contact import GrazingContact
-from jaxvibro.problem.orbit_point import OrbitPoint, set_up_equations
+from jaxvibro.problem.orbit_problem import make_orbit_problem
 
 TOUCHES = (GrazingContact(0, -1, 0.3, False), GrazingContact(1, 1, 0.0, True))  # the branch has the second as an impact
 AHEAD = np.array([0.6, 0.8])
@@ -68,27 +68,26 @@ def test_a_grazing_is_met_again_where_value_and_impacts_are_the_same():
 def test_a_touch_on_which_the_mass_is_pressed_is_chatter_unless_a_branch_goes_through(count, pressed, monkeypatch):
     points = Point(np.zeros((3, 2)), np.ones((3, 2)), *[np.zeros(3)] * 5)
     monkeypatch.setattr(itinerary_segment, "truncate_at_grazing", lambda *_: (points, 1e-14))
-    monkeypatch.setattr(
-        itinerary_segment.soft_wall_grazing, "find_all_exits", lambda *_: (TOUCHES, [way(True, True)] * count, True)
-    )
+    known = GrazingPoint(TOUCHES, (way(True, True),) * count, True)
+    monkeypatch.setattr(itinerary_segment.soft_wall_grazing, "find_all_exits", lambda *_: known)
     monkeypatch.setattr(itinerary_segment, "is_pressed_on_wall", lambda *_: pressed)
     monkeypatch.setattr(itinerary_segment.sticking_limits, "sticking_limit_kind", lambda *_: "")
-    met = BranchEventDetector(orbits(), 1.0, {}).find_boundary_end(None, points, None, 2)
+    met = BranchEventDetector(orbits(), {}).find_boundary_end(None, points, None, 2)
     expected = ("CH", End.REST) if pressed and count < 2 else ("GR", End.GRAZE)
     assert (met.special.kind, met.end) == expected
 
 
-def looked_at(scene, spot, determinants, traces, monkeypatch, end=None):
+def looked_at(scene, impacts, determinants, traces, monkeypatch, end=None):
     """(the tests' values, the tangents) in which a branch looks for special points."""
     seen = []
     keep = lambda _, points, values, *__: seen.append((values, points)) or []  # noqa: E731
     monkeypatch.setattr(itinerary_segment.event_search, "locate_events", keep)
-    along, z = set_up_equations(scene, "amplitude", spot)
+    along, z = make_orbit_problem(scene, "amplitude", periods=1).with_impacts(np.array([0.3, 0.1, 2.0]), impacts)
     flip, tangent = np.linspace(1.0, 2.0, len(traces)), np.ones((len(traces), len(z)))
     points = Point(np.tile(z, (len(traces), 1)), tangent, *[np.zeros(len(traces))] * 5)
     view = SimpleNamespace(flip_test=flip, trace=np.array(traces), determinant=np.array(determinants))
     task = SimpleNamespace(problem=None, control=None, args=along)
-    BranchEventDetector(along, 1.0, {}).find_events(task, points, view, None, end)
+    BranchEventDetector(along, {}).find_events(task, points, view, None, end)
     ((values, points),) = seen
     return values, points.tangent[:, -1]
 
@@ -97,22 +96,20 @@ def looked_at(scene, spot, determinants, traces, monkeypatch, end=None):
 def test_at_a_contact_without_speed_tests_have_the_sign_that_the_multipliers_come_with(traces, signs, monkeypatch):
     """Multipliers m and 0.4 / m: their sum passes -1.4 where one of them is -1, and 1.4 where one is 1."""
     scene = jv.make_scene(2.0, 2.1, 0.05, 0.7, (None, jv.Wall(1.0, stiffness=30.0)))
-    spot = OrbitPoint(2.0, np.array([0.3]), np.array([0.0]), np.array([1.0]), 1, 0.0, 0.0, 0.0)
     end = SimpleNamespace(
         special=SimpleNamespace(detector_details=SimpleNamespace(grazing_contacts=(GrazingContact(0, 1, 0.0, True),)))
     )
-    values, tangent = looked_at(scene, spot, [0.4] * 3, [0.0, *traces], monkeypatch, end)
+    values, tangent = looked_at(scene, [(0.3, 0.0, 1.0)], [0.4] * 3, [0.0, *traces], monkeypatch, end)
     assert np.array_equal(values["PD"], [1.0, 1.5, 1.5 * signs[0]]) and np.array_equal(tangent, [1.0, 1.0, signs[1]])
 
 
 def test_a_motion_without_impacts_doubles_its_period_where_a_multiplier_is_minus_1(monkeypatch):
     force = jv.Force("duffing", {"cubic": 0.5, "damping": 0.05})
-    spot = OrbitPoint(2.0, np.zeros(0), np.zeros(0), np.zeros(0), 1, 0.3, 0.1, 0.0)
     scene = jv.make_scene(2.0, 2.1, restitution=0.7, walls=(None, None), force=force)
-    values, _ = looked_at(scene, spot, [0.4] * 3, [1.4, -1.4, -2.0], monkeypatch)
+    values, _ = looked_at(scene, [], [0.4] * 3, [1.4, -1.4, -2.0], monkeypatch)
     assert values["PD"] == pytest.approx([2.8, 0.0, -0.6], abs=1e-15)
     spring = jv.make_scene(2.0, 2.1, 0.05, 0.7, (None, None))
-    assert looked_at(spring, spot, [0.4] * 3, [1.4, -1.4, -2.0], monkeypatch)[0] == {}
+    assert looked_at(spring, [], [0.4] * 3, [1.4, -1.4, -2.0], monkeypatch)[0] == {}
 
 
 @pytest.mark.parametrize("trace, kind", [(1.9, "NS"), (-1.9, "NS"), (2.1, "NSA"), (-2.1, "NSA")])

@@ -68,6 +68,15 @@ def test_an_orbit_with_another_phase_is_marked_at_phase_0():
     np.testing.assert_allclose(ax.lines[-1].get_ydata(), [one.state.v], atol=1e-9)
 
 
+def test_mirror_images_are_one_entry_and_a_symmetric_orbit_has_none():
+    one = jv.find_orbit(jv.make_scene(3.0, 2.1, 0.05, 0.7, (-1.0, 1.0)), jv.State(0.9, -1.1))
+    ax = jv.plot.mark_orbits(
+        [replace(one, mirror_of=place) for place in (0, 2, 1, None)], 3.0, "x", Figure().subplots()
+    )
+    assert ax.get_legend_handles_labels()[1] == ["P111, stable", "P111 and mirror image, stable", "P111, stable"]
+    assert len({line.get_marker() for line in ax.lines[1:]}) == 3
+
+
 PERIOD = 2 * np.pi / 2.1
 
 

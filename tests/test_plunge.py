@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import jaxvibro as jv
-from jaxvibro.flight.flight_coefficients import make_flow_coefficients
+from jaxvibro.contact.kinds import make_flow_coefficients
 from jaxvibro.flight.soft_wall_first_step import SAFETY_MARGIN, STEP_SHARE, is_first_step_certified
 
 OMEGA = 2.1
@@ -40,7 +40,7 @@ def test_the_step_is_the_flow_over_most_of_a_half_swing(stiffness, damping):
     np.testing.assert_allclose(given, expected, rtol=0, atol=1e-14)
     true = matrix[:2, 2:].T * [[1.0], [-1.0]]
     sizes = np.hypot(*true)
-    for forced in (step.forced_flow, step.wall_motion_response):
+    for forced in (step.forced_flow, *step.harmonic_flows):
         assert np.all(np.hypot(*(np.array(forced) - true)) < 1e-14 * np.maximum(sizes, [0.0, 1.0 / root]))
     versed, sined = -2.0 * math.sin(0.5 * OMEGA * time) ** 2, math.sin(OMEGA * time)
     np.testing.assert_allclose(step.drive_rotation, [versed, sined], rtol=1e-14)

@@ -92,7 +92,7 @@ def test_the_command_prints_both_forms(report, capsys):
     assert main(["report"]) == 0
     text = capsys.readouterr().out
     assert re.search(r"^  block_width +\d+$", text, re.MULTILINE) and "None" not in text
-    assert list(facts) == ["versions", "system", "processor", "jax", "hints", "cache"]
+    assert list(facts) == ["versions", "system", "processor", "jax", "hints", "cache", "evaluation"]
     groups = re.split(r"^(\w+):", text, flags=re.MULTILINE)[1:]
     rows = [dict(re.findall(r"^  (\S+) +(.+)$", body, re.MULTILINE)) for body in groups[1::2]]
     keys = [list(group) if isinstance(group, dict) else [] for group in facts.values()]

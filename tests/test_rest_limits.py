@@ -7,17 +7,16 @@ import jaxvibro as jv
 from continuation import augmented_systems, computation_limits
 from jaxvibro.branches import through_sticking
 from jaxvibro.problem import sticking_limits
-from jaxvibro.problem.orbit_conversion import orbit_point_of
-from jaxvibro.problem.orbit_point import set_up_equations
+from jaxvibro.problem.orbit_conversion import problem_of_orbit
 
 
 @pytest.fixture(scope="module")
 def resting_orbit():
-    """(`OrbitEquations`, z) of an orbit of one period with one rest."""
+    """(`OrbitProblem`, z) of an orbit of one period with one rest."""
     scene = jv.make_scene(1.5, 0.5, 0.05, 0.5, (None, 0.5))
     orbit = jv.find_orbit(scene, jv.State(0.0, 0.0))
     assert orbit.rests
-    return set_up_equations(scene, "amplitude", orbit_point_of(orbit, 1.5))
+    return problem_of_orbit(orbit, "amplitude")
 
 
 def test_a_measure_of_a_rest_is_looked_for_by_what_it_depends_on(resting_orbit, monkeypatch):
@@ -34,7 +33,10 @@ def test_a_measure_of_a_rest_is_looked_for_by_what_it_depends_on(resting_orbit, 
         return given(along, z)
 
     seen = []
-    monkeypatch.setattr(augmented_systems, "solve_newton", lambda system, start: seen.append(system(start)[1][-1]))
+    none = augmented_systems.RootAndResidual(None, np.nan)
+    monkeypatch.setattr(
+        augmented_systems, "solve_newton", lambda system, start: seen.append(system(start)[1][-1]) or none
+    )
     sticking_limits.locate_sticking_limit(along, z, row, counted)
     np.testing.assert_array_equal(seen[0], whole)
     assert len(count) <= 11 < 2 * len(z)
@@ -46,5 +48,5 @@ def test_the_search_beyond_a_rest_is_given_up_when_the_time_is_over(resting_orbi
     over = computation_limits.Limits(deadline=0.0)
     monkeypatch.setattr(through_sticking, "_settled_orbit", lambda *given: pytest.fail("it is looked for"))
     monkeypatch.setattr(sticking_limits, "toggle_early_lift_off", lambda *given: None)
-    assert through_sticking.find_sticking_exits(along, z, 1.0, 1.0, over) is None
-    assert through_sticking.locate_nearby_chatter(along, z, 1.0, 1.0, over) is None
+    assert through_sticking.find_sticking_exits(along, z, 1.0, over) is None
+    assert through_sticking.locate_nearby_chatter(along, z, 1.0, over) is None

@@ -8,7 +8,7 @@ import pytest
 
 import jaxvibro as jv
 from jaxvibro.branches.scenario import _classify_outcome
-from jaxvibro.problem.contact_effect_exponent import contact_effect_exponent
+from jaxvibro.contact import force_law, linear
 from jaxvibro.problem.square_root_map import SquareRootMap
 from tests.special_points import grazing_reference
 
@@ -211,13 +211,13 @@ def test_powers_of_soft_walls():
         return jv.Wall(1.0, law=jv.Push(function, numbers))
 
     soft = jv.make_scene(1.0, 2.0, 0.1, 0.7, (None, jv.Wall(1.0, stiffness=9.0))).right
-    assert contact_effect_exponent(soft) == 1.5
-    assert contact_effect_exponent(law(lambda d, r, p: p["k"] * d**1.5, k=5.0)) == 2.0
-    assert contact_effect_exponent(law(lambda d, r, p: p["k"] * d**1.5 * (1 + 0.2 * r), k=5.0)) == 2.0
-    assert contact_effect_exponent(law(lambda d, r, p: p["k"] * d + 0.3 * r, k=5.0)) == 1.5
-    assert contact_effect_exponent(law(lambda d, r, p: p["k"] * d**2 + 0.3 * r, k=5.0)) == 1.5
-    assert contact_effect_exponent(law(lambda d, r, p: p["k"] * d**2, k=5.0)) == 2.5
-    assert np.isnan(contact_effect_exponent(law(lambda d, r, p: p["k"] * np.exp(-1 / d), k=5.0)))
+    assert linear.grazing_exponent(soft) == 1.5
+    assert force_law.grazing_exponent(law(lambda d, r, p: p["k"] * d**1.5, k=5.0)) == 2.0
+    assert force_law.grazing_exponent(law(lambda d, r, p: p["k"] * d**1.5 * (1 + 0.2 * r), k=5.0)) == 2.0
+    assert force_law.grazing_exponent(law(lambda d, r, p: p["k"] * d + 0.3 * r, k=5.0)) == 1.5
+    assert force_law.grazing_exponent(law(lambda d, r, p: p["k"] * d**2 + 0.3 * r, k=5.0)) == 1.5
+    assert force_law.grazing_exponent(law(lambda d, r, p: p["k"] * d**2, k=5.0)) == 2.5
+    assert np.isnan(force_law.grazing_exponent(law(lambda d, r, p: p["k"] * np.exp(-1 / d), k=5.0)))
 
 
 def test_multipliers_bend_like_a_root_at_a_soft_wall():

@@ -41,6 +41,18 @@ def test_reading_needs_no_double_precision_until_the_scene_is_made():
             jv.load_scene(FIG4)
 
 
+def test_a_file_needs_no_restitution_if_each_rigid_wall_has_its_own(tmp_path):
+    path = tmp_path / "scene.toml"
+    path.write_text(
+        "[scene]\namplitude = 1.0\nfrequency = 2.1\ndamping = 0.05\nright = {position = 1.0, restitution = 0.5}\n"
+    )
+    assert read_scene_file(path).scene.restitution is None
+    assert float(jv.load_scene(path).parameter("right.restitution")) == 0.5
+    path.write_text("[scene]\namplitude = 1.0\nfrequency = 2.1\ndamping = 0.05\nright = {position = 1.0}\n")
+    with pytest.raises(jv.SceneError, match=r"^scene\.restitution: must be given, unless each rigid wall has its own"):
+        read_scene_file(path)
+
+
 @pytest.mark.parametrize("number", [-0.0, 5e-324, 1e300, 0.1, 1.0 / 3.0])
 def test_numbers_of_any_size_are_written_with_all_their_digits(number, tmp_path):
     walls = jv.Wall(-abs(number) - 1.0, motion=jv.Motion(0.4 * min(abs(number), 1.0), number, 5)), None

@@ -8,8 +8,8 @@ from scipy.optimize import brentq
 from scipy.special import gamma
 
 import jaxvibro as jv
-from jaxvibro.flight.flight_coefficients import flow_coefficients
-from jaxvibro.orbits.force_law_contact_map import depth_since_entry
+from jaxvibro.contact.force_law_map import depth_since_entry
+from jaxvibro.contact.kinds import flow_coefficients
 from tests import force_specials
 
 FORCE = jv.Force("polynomial", {"c1": 1.0, "damping": 0.05})

@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 import jaxvibro as jv
-from continuation.numpy_evaluation import NumpyEvaluator
-from jaxvibro.flight.flight_coefficients import make_flow_coefficients
-from jaxvibro.maps.contact_duration import contact_duration_of, solve_contact_end
+from jaxvibro.contact.contact_duration import solve_contact_end
+from jaxvibro.contact.kinds import make_flow_coefficients
 from jaxvibro.orbits.contact_maps import evaluate_contact_map
+
+from .cached_functions import in_numpy
 
 WALLS = {
     "unlike": (jv.Wall(-1.0, stiffness=30.0, damping=0.2), jv.Wall(1.0, stiffness=5e4, damping=300.0)),
@@ -38,7 +39,9 @@ def entries(kind, seed=5):
 def certified(scene, side, cosine, sine, speed):
     coefficients = make_flow_coefficients(scene)
     longest = PERIODS * coefficients.period + 0.0 * speed
-    return contact_duration_of(coefficients, side * ENTERED, 0.0 * speed, side * speed, cosine, sine, longest)
+    return coefficients.contact.contact_duration(
+        coefficients, side * ENTERED, 0.0 * speed, side * speed, cosine, sine, longest
+    )
 
 
 def moved(function, scene, side, cosine, sine, speed, near):
@@ -97,9 +100,9 @@ def wall_at(scene, side, cosine, sine):
 def test_contact_map(kind):
     """The duration, the exit, how both change, and the derivatives are those of certified flight."""
     given = entries(kind)
-    near = NumpyEvaluator(certified, (), {})(given)
+    near = in_numpy(certified, *given)
     (values, changes), (true_values, true_changes) = (
-        NumpyEvaluator(partial(moved, function), (), {})((*given, near)) for function in (computed, expected)
+        in_numpy(partial(moved, function), *given, near) for function in (computed, expected)
     )
     assert (near > 0.0).all() and np.allclose(values[0], near, rtol=1e-11, atol=0.0)
     rows = zip(jax.tree.leaves((values, changes)), jax.tree.leaves((true_values, true_changes)), strict=True)

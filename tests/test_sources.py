@@ -11,16 +11,18 @@ from collections import defaultdict
 import pytest
 
 import jaxvibro as jv
+from continuation import hostcall
 
 from .sources import FUNCTIONS, MODULES, ROOT, Source, offenders, walk, words
 
 # A file imports only from its own folder and from those before it.
 FOLDERS = [
-    *("scene", "output", "compiled", "stores", "flight", "maps", "orbits", "attractors", "problem", "branches", "loci"),
-    *("design", "surveys", "plot", "studies", "explorer", "reproduction"),
+    *("scene", "output", "compiled", "stores", "flight", "contact", "maps", "orbits", "attractors", "problem"),
+    *("branches", "loci", "design", "surveys", "plot", "studies", "explorer", "reproduction"),
 ]
 EXPORTING = ("plot", "reproduction")  # folders whose __init__ names their public functions
 MOST_LINES = 350
+FORMER_NAMES = ROOT / "docs" / "former_names.md"
 
 # Participles and pronouns that say nothing about the thing they name.
 BANNED_NAMES = words(
@@ -37,11 +39,11 @@ PUBLIC_NAMES = {
     "met": words("design/place design/search"),
     "more": words("reproduction/claim stores/study_protocol"),
     "one": words("orbits/impact_equations plot/branch plot/held plot/locus plot/orbit"),
-    "others": words("design/margin"),
+    "others": words("design/margin_result"),
     "own": words("scene/wall"),
     "place": words(
-        "branches/branch branches/held_branch continuation/branch design/place explorer/page_calls "
-        "explorer/page_state loci/locus problem/orbit_curve surveys/least_shock"
+        "branches/branch continuation/branch design/place explorer/page_calls "
+        "explorer/page_state loci/locus problem/orbit_curve problem/plane_curve surveys/least_shock"
     ),
     "spot": words("branches/branch loci/locus problem/orbit_curve"),
     "told": words("reproduction/run"),
@@ -56,6 +58,13 @@ BANNED_STARTS = words("What Of Whether Those That How So (the (The The A An None
 # Words of two meanings, which name no file.
 AMBIGUOUS = words("along kept left told look brush dips graze carry lanes piece slopes")
 QUOTED = re.compile(r"(?<!`)`([A-Za-z_][\w.]*)`(?!`)")
+# Functions and modules that run what they read, and the files that may use them: functions that are sent to workers,
+# programs whose digest and owner have been verified.
+UNSAFE = words("cloudpickle dill eval exec joblib marshal pickle shelve")
+UNSAFE_USES = {
+    "jaxvibro/stores/dask_engine.py": {"cloudpickle"},
+    "continuation/hostcall/program_writer.py": {"exec", "marshal"},
+}
 
 
 def imports_against_the_order(source):
@@ -77,6 +86,13 @@ def imports_against_the_order(source):
 def imports_within_functions(source):
     functions = walk(source.tree, FUNCTIONS)
     return {f"imports in {node.name}" for node in functions if any(walk(node, ast.Import | ast.ImportFrom))}
+
+
+def unsafe_uses(source):
+    """No file unpickles or evaluates what it reads: a scene, a result and a file of the cache are data."""
+    used = {dotted.split(".")[0] for _, dotted in source.imports}
+    used |= {node.func.id for node in walk(source.tree, ast.Call) if isinstance(node.func, ast.Name)}
+    return [f"uses {name}" for name in used & UNSAFE - UNSAFE_USES.get(source.file, set())]
 
 
 def lines_of_code(source):
@@ -152,32 +168,6 @@ def references_to_nothing(source):
             yield reference
 
 
-def chosen_modules(source):
-    """Yield (function, modules) of each function that returns modules, by name or from a table of the file."""
-    imported = {name: dotted for name, dotted in source.imports if dotted in MODULES}
-    tables = {
-        target.id: node.value
-        for node in source.tree.body
-        if isinstance(node, ast.Assign) and isinstance(node.value, ast.Dict)
-        for target in node.targets
-        if isinstance(target, ast.Name)
-    }
-    for function in walk(source.tree, ast.FunctionDef):
-        values = [node.value for node in walk(function, ast.Return) if node.value is not None]
-        subscripted = [getattr(node.value, "id", "") for value in values for node in walk(value, ast.Subscript)]
-        values += [tables[name] for name in subscripted if name in tables]
-        qualified = {id(node.value) for value in values for node in walk(value, ast.Attribute)}
-        names = {node.id for value in values for node in walk(value, ast.Name) if id(node) not in qualified}
-        if modules := {imported[name] for name in names & imported.keys()}:
-            yield function.name, modules
-
-
-def called_name(node):
-    """Return the name of the function that an expression calls, "" if it is no call."""
-    function = node.func if isinstance(node, ast.Call) else None
-    return getattr(function, "id", None) or getattr(function, "attr", None) or ""
-
-
 def defined_names(tree):
     """Yield the names at the top level of a module."""
     for node in tree.body:
@@ -190,38 +180,23 @@ def defined_names(tree):
 
 DEFINED = {module: set(defined_names(source.tree)) for module, source in MODULES.items()}
 DEFINED["jaxvibro"] |= set(jv.__all__)  # loaded when they are used
-CHOSEN = defaultdict(set)
-for _source in MODULES.values():
-    for _function, _returned in chosen_modules(_source):
-        CHOSEN[_function] |= _returned
 
 
 def attributes_that_modules_lack(source):
-    """An attribute of a module exists, also in each module that may be chosen at run time."""
-    imported = {name: {dotted} for name, dotted in source.imports if dotted in MODULES}
-    for function in (source.tree, *walk(source.tree, ast.FunctionDef)):
-        variables = dict(imported)
-        for node in walk(function, ast.Assign):
-            targets = node.targets[0].elts if isinstance(node.targets[0], ast.Tuple) else node.targets
-            values = node.value.elts if isinstance(node.value, ast.Tuple) else [node.value]
-            for target, value in zip(targets, values, strict=False):
-                if len(targets) == len(values) and isinstance(target, ast.Name) and called_name(value) in CHOSEN:
-                    variables[target.id] = CHOSEN[called_name(value)]
-        for node in walk(function, ast.Attribute):
-            owners = variables.get(getattr(node.value, "id", ""), ())
-            for dotted in CHOSEN.get(called_name(node.value), owners):
-                if node.attr not in DEFINED[dotted] and not node.attr.startswith("__"):
-                    yield f"{ast.unparse(node)}: not in {dotted}"
+    """An attribute of an imported module exists."""
+    imported = {name: dotted for name, dotted in source.imports if dotted in MODULES}
+    for node in walk(source.tree, ast.Attribute):
+        dotted = imported.get(getattr(node.value, "id", ""))
+        if dotted and node.attr not in DEFINED[dotted] and not node.attr.startswith("__"):
+            yield f"{ast.unparse(node)}: not in {dotted}"
 
 
-REFERRING = '"""See `flow_of`, `flow.no_function`, `no_name` and `impact.py`."""'
+REFERRING = '"""See `flow_of_scene`, `flow.no_function`, `no_name` and `impact.py`."""'
 CHOOSING = """from . import impact
-def advance(coeffs):
-    flow = flow_of(coeffs)
-    return flow.jet, flow.no_jet, impact.no_impact
+def advance(flow):
+    return flow.no_jet, impact.no_impact
 """
-LACKING = [f"flow.no_jet: not in jaxvibro.flight.{flow}" for flow in ("force_flow", "linear_flow")]
-LACKING += ["impact.no_impact: not in jaxvibro.flight.impact"]
+LACKING = ["impact.no_impact: not in jaxvibro.flight.impact"]
 IMPACT = "jaxvibro/flight/impact.py"
 BROKEN = [
     (imports_against_the_order, IMPACT, "from ..maps import strobe", ["imports maps"]),
@@ -229,6 +204,8 @@ BROKEN = [
     (imports_against_the_order, "jaxvibro/flight/__init__.py", "from . import impact", ["an __init__ imports"]),
     (imports_against_the_order, "continuation/a.py", "from jaxvibro.maps import strobe", ["imports jaxvibro.maps"]),
     (imports_within_functions, IMPACT, "def f():\n    if a:\n        import b", ["imports in f"]),
+    (unsafe_uses, IMPACT, "import pickle as storage", ["uses pickle"]),
+    (unsafe_uses, IMPACT, "from cloudpickle import dumps\neval(text)", ["uses cloudpickle", "uses eval"]),
     (too_many_lines, IMPACT, '"""A.\n\nB."""\n\n# C.\n' + "a = 1\n" * 351, ["351 lines of code"]),
     (banned_names, "jaxvibro/maps/kept.py", "def f(asked):\n    found = asked", ["asked", "found", "kept"]),
     (banned_names, "jaxvibro/plot/fit.py", "found, _told = 1, 2", ["_told"]),
@@ -256,11 +233,6 @@ def test_every_exemption_is_needed():
     assert len(used) == sum(map(len, PUBLIC_NAMES.values()))
 
 
-def test_the_interfaces_are_those_that_are_chosen_at_run_time():
-    families = {frozenset(name.split(".")[-1] for name in modules) for modules in CHOSEN.values() if len(modules) > 1}
-    assert {frozenset({"linear_flow", "force_flow"})} <= families and len(families) >= 3
-
-
 def test_the_folders_are_all_that_the_package_has():
     assert {source.folder for source in MODULES.values() if source.folder} == set(FOLDERS)
     assert {path.name for path in (ROOT / "jaxvibro").glob("*.py")} == {"__init__.py", "__main__.py"}
@@ -281,6 +253,31 @@ def test_continuation_loads_a_solver_in_one_file_that_no_other_file_imports():
     importing = [s.module for s in sources if any(name.split(".")[0] == "diffrax" for _, name in s.imports)]
     assert importing == ["continuation.shooting"]
     assert [s.module for s in MODULES.values() if "continuation.shooting" in s.needed_modules] == []
+
+
+def test_the_evaluation_of_traced_functions_has_one_door():
+    """Its files import nothing else of both packages, and other files import only its public names."""
+    inside = {module for module in MODULES if module.startswith("continuation.hostcall")}
+    assert {name for module in inside for name in MODULES[module].needed_modules} <= inside
+    used = {dotted for module in MODULES.keys() - inside for _, dotted in MODULES[module].imports}
+    names = {name for name in used if name.startswith("continuation.hostcall")}
+    assert names <= {f"continuation.hostcall.{name}" for name in hostcall.__all__}
+
+
+def assigned_names(source):
+    """Yield the functions, classes and variables of a file."""
+    yield from (node.name for node in walk(source.tree, FUNCTIONS | ast.ClassDef))
+    yield from (node.id for node in walk(source.tree, ast.Name) if isinstance(node.ctx, ast.Store))
+
+
+def test_each_present_name_of_a_former_name_exists():
+    names_by_file = {source.file: set(assigned_names(source)) for source in MODULES.values()}
+    rows = [re.findall("`([^`]+)`", line) for line in FORMER_NAMES.read_text().splitlines() if line.startswith("| `")]
+    assert len(rows) > 1500 and {len(row) for row in rows} == {2, 3}
+    for row in rows:
+        file = row[1] if len(row) == 2 else row[0]
+        names = names_by_file.get(file if file.startswith("continuation/") else f"jaxvibro/{file}")
+        assert names is not None and (len(row) == 2 or row[2] in names), row
 
 
 def test_the_stub_has_the_names_that_are_loaded_when_they_are_used():

@@ -22,7 +22,7 @@ from distributed import LocalCluster
 
 import jaxvibro as jv
 from jaxvibro.output.atomic_folder import create_folder_atomically, remove_abandoned_folders
-from jaxvibro.output.file_lock import exclusive_lock, shared_lock, try_lock
+from jaxvibro.output.file_lock import acquire_lock, lock_file
 from jaxvibro.stores.study_completion import spread_chunk_order
 from jaxvibro.stores.zarr_store import OpenStore
 
@@ -241,9 +241,9 @@ def test_a_name_that_is_taken_before_it_is_locked_is_given_up(tmp_path, monkeypa
         if not removed:
             removed.extend(tmp_path.glob(".*.lock"))
             removed[0].unlink()
-        return try_lock(descriptor)
+        return acquire_lock(descriptor)
 
-    monkeypatch.setattr("jaxvibro.output.atomic_folder.try_lock", slow)
+    monkeypatch.setattr("jaxvibro.output.atomic_folder.acquire_lock", slow)
     with create_folder_atomically(tmp_path / "store") as part:
         part.mkdir()
         assert part.with_suffix(".lock").is_file() and part.with_suffix(".lock") not in removed
@@ -271,7 +271,7 @@ def test_unfinished_files_stay_while_another_process_writes_a_chunk(tmp_path):
     before = bits(path)
     unfinished = path / "label" / "c" / "0" / "0.abc.partial"
     unfinished.write_text("half")
-    with shared_lock(path / "zarr.json"):
+    with lock_file(path / "zarr.json", shared=True):
         keep(Counted(3), path)
         assert unfinished.exists()
     keep(Counted(3), path)
@@ -283,13 +283,13 @@ def test_a_chunk_is_written_under_the_lock(tmp_path, monkeypatch):
     plain = OpenStore._chunk_digest
 
     def digest(self, number):
-        with exclusive_lock(path / "zarr.json") as alone:
+        with lock_file(path / "zarr.json", shared=False) as alone:
             free.append(alone)
         return plain(self, number)
 
     monkeypatch.setattr(OpenStore, "_chunk_digest", digest)
     keep(Counted(1), path, 1)
     assert free[0] is False
-    with exclusive_lock(path / "zarr.json") as alone:
+    with lock_file(path / "zarr.json", shared=False) as alone:
         assert alone
     assert os.listdir(tmp_path) == ["store"]

@@ -9,6 +9,7 @@ from continuation.augmented_systems import RootAndResidual
 from jaxvibro.loci import bistability
 from jaxvibro.problem import branches_from_grazing, curve_grazing, missed_grazings
 from jaxvibro.problem.grazing_contact import are_admissible
+from jaxvibro.problem.orbit_problem import PERIODIC
 
 NO_RESTS = dict.fromkeys(("sticking_time", "min_contact_force", "hop_margin"), np.zeros((1, 0)))
 
@@ -26,7 +27,10 @@ NO_RESTS = dict.fromkeys(("sticking_time", "min_contact_force", "hop_margin"), n
 )
 def test_orbits_keep_to_their_walls_and_hit_them_with_a_speed(speeds, clear, good):
     along = SimpleNamespace(
-        sequence=SimpleNamespace(sides=np.array([1.0, -1.0])), impact_rows=np.array([0, 1]), slack=0.0
+        sequence=SimpleNamespace(sides=np.array([1.0, -1.0])),
+        impact_rows=np.array([0, 1]),
+        slack=0.0,
+        condition=PERIODIC,
     )
     zs, look = np.array([[0.1, 0.2, *speeds, 2.0]]), SimpleNamespace(clearance=np.reshape(clear, (1, 2, 1)), **NO_RESTS)
     assert are_admissible(along, zs, look).tolist() == [good]
@@ -35,7 +39,8 @@ def test_orbits_keep_to_their_walls_and_hit_them_with_a_speed(speeds, clear, goo
 @pytest.mark.parametrize(("clear", "found"), [(0.0, True), (-1e-12, True), (-1e-3, False)])
 def test_a_touch_that_another_is_before_is_not_the_first(clear, found, monkeypatch):
     z = np.array([0.1, 0.2, 1.3])
-    along = SimpleNamespace(sequence=SimpleNamespace(sides=np.zeros(0)), impact_rows=np.zeros(0, int))
+    rows = {"sequence": SimpleNamespace(sides=np.zeros(0)), "impact_rows": np.zeros(0, int)}
+    along = SimpleNamespace(**rows, condition=PERIODIC, length_scale=1.0)
     task = SimpleNamespace(args=along, control=SimpleNamespace(scale=np.ones(3)))
     monkeypatch.setattr(curve_grazing, "locate_grazing", lambda *_: RootAndResidual(z, 1e-15))
     monkeypatch.setattr(curve_grazing, "diagnose", lambda *_: SimpleNamespace(clearance=np.array([[[clear]]])))
@@ -49,9 +54,9 @@ def test_a_touch_that_another_is_before_is_not_the_first(clear, found, monkeypat
             min_contact_force=np.zeros(0),
         ),
     )
-    told = curve_grazing._locate_first_grazing(task, good, there, seen, 0.0, 0.5, 1.0)
+    told = curve_grazing._locate_first_grazing(task, good, there, seen, 0.0, 0.5)
     assert (told is not None) == found
-    assert curve_grazing._locate_first_grazing(task, good, there, seen, 0.0, 0.2, 1.0) is None  # it is beyond
+    assert curve_grazing._locate_first_grazing(task, good, there, seen, 0.0, 0.2) is None  # it is beyond
 
 
 @pytest.mark.parametrize(
@@ -74,7 +79,7 @@ def test_a_value_whose_parabola_falls_to_half_of_it_is_looked_at_more_closely(va
 def test_a_branch_leaves_a_grazing_where_speeds_and_distances_grow(rates, leaves, monkeypatch):
     monkeypatch.setattr(branches_from_grazing, "step_along_exit", lambda *_: ("way", True))
     found = branches_from_grazing.check_exit_along_tangent(
-        None, np.zeros(3), np.ones(3), np.array(rates), 1.0, (True, False)
+        None, np.zeros(3), np.ones(3), np.array(rates), (True, False)
     )
     assert found == (("way", True) if leaves else (None, True))
 

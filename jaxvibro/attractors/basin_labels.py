@@ -13,7 +13,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Float
 
-from continuation.persistent_jit import persistent_jit
+from continuation.hostcall import persistent_jit
 
 from ..compiled.kernel_calls import BLOCK_WIDTH
 from ..compiled.lane_arithmetic import COMPILER_OPTIONS

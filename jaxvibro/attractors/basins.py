@@ -114,8 +114,6 @@ def basins(
     check.require_single_scene(scene)
     x, v = _check_axis("x", x), _check_axis("v", v)
     phase_angle = check.check_finite_array("phase", phase, np.float64)
-    if phase_angle.shape:
-        raise check.ArgumentError("phase", "must be a number", phase_angle)
     patience = check.check_whole_number("patience", patience, 1)
     attractors = find_attractors(scene) if attractors is None else tuple(attractors)
     start_box_x_min, start_box_x_max, start_box_max_speed = initial_box(scene)

@@ -90,9 +90,15 @@ class BasinsStudy:
     @cached_property
     def identity(self) -> dict[str, str]:
         """Texts that identify the study in a store."""
-        axis_fingerprints = {name: fingerprint_array(getattr(self, name)) for name in ("x", "v")}
-        setting_texts = {"phase": repr(self.phase), "patience": repr(self.max_periods), "attractors": repr(self.labels)}
-        return {"scene": scene_toml(self.scene), **axis_fingerprints, **setting_texts, "dtype": str(self.scene.dtype)}
+        return {
+            "scene": scene_toml(self.scene),
+            "x": fingerprint_array(self.x),
+            "v": fingerprint_array(self.v),
+            "phase": repr(self.phase),
+            "patience": repr(self.max_periods),
+            "attractors": repr(self.labels),
+            "dtype": str(self.scene.dtype),
+        }
 
     @cached_property
     def frame(self) -> xr.Dataset:

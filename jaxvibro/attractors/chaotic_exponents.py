@@ -14,12 +14,13 @@ from jaxtyping import Float, Int
 
 from ..compiled.kernel_calls import BLOCK_WIDTH
 from ..maps.initial_conditions import initial_box
+from ..maps.long_iteration import take_lanes
 from ..scene.codes import Contact, Status
 from ..scene.state import State
 from .batch_means import standard_error
 from .orbit_exponents import ExponentEstimate, log_determinant, measured_area_growth, undefined_estimate
 from .recurrence import compute_return_distances, find_recurrence_periods
-from .tangent_growth import RECORDED_PERIODS, TangentLanes, run_tangents, start_tangents, worse_status_on_host
+from .tangent_growth import RECORDED_PERIODS, TangentLanes, run_tangents, start_tangents, worse_status
 
 BLOCK_PERIODS = 16  # periods whose growth is summed
 INITIAL_CHUNKS = 16  # times `RECORDED_PERIODS` before the first check of the error
@@ -103,7 +104,7 @@ def run_until_recurrence(scene, tangent_lanes, transient_periods, max_rounds):
         )
         growth_rates.append(period_records.log_growth.mean(axis=0))
         visited_states.append(tangent_lanes.state)
-        previous_distances, status = return_distances, worse_status_on_host(status, period_records.status)
+        previous_distances, status = return_distances, worse_status(status, period_records.status, np)
         if np.all((periods > 0) | ~np.isfinite(tangent_lanes.state.x)):
             break
     visited_states = jax.tree.map(lambda *leaves: np.stack(leaves), *visited_states)
@@ -178,7 +179,7 @@ def estimate_exponents(scene, settled_lanes, target_error, max_periods):
             block_sums.append(
                 quantities_to_average.reshape(len(quantities_to_average), -1, BLOCK_PERIODS, BLOCK_WIDTH).sum(2)
             )
-            status = worse_status_on_host(status, period_records.status)
+            status = worse_status(status, period_records.status, np)
         estimate = _average_blocks(scene, np.concatenate(block_sums, axis=1), int(status.max()))
         periods = find_recurrence_periods(
             compute_return_distances(period_records.points),
@@ -190,7 +191,7 @@ def estimate_exponents(scene, settled_lanes, target_error, max_periods):
         if status.max() < Status.CAP and periods.any():
             recurrent_lane_index = np.flatnonzero(periods)[:1]
             return estimate, settled_lanes._replace(
-                lanes=_select_lanes(tangent_lanes, recurrent_lane_index), periods=periods[recurrent_lane_index]
+                lanes=take_lanes(tangent_lanes, recurrent_lane_index), periods=periods[recurrent_lane_index]
             )
         largest_error = estimate.error.max()
         if not largest_error > target_error or estimate.count >= max_periods:
@@ -200,10 +201,6 @@ def estimate_exponents(scene, settled_lanes, target_error, max_periods):
             max(len(block_sums) + 1, int(np.ceil(total_rounds_needed))),
             -(-max_periods // (RECORDED_PERIODS * BLOCK_WIDTH)),
         )
-
-
-def _select_lanes(tangent_lanes, lane_indices):
-    return jax.tree.map(lambda leaf: leaf[lane_indices], tangent_lanes)
 
 
 def _make_perturbed_copies(settled_lanes, max_state_magnitude):

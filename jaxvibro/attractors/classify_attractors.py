@@ -3,19 +3,19 @@
 from dataclasses import dataclass
 from typing import Any
 
-import jax
 import numpy as np
 from jaxtyping import Float
 
 from continuation.computation_limits import EXPIRED_REASON, UNLIMITED
 
+from ..contact.kinds import flow_of_scene
 from ..maps import itinerary
 from ..maps.iterate import MAX_RECORDED_PERIODS, IteratedStates, iterate
+from ..maps.long_iteration import take_lanes
 from ..maps.sticking_phase_intervals import NO_STICKING, find_sticking_phases, may_stick
 from ..orbits.orbit_comparison import impacts_as_points, samples_fill_same_set
 from ..scene.codes import Status
 from ..scene.state import State
-from ..scene.typical_scales import frequency_and_damping
 from .companion_exponent import largest_exponents
 from .transients import cluster_orbits, extract_orbit
 from .weak_chaos import assess_weak_chaos
@@ -76,7 +76,7 @@ def find_periodic_attractors(scene, iterates, recurrence_periods, settle, max_st
     orbit_clusters = cluster_orbits(iterates, recurrence_periods, tolerance)
     if not orbit_clusters:
         return candidates, failure_reasons
-    cluster_states = _select_lanes(iterates.state, [cluster.lanes[0] for cluster in orbit_clusters])
+    cluster_states = take_lanes(iterates.state, [cluster.lanes[0] for cluster in orbit_clusters])
     growth_rates, _ = largest_exponents(scene, cluster_states, max_state_magnitude)
     long_iterates = iterate(
         scene, cluster_states, POLISH_FACTOR * max(settle, MAX_RECORDED_PERIODS), max_single_lanes=0
@@ -99,10 +99,6 @@ def find_periodic_attractors(scene, iterates, recurrence_periods, settle, max_st
         else:
             failure_reasons |= dict.fromkeys(cluster.lanes, "recurs but does not attract")
     return candidates, failure_reasons
-
-
-def _select_lanes(state, lanes):
-    return jax.tree.map(lambda leaf: leaf[lanes], state)
 
 
 def iterate_with_all_impacts(scene, state):
@@ -166,10 +162,7 @@ def is_dissipative(scene):
     A user-defined force counts as damped if its derivative with respect to the velocity is not 0 at one of the states
     at which `frequency_and_damping` evaluates it. Under such a force the damping of soft walls is not examined.
     """
-    if scene.force is not None:
-        return frequency_and_damping(scene)[1] > 0 or any(bool(abs(scene.bounce(side)) < 1) for side in scene.walls)
-    has_damping = any(bool(scene.parameter(name) > 0) for name in scene.names if name.endswith("damping"))
-    return has_damping or any(
+    return flow_of_scene(scene).loses_energy(scene) or any(
         bool(abs(scene.bounce(side)) < 1) for side in scene.walls
     )  # `bounce` is -1 for a soft wall
 
@@ -200,7 +193,7 @@ def find_chaotic_attractors(scene, iterates, lanes, max_state_magnitude, computa
     candidates, failure_reasons = [], {}
     if not lanes.size or computation_limits.expired:
         return candidates, dict.fromkeys(lanes.tolist(), EXPIRED_REASON)
-    growth_rates, errors = largest_exponents(scene, _select_lanes(iterates.state, lanes), max_state_magnitude)
+    growth_rates, errors = largest_exponents(scene, take_lanes(iterates.state, lanes), max_state_magnitude)
     with np.errstate(invalid="ignore"):
         is_certainly_chaotic = growth_rates - 3.0 * errors > MIN_CHAOS_EXPONENT
     if not is_dissipative(scene):
@@ -216,7 +209,7 @@ def find_chaotic_attractors(scene, iterates, lanes, max_state_magnitude, computa
     )
     return candidates, failure_reasons | _group_chaotic_lanes(
         scene,
-        _select_lanes(iterates.state, lanes),
+        take_lanes(iterates.state, lanes),
         lanes,
         growth_rates,
         is_certainly_chaotic,

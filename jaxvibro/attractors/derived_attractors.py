@@ -92,18 +92,35 @@ def find_mirror_index(candidate, candidates):
     int or None
         Index of the image; None if it is not among the candidates.
     """
-    n_periods = candidate.attractor_fields["periods"]
-    is_same_motion = is_same_orbit if n_periods else samples_fill_same_set
-    same_period_indices = (
-        index
-        for index, other_candidate in enumerate(candidates)
-        if other_candidate.attractor_fields["periods"] == n_periods
+    return find_attractor_index(
+        candidates, candidate.attractor_fields["periods"], mirror_points(candidate.impact_points)
     )
+
+
+def find_attractor_index(candidates, n_periods, impact_points):
+    """Return the index of the attractor with a motion.
+
+    Parameters
+    ----------
+    candidates : list of AttractorCandidate
+        Known attractors.
+    n_periods : int
+        Drive periods of the motion; 0 for a chaotic motion.
+    impact_points : ndarray
+        Impacts of the motion as points. Array of shape (impacts, 4).
+
+    Returns
+    -------
+    int or None
+        Index of the attractor; None if it is not among the candidates.
+    """
+    is_same_motion = is_same_orbit if n_periods else samples_fill_same_set
     return next(
         (
             index
-            for index in same_period_indices
-            if is_same_motion(mirror_points(candidate.impact_points), candidates[index].impact_points)
+            for index, candidate in enumerate(candidates)
+            if candidate.attractor_fields["periods"] == n_periods
+            and is_same_motion(impact_points, candidate.impact_points)
         ),
         None,
     )

@@ -9,7 +9,7 @@ from jaxtyping import Float, Int
 
 from continuation.computation_limits import EXPIRED_REASON, UNLIMITED, Results, make_limits, partial_result_reason
 
-from ..maps.initial_conditions import draw_initial_states, initial_box
+from ..maps.initial_conditions import draw_initial_states
 from ..orbits.find import find_orbit
 from ..orbits.orbit import Orbit, OrbitError
 from ..orbits.orbit_from_impacts import move_section_to_phase_0
@@ -203,10 +203,7 @@ def settle_starts(scene, start_states, settle, computation_limits=UNLIMITED):
     SettledStarts
         Candidates, failures, scale and status.
     """
-    start_box_x_min, start_box_x_max, _ = initial_box(scene)
-    iterates, recurrence_periods, max_state_magnitude = settle_lanes(
-        scene, start_states, settle, max(abs(start_box_x_min), abs(start_box_x_max)), computation_limits
-    )
+    iterates, recurrence_periods, max_state_magnitude = settle_lanes(scene, start_states, settle, computation_limits)
     periodic_candidates, orbit_failure_reasons = find_periodic_attractors(
         scene, iterates, recurrence_periods, settle, max_state_magnitude
     )

@@ -16,7 +16,7 @@ from jax import lax
 from jaxtyping import ArrayLike, Float
 from numpy.polynomial import chebyshev
 
-from continuation.persistent_jit import persistent_jit
+from continuation.hostcall import persistent_jit
 
 from ..compiled.kernel_calls import BLOCK_WIDTH
 from ..compiled.lane_arithmetic import COMPILER_OPTIONS

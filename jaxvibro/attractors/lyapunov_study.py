@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
+import jax
 import numpy as np
 import xarray as xr
 from jaxtyping import Float
@@ -60,24 +61,22 @@ class SpectrumStudy:
     def columns(self) -> dict[str, Column]:
         """Columns of the fields of `ExponentEstimate` and `StickingPhaseIntervals`."""
         float_dtype = np.dtype(np.float64)
-        columns = {
+        return {
             name: Column(float_dtype, np.nan, {}, {f"{name}_place": n_components} if n_components else {})
-            for name, n_components in COLUMN_SIZES.items()
+            for name, n_components in (COLUMN_SIZES | dict.fromkeys(STICKING_COLUMNS, 0)).items()
         }
-        return columns | {name: Column(float_dtype, np.nan, {}) for name in STICKING_COLUMNS}
 
     @cached_property
     def identity(self) -> dict[str, str]:
         """Texts that identify the study in a store."""
-        state_fingerprints = {
-            f"start.{name}": fingerprint_array(getattr(self.state, name)) for name in ("x", "v", "phase", "contact")
-        }
-        setting_texts = {"settings": repr(self.settings), "dtype": str(self.scene.dtype)}
         return {
             "scene": scene_toml(self.scene),
             self.name: fingerprint_array(self.values),
-            **state_fingerprints,
-            **setting_texts,
+            **{
+                f"start.{name}": fingerprint_array(getattr(self.state, name)) for name in ("x", "v", "phase", "contact")
+            },
+            "settings": repr(self.settings),
+            "dtype": str(self.scene.dtype),
         }
 
     @cached_property
@@ -89,7 +88,7 @@ class SpectrumStudy:
         """Return the columns of a block of values, and the number of values without an exponent."""
         (block_slice,) = self.grid.chunk_slices(number)
         values = self.values[block_slice]
-        state = State(*(getattr(self.state, name)[block_slice] for name in ("x", "v", "phase", "contact")))
+        state = jax.tree.map(lambda leaf: leaf[block_slice], self.state)
         exponent_estimates, sticking_phases = self.compute_block_exponents(
             self.scene.replace(**{self.name: values}), state, *self.settings
         )
@@ -97,8 +96,8 @@ class SpectrumStudy:
             name: np.array([getattr(record_of_value, name) for record_of_value in exponent_estimates], float)
             for name in COLUMN_SIZES
         }
-        columns |= {"rests": np.array([record_of_value.count for record_of_value in sticking_phases], float)}
-        columns |= {"rate": np.array([record_of_value.growth_rate for record_of_value in sticking_phases], float)}
+        columns["rests"] = np.array([sticking_phase.count for sticking_phase in sticking_phases], float)
+        columns["rate"] = np.array([sticking_phase.growth_rate for sticking_phase in sticking_phases], float)
         return columns, int(np.isnan(columns["exponent"][:, 0]).sum())
 
 

@@ -103,14 +103,10 @@ def manifold(
     ['length', 'section', 'length']
     """
     computation_limits = make_limits(None, max_seconds, None, check.ArgumentError)
-    if not isinstance(orbit, Orbit):
-        raise check.ArgumentError("orbit", "must be an Orbit", orbit)
     if kind not in KINDS:
         raise check.ArgumentError("kind", f"must be one of {', '.join(KINDS)}", kind)
     scene, is_backward = orbit.scene, kind == "stable"
-    scene_length_scale, point_rules = _make_point_rules(
-        scene, length, spacing, angle, fastest, check.check_whole_number("most", most, 100)
-    )
+    point_rules = _make_point_rules(scene, length, spacing, angle, fastest, check.check_whole_number("most", most, 100))
     stretch_factor, periods = _stretch_factor(orbit, kind), orbit.periods
     if is_backward:
         require_reversible(scene)
@@ -118,7 +114,14 @@ def manifold(
     manifold_sides = []
     for saddle_index, (saddle_point, eigenvector) in enumerate(_saddle_points(orbit, phase, is_backward)):
         local_manifold = compute_local_manifold(
-            scene, saddle_point, eigenvector, stretch_factor, periods, phase, is_backward, scene_length_scale
+            scene,
+            saddle_point,
+            eigenvector,
+            stretch_factor,
+            periods,
+            phase,
+            is_backward,
+            point_rules.scene_length_scale,
         )
         for side in (-1, 1):
             levels, end_reason = grow_manifold_levels(
@@ -129,26 +132,22 @@ def manifold(
                 periods,
                 phase,
                 is_backward,
-                scene_length_scale,
                 point_rules,
                 computation_limits,
             )
             manifold_sides.append(
-                _assemble_side(scene, phase, saddle_point, levels, end_reason, scene_length_scale, point_rules)
+                _assemble_side(scene, phase, saddle_point, levels, end_reason, point_rules)
                 | {"side": side, "origin": saddle_index}
             )
     attrs = {"phase": phase, "kind": kind, "label": orbit.label}
     n_sides_done_in_time = sum(manifold_side["ended"][-1] != "max_seconds" for manifold_side in manifold_sides)
-    attrs |= (
-        {}
-        if n_sides_done_in_time == len(manifold_sides)
-        else {"stopped": partial_result_reason(n_sides_done_in_time, len(manifold_sides), "sides")}
-    )
+    if n_sides_done_in_time < len(manifold_sides):
+        attrs["stopped"] = partial_result_reason(n_sides_done_in_time, len(manifold_sides), "sides")
     return _make_dataset(scene, manifold_sides, attrs | {"multiplier": float(_saddle_multiplier(orbit, kind))})
 
 
 def _make_point_rules(scene, length, spacing, angle, fastest, max_points):
-    """Check the arguments; return (typical length of the scene, `ManifoldPointRules`)."""
+    """Check the arguments and return the `ManifoldPointRules`."""
     start_box_x_min, start_box_x_max, start_box_max_speed = initial_box(scene)
     fastest = 2.0 * start_box_max_speed if fastest is None else fastest
     arguments = {"length": length, "spacing": spacing, "angle": angle, "fastest": fastest}
@@ -156,8 +155,8 @@ def _make_point_rules(scene, length, spacing, angle, fastest, max_points):
     for key, value in values.items():
         if not value > 0:
             raise check.ArgumentError(key, "must be greater than 0", value)
-    scene_length_scale = max(abs(float(start_box_x_min)), abs(float(start_box_x_max)))
-    return scene_length_scale, ManifoldPointRules(
+    return ManifoldPointRules(
+        scene_length_scale=max(abs(float(start_box_x_min)), abs(float(start_box_x_max))),
         min_distance=1e-3 * values["spacing"],
         max_unscaled_speed=float(start_box_max_speed),
         max_points=max_points,
@@ -205,7 +204,7 @@ def _saddle_points(orbit, phase, is_backward):
         orbit_point, _, _ = iterate_map(scene, orbit_point, phase, 1, False)
 
 
-def _assemble_side(scene, phase, saddle_point, levels, end_reason, scene_length_scale, point_rules):
+def _assemble_side(scene, phase, saddle_point, levels, end_reason, point_rules):
     """Assemble one side of the manifold at one point of the orbit, from the saddle outwards.
 
     Returns arrays over the points and over the pieces.
@@ -213,9 +212,9 @@ def _assemble_side(scene, phase, saddle_point, levels, end_reason, scene_length_
     rigid_positions = [position for position in rigid_wall_positions(scene, phase) if np.isfinite(position)]
     states, is_valid, image_numbers, break_reasons = [saddle_point[None]], [[True]], [[0]], [[""]]
     for level_index, manifold_level in enumerate(levels):
-        manifold_level = _drop_rounding_pieces(manifold_level, rigid_positions, scene_length_scale, point_rules)
+        manifold_level = _drop_rounding_pieces(manifold_level, rigid_positions, point_rules)
         indices_with_corners, level_break_reasons = _duplicate_corners(
-            manifold_level, _break_reasons(manifold_level, rigid_positions, scene_length_scale, point_rules)
+            manifold_level, _break_reasons(manifold_level, rigid_positions, point_rules)
         )
         indices_without_joint = indices_with_corners[
             min(level_index, 1) :
@@ -251,13 +250,13 @@ def _assemble_side(scene, phase, saddle_point, levels, end_reason, scene_length_
     }
 
 
-def _break_reasons(manifold_level, rigid_positions, scene_length_scale, point_rules):
+def _break_reasons(manifold_level, rigid_positions, point_rules):
     """Return the reason why the points of each pair of neighbours are not connected, "" for a connected pair."""
-    spacing_ratios, is_connected, _ = measure_neighbour_gaps(manifold_level, scene_length_scale, point_rules)
+    spacing_ratios, is_connected, _ = measure_neighbour_gaps(manifold_level, point_rules)
     is_valid_pair = manifold_level.is_valid[:-1] & manifold_level.is_valid[1:]
     with np.errstate(invalid="ignore"):
         wall_masks = [
-            (abs(manifold_level.z[:, 0] - position) <= SAME_POINT_DISTANCE * scene_length_scale)
+            (abs(manifold_level.z[:, 0] - position) <= SAME_POINT_DISTANCE * point_rules.scene_length_scale)
             for position in rigid_positions
         ]
     is_section_impact = np.any([is_at_wall[:-1] & is_at_wall[1:] for is_at_wall in wall_masks], axis=0)
@@ -267,20 +266,18 @@ def _break_reasons(manifold_level, rigid_positions, scene_length_scale, point_ru
     return np.where(is_connected, "", np.where(is_valid_pair, break_reasons, "fast"))
 
 
-def _drop_rounding_pieces(manifold_level, rigid_positions, scene_length_scale, point_rules):
+def _drop_rounding_pieces(manifold_level, rigid_positions, point_rules):
     """Remove pieces shorter than `SAME_POINT_DISTANCE` between two impacts at the phase of the section.
 
     The refinement brackets an impact at the phase of the section until neighbours are only rounding errors apart. The
     numbers of impacts of such neighbours may alternate.
     """
-    section_break_indices = np.flatnonzero(
-        _break_reasons(manifold_level, rigid_positions, scene_length_scale, point_rules) == "section"
-    )
+    section_break_indices = np.flatnonzero(_break_reasons(manifold_level, rigid_positions, point_rules) == "section")
     is_retained = np.ones(len(manifold_level.u), bool)
     for first_index, last_index in zip(section_break_indices[:-1] + 1, section_break_indices[1:], strict=True):
         is_retained[first_index : last_index + 1] = (
             np.ptp(manifold_level.z[first_index : last_index + 1], axis=0).max()
-            > SAME_POINT_DISTANCE * scene_length_scale
+            > SAME_POINT_DISTANCE * point_rules.scene_length_scale
         )
     return ManifoldLevel(*(array[is_retained] for array in manifold_level))
 

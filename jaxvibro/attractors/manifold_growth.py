@@ -51,6 +51,8 @@ class ManifoldPointRules(NamedTuple):
         Length of a side.
     max_points : int
         Largest number of points of a side.
+    scene_length_scale : float
+        Typical length of the scene.
     """
 
     spacing: float
@@ -60,6 +62,7 @@ class ManifoldPointRules(NamedTuple):
     fastest: float
     length: float
     max_points: int
+    scene_length_scale: float
 
 
 class ManifoldLevel(NamedTuple):
@@ -91,7 +94,6 @@ def grow_manifold_levels(
     periods,
     phase,
     is_backward,
-    scene_length_scale,
     point_rules,
     computation_limits=UNLIMITED,
 ):
@@ -113,8 +115,6 @@ def grow_manifold_levels(
         Phase of the section, in rad.
     is_backward : bool
         True if F is the map in reversed time.
-    scene_length_scale : float
-        Typical length of the scene.
     point_rules : ManifoldPointRules
         Rules for the points.
     computation_limits : Limits, optional
@@ -133,7 +133,7 @@ def grow_manifold_levels(
         inner_coordinate = (
             local_manifold.preimage_coordinate(multiplier_sign * outer_coordinate)
             if level_index
-            else side * MIN_RADIUS * scene_length_scale
+            else side * MIN_RADIUS * point_rules.scene_length_scale
         )
 
         def evaluate_level(
@@ -150,10 +150,9 @@ def grow_manifold_levels(
         manifold_level = _refine_level(
             evaluate_level(parameters),
             evaluate_level,
-            scene_length_scale,
             point_rules._replace(length=remaining_length),
         )
-        _, is_connected, distances = measure_neighbour_gaps(manifold_level, scene_length_scale, point_rules)
+        _, is_connected, distances = measure_neighbour_gaps(manifold_level, point_rules)
         arc_lengths = np.cumsum(np.where(is_connected, distances, 0.0))
         levels.append(manifold_level)
         if arc_lengths[-1] >= remaining_length:
@@ -174,7 +173,7 @@ def grow_manifold_levels(
     return levels, "points"
 
 
-def measure_neighbour_gaps(manifold_level, scene_length_scale, point_rules):
+def measure_neighbour_gaps(manifold_level, point_rules):
     """Return (distance / allowed distance, True if connected, distance) of each pair of neighbours."""
     is_valid_pair = manifold_level.is_valid[:-1] & manifold_level.is_valid[1:]
     with np.errstate(invalid="ignore"):
@@ -187,10 +186,10 @@ def measure_neighbour_gaps(manifold_level, scene_length_scale, point_rules):
     return spacing_ratios, is_valid_pair & (spacing_ratios <= 1.0) & (np.diff(manifold_level.n_impacts) == 0), distances
 
 
-def _refine_level(manifold_level, evaluate_level, scene_length_scale, point_rules):
+def _refine_level(manifold_level, evaluate_level, point_rules):
     """Add points to a level until it obeys `point_rules` up to the required length, or has `max_points` points."""
     while len(manifold_level.u) < point_rules.max_points:
-        needs_split = _needs_refinement(manifold_level, scene_length_scale, point_rules)
+        needs_split = _needs_refinement(manifold_level, point_rules)
         if not needs_split.any():
             break
         split_fractions = HALF_FRACTION if needs_split.sum() > MAX_QUARTERED_GAPS else QUARTER_FRACTIONS
@@ -210,13 +209,13 @@ def _refine_level(manifold_level, evaluate_level, scene_length_scale, point_rule
     return manifold_level
 
 
-def _needs_refinement(manifold_level, scene_length_scale, point_rules):
+def _needs_refinement(manifold_level, point_rules):
     """Return True for pairs of neighbours between which `point_rules` require further points."""
-    spacing_ratios, is_connected, distances = measure_neighbour_gaps(manifold_level, scene_length_scale, point_rules)
+    spacing_ratios, is_connected, distances = measure_neighbour_gaps(manifold_level, point_rules)
     impact_count_changes = np.diff(manifold_level.n_impacts) != 0
     is_any_end_valid = manifold_level.is_valid[:-1] | manifold_level.is_valid[1:]
     is_too_far = is_any_end_valid & np.where(
-        impact_count_changes, distances > CORNER_DISTANCE * scene_length_scale, spacing_ratios > 1.0
+        impact_count_changes, distances > CORNER_DISTANCE * point_rules.scene_length_scale, spacing_ratios > 1.0
     )
     chord_vectors = np.diff(manifold_level.z, axis=0)
     with np.errstate(invalid="ignore", divide="ignore"):

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import ArrayLike, Bool, Float, Int
 
+from ..contact.kinds import flow_of_scene
 from ..scene.codes import Contact, Status
 from ..scene.scene import SIDES
 from ..scene.state import State
@@ -70,7 +71,7 @@ def measured_area_growth(scene, period_records):
     Under a user-defined force this part is all of ``ln abs det M``, computed from the recorded matrices. Otherwise it
     is the contribution of the difference between the damping of the soft walls and the damping of the scene.
     """
-    if scene.force is None:
+    if not flow_of_scene(scene).areas_may_grow():
         area_growth = np.zeros_like(period_records.log_growth)
         for side in scene.soft_sides:
             excess_wall_damping = np.asarray(scene.parameter(f"{side}.damping")) - np.asarray(scene.damping)
@@ -86,7 +87,7 @@ def log_determinant(scene, left_impacts, right_impacts, n_periods, area_growth):
 
     area_growth: sum of `measured_area_growth` over the periods. The numbers may be arrays that broadcast.
     """
-    if scene.force is not None:
+    if flow_of_scene(scene).areas_may_grow():
         return area_growth
     drive_period = 2.0 * np.pi / np.asarray(scene.frequency)
     log_abs_det = area_growth - 2.0 * np.asarray(scene.damping) * drive_period * n_periods

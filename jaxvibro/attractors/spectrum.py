@@ -13,24 +13,17 @@ from continuation.computation_limits import UNLIMITED, make_limits, partial_resu
 from ..compiled.kernel_calls import BLOCK_WIDTH
 from ..maps.long_iteration import take_lanes
 from ..maps.sticking_phase_intervals import NO_STICKING, find_sticking_phases
-from ..output.units import scales_attributes, unit_of
+from ..output.units import unit_of
 from ..scene import check
 from ..scene.scene import Scene
 from ..scene.state import State, check_start_within_walls, make_state_arrays
-from ..scene.unit_mistakes import require_scene_units
 from ..stores.engines import SerialPool, n_usable_cores
 from ..stores.study_completion import Store, complete_study
 from .chaotic_exponents import estimate_exponents, run_until_recurrence
+from .dataset_attributes import STATUS_FLAGS, add_fixed_values, other_parameters, survey_attributes
 from .lyapunov_study import SpectrumStudy, read_estimates
 from .orbit_exponents import compute_orbit_exponents, undefined_estimate
-from .sweep import (
-    STATUS_FLAGS,
-    UNITS_TEXT,
-    check_start_state,
-    equation_text,
-    non_parameter_attributes,
-    other_parameters,
-)
+from .survey_arguments import SEQUENCE_RULE, check_start_state, check_survey_values
 from .tangent_growth import RECORDED_PERIODS, start_tangents
 
 FEW_ROUNDS, MANY_ROUNDS = 8, 64  # rounds until most values have settled, and until the others are averaged
@@ -132,8 +125,6 @@ def spectrum(
     settle, most = check.check_whole_number("settle", settle, 0), check.check_whole_number("most", most, 1)
     target_error = check.check_finite_array("error", error, np.float64)
     check.require("error", "must be greater than 0", target_error, target_error > 0)
-    if target_error.shape:
-        raise check.ArgumentError("error", "must be a single number", error)
     values, state = _check_arguments(scene, name, values, state)
     start_states = jax.tree.map(lambda leaf: np.broadcast_to(leaf, values.shape), state)
     if store is None:
@@ -170,11 +161,9 @@ def spectrum(
 
 def _check_arguments(scene, parameter_name, values, state) -> tuple[Float[np.ndarray, " count"], State]:
     """Check values and state and return both as arrays of the scene's type."""
-    check.require_parameter(parameter_name, scene.names, parameter_name)
-    values = check.check_finite_array(parameter_name, values, scene.dtype)
-    if values.ndim != 1 or len(values) == 0:
-        raise check.ArgumentError(parameter_name, "must be a sequence of at least one value", values)
-    require_scene_units("values", scene, parameter_name, values)
+    values = check_survey_values(
+        scene, parameter_name, values, "values", SEQUENCE_RULE, lambda array: array.ndim == 1 and array.size > 0
+    )
     scene_lanes = scene.replace(**{parameter_name: values})
     state = check_start_state(make_state_arrays(scene, state), scene.dtype, [(parameter_name, values)])
     check_start_within_walls(scene_lanes, state, "at each value")
@@ -195,110 +184,148 @@ def _compute_all_exponents(
 
     The status of an estimate is -1 if the time limit was reached before it was computed.
     """
-    value_indices = np.arange(len(state.x))
+    run = _SpectrumRun(executor, scene_lanes, computation_limits)
+    run.settle_values(state, settle)
+    run.estimate_orbits(run.settled_lanes)
+    report_n_done(len(run.estimates))
+    averaged_indices = run.average_values(target_error, max_periods, report_n_done)
+    run.estimate_orbits(averaged_indices)
+    value_indices = range(len(state.x))
+    exponent_estimates = [run.estimates.get(value_index, undefined_estimate(-1)) for value_index in value_indices]
+    return exponent_estimates, [run.find_sticking_phases(value_index) for value_index in value_indices]
 
-    def settle_block(indices):
-        """Simulate a block of values for the first rounds; return None after the time limit."""
-        return (
-            None
-            if computation_limits.expired
-            else run_until_recurrence(
-                take_lanes(scene_lanes, indices), start_tangents(take_lanes(state, indices)), settle, FEW_ROUNDS
+
+class _SpectrumRun:
+    """Computation of the exponents at many values.
+
+    Attributes
+    ----------
+    executor : Executor
+        Executor whose threads compute blocks of values.
+    scene_lanes : Scene
+        Scene with one lane per value.
+    computation_limits : Limits
+        Time limit. Values that are not settled before the limit have no entry in `settled_lanes`.
+    settled_lanes : dict of int to SettledLanes
+        Motion after the transient as a single lane, by index of the value.
+    estimates : dict of int to ExponentEstimate
+        Exponents, by index of the value.
+    """
+
+    def __init__(self, executor, scene_lanes, computation_limits):
+        self.executor, self.scene_lanes, self.computation_limits = executor, scene_lanes, computation_limits
+        self.settled_lanes, self.estimates = {}, {}
+
+    def settle_values(self, state, settle):
+        """Simulate all values until they recur, and estimate the exponents of motions without a finite state."""
+
+        def settle_block(indices):
+            """Simulate a block of values for the first rounds."""
+            return run_until_recurrence(
+                take_lanes(self.scene_lanes, indices), start_tangents(take_lanes(state, indices)), settle, FEW_ROUNDS
             )
-        )
 
-    def settle_longer(indices):
-        """Simulate unsettled values for further rounds; return None after the time limit."""
-        if computation_limits.expired:
-            return None
-        return run_until_recurrence(
-            take_lanes(scene_lanes, indices),
-            _concatenate_lanes(settled_lane_by_index[value_index].lanes for value_index in indices),
-            0,
-            MANY_ROUNDS,
-        )
-
-    def solve_orbit_block(indices):
-        """Compute the exponents of the periodic orbits of a block."""
-        state, periods = _concatenate_lanes(
-            (settled_lane_by_index[value_index].lanes.state, settled_lane_by_index[value_index].periods)
-            for value_index in indices
-        )
-        return compute_orbit_exponents(take_lanes(scene_lanes, indices), state, periods)
-
-    def average_value(value_index):
-        """Average the exponents at one value; return (None, None) after the time limit."""
-        return (
-            (None, None)
-            if computation_limits.expired
-            else estimate_exponents(
-                take_lanes(scene_lanes, value_index), settled_lane_by_index[value_index], target_error, max_periods
+        def settle_block_longer(indices):
+            """Simulate unsettled values for further rounds."""
+            return run_until_recurrence(
+                take_lanes(self.scene_lanes, indices),
+                _concatenate_lanes(self.settled_lanes[value_index].lanes for value_index in indices),
+                0,
+                MANY_ROUNDS,
             )
-        )
 
-    settled_lane_by_index = _map_and_split_blocks(executor, settle_block, value_indices)
-    unsettled_indices = np.array(
-        [value_index for value_index, settled_lane in settled_lane_by_index.items() if settled_lane.is_nonrecurrent],
-        int,
-    )
-    longer_settled_by_index = _map_and_split_blocks(executor, settle_longer, unsettled_indices)
-    settled_lane_by_index = {
-        value_index: settled_lane
-        for value_index, settled_lane in (settled_lane_by_index | longer_settled_by_index).items()
-        if value_index in longer_settled_by_index or not settled_lane.is_nonrecurrent
-    }
-    estimate_by_index = {
-        value_index: undefined_estimate(settled_lane.status[0])
-        for value_index, settled_lane in settled_lane_by_index.items()
-        if not settled_lane.has_finite_state
-    }
-    estimate_by_index |= _estimate_stable_orbits(
-        executor,
-        solve_orbit_block,
-        [value_index for value_index, settled_lane in settled_lane_by_index.items() if settled_lane.periods[0]],
-    )
-    report_n_done(len(estimate_by_index))
-    nonperiodic_indices = [value_index for value_index in settled_lane_by_index if value_index not in estimate_by_index]
-    for value_index, (exponent_estimate, recurrent_lanes) in zip(
-        nonperiodic_indices, _map_in_order(executor, average_value, nonperiodic_indices), strict=True
-    ):
-        if exponent_estimate is None:
-            continue
-        estimate_by_index[value_index] = exponent_estimate
-        if recurrent_lanes is not None:
-            settled_lane_by_index[value_index] = recurrent_lanes
-        report_n_done(len(estimate_by_index))
-    estimate_by_index |= _estimate_stable_orbits(
-        executor,
-        solve_orbit_block,
-        [
-            value_index
-            for value_index in nonperiodic_indices
-            if value_index in estimate_by_index and settled_lane_by_index[value_index].periods[0]
-        ],
-    )
-    sticking_phases = [
-        NO_STICKING if value_index in estimate_by_index else NO_STICKING._replace(count=np.nan)
-        for value_index in value_indices.tolist()
-    ]
-    for value_index in (
-        value_index
-        for value_index, exponent_estimate in estimate_by_index.items()
-        if np.isneginf(exponent_estimate.exponent[0])
-    ):
-        lane_scene, state = (
-            take_lanes(scene_lanes, value_index),
-            jax.tree.map(lambda leaf: leaf[0], settled_lane_by_index[value_index].lanes.state),
+        self.settled_lanes = self._map_blocks(settle_block, list(range(len(state.x))))
+        longer_settled_lanes = self._map_blocks(
+            settle_block_longer,
+            [value_index for value_index, lane in self.settled_lanes.items() if lane.is_nonrecurrent],
         )
-        sticking_phases[value_index] = find_sticking_phases(
-            lane_scene, state, estimate_by_index[value_index].periods or RECORDED_PERIODS
-        )
-        sticking_phases[value_index] = sticking_phases[value_index]._replace(
-            count=sticking_phases[value_index].count / (estimate_by_index[value_index].periods or RECORDED_PERIODS)
-        )
-    return [
-        estimate_by_index.get(value_index, undefined_estimate(-1)) for value_index in value_indices.tolist()
-    ], sticking_phases
+        self.settled_lanes = {
+            value_index: lane
+            for value_index, lane in (self.settled_lanes | longer_settled_lanes).items()
+            if value_index in longer_settled_lanes or not lane.is_nonrecurrent
+        }
+        self.estimates = {
+            value_index: undefined_estimate(lane.status[0])
+            for value_index, lane in self.settled_lanes.items()
+            if not lane.has_finite_state
+        }
+
+    def estimate_orbits(self, indices):
+        """Estimate the exponents of values that have settled on a periodic orbit, unless the orbit is repelling."""
+
+        def solve_orbit_block(indices):
+            """Compute the exponents of the periodic orbits of a block."""
+            state, periods = _concatenate_lanes(
+                (self.settled_lanes[value_index].lanes.state, self.settled_lanes[value_index].periods)
+                for value_index in indices
+            )
+            return compute_orbit_exponents(take_lanes(self.scene_lanes, indices), state, periods)
+
+        periodic_indices = [value_index for value_index in indices if self.settled_lanes[value_index].periods[0]]
+        block_estimates = _map_in_order(self.executor, solve_orbit_block, _split_into_blocks(periodic_indices))
+        orbit_estimates = [
+            take_lanes(block_estimate, lane_index)
+            for block_estimate in block_estimates
+            for lane_index in range(len(block_estimate.periods))
+        ]
+        self.estimates |= {
+            value_index: exponent_estimate
+            for value_index, exponent_estimate in zip(periodic_indices, orbit_estimates, strict=True)
+            if not exponent_estimate.is_repelling
+        }
+
+    def average_values(self, target_error, max_periods, report_n_done):
+        """Average the exponents of values without an estimate; return the indices of the averaged values."""
+
+        def average_value(value_index):
+            """Average the exponents at one value; return None after the time limit."""
+            return (
+                None
+                if self.computation_limits.expired
+                else estimate_exponents(
+                    take_lanes(self.scene_lanes, value_index),
+                    self.settled_lanes[value_index],
+                    target_error,
+                    max_periods,
+                )
+            )
+
+        averaged_indices = []
+        indices = [value_index for value_index in self.settled_lanes if value_index not in self.estimates]
+        for value_index, average in zip(indices, _map_in_order(self.executor, average_value, indices), strict=True):
+            if average is not None:
+                averaged_indices.append(value_index)
+                self.estimates[value_index], recurrent_lane = average
+                if recurrent_lane is not None:
+                    self.settled_lanes[value_index] = recurrent_lane
+                report_n_done(len(self.estimates))
+        return averaged_indices
+
+    def find_sticking_phases(self, value_index):
+        """Return the `StickingPhaseIntervals` of a value, with their count per period; nan without an estimate."""
+        if value_index not in self.estimates:
+            return NO_STICKING._replace(count=np.nan)
+        exponent_estimate = self.estimates[value_index]
+        if not np.isneginf(exponent_estimate.exponent[0]):
+            return NO_STICKING
+        n_periods = exponent_estimate.periods or RECORDED_PERIODS
+        state = jax.tree.map(lambda leaf: leaf[0], self.settled_lanes[value_index].lanes.state)
+        sticking_phases = find_sticking_phases(take_lanes(self.scene_lanes, value_index), state, n_periods)
+        return sticking_phases._replace(count=sticking_phases.count / n_periods)
+
+    def _map_blocks(self, block_function, indices):
+        """Apply a function to blocks of indices; return {index: tree of one lane} of the blocks within the limit."""
+
+        def run_block(index_block):
+            """Return the result of a block, None after the time limit."""
+            return None if self.computation_limits.expired else block_function(index_block)
+
+        lane_trees, index_blocks = {}, _split_into_blocks(indices)
+        block_trees = _map_in_order(self.executor, run_block, index_blocks)
+        for index_block, block_tree in zip(index_blocks, block_trees, strict=True):
+            if block_tree is not None:
+                lane_trees.update(zip(index_block.tolist(), _split_lanes(block_tree), strict=True))
+        return lane_trees
 
 
 def _concatenate_lanes(lane_trees):
@@ -306,45 +333,21 @@ def _concatenate_lanes(lane_trees):
     return jax.tree.map(lambda *leaves: np.concatenate(leaves, axis=-1), *lane_trees)
 
 
-def _split_lanes(block_trees):
-    """Split trees of lanes into trees of one lane each."""
-    lane_trees = []
-    for block_tree in block_trees:
-        leaves, tree_structure = jax.tree.flatten(block_tree)
-        lane_trees += [
-            tree_structure.unflatten([leaf[..., lane_index : lane_index + 1] for leaf in leaves])
-            for lane_index in range(leaves[0].shape[-1])
-        ]
-    return lane_trees
-
-
-def _map_blocks(executor, block_function, indices):
-    """Return the list of a function's results for blocks of the indices."""
-    return list(
-        _map_in_order(
-            executor,
-            block_function,
-            [indices[block_start : block_start + BLOCK_WIDTH] for block_start in range(0, len(indices), BLOCK_WIDTH)],
-        )
-    )
-
-
-def _map_and_split_blocks(executor, block_function, indices):
-    """Apply a function to blocks of indices; return {index: tree of one lane}, without blocks whose result is None."""
-    index_blocks = [
-        indices[block_start : block_start + BLOCK_WIDTH] for block_start in range(0, len(indices), BLOCK_WIDTH)
+def _split_lanes(block_tree):
+    """Split a tree of lanes into trees of one lane each."""
+    leaves, tree_structure = jax.tree.flatten(block_tree)
+    return [
+        tree_structure.unflatten([leaf[..., lane_index : lane_index + 1] for leaf in leaves])
+        for lane_index in range(leaves[0].shape[-1])
     ]
-    blocks_and_trees = zip(index_blocks, _map_in_order(executor, block_function, index_blocks), strict=True)
-    indices_and_lane_trees = [
-        (index_block.tolist(), _split_lanes([block_tree]))
-        for index_block, block_tree in blocks_and_trees
-        if block_tree is not None
+
+
+def _split_into_blocks(indices):
+    """Split a list of indices into arrays of at most `BLOCK_WIDTH` indices."""
+    return [
+        np.array(indices[block_start : block_start + BLOCK_WIDTH])
+        for block_start in range(0, len(indices), BLOCK_WIDTH)
     ]
-    return {
-        value_index: lane_tree
-        for index_block, lane_trees in indices_and_lane_trees
-        for value_index, lane_tree in zip(index_block, lane_trees, strict=True)
-    }
 
 
 def _map_in_order(executor, function, items):
@@ -354,21 +357,6 @@ def _map_in_order(executor, function, items):
     """
     yield from map(function, items[:1])
     yield from executor.map(function, items[1:])
-
-
-def _estimate_stable_orbits(executor, solve_orbit_block, indices):
-    """Return {index: `ExponentEstimate`} of values with a periodic orbit; values with a repelling orbit are omitted."""
-    block_estimates = _map_blocks(executor, solve_orbit_block, np.array(indices, int))
-    exponent_estimates = [
-        take_lanes(block_estimate, lane_index)
-        for block_estimate in block_estimates
-        for lane_index in range(len(block_estimate.periods))
-    ]
-    return {
-        value_index: exponent_estimate
-        for value_index, exponent_estimate in zip(indices, exponent_estimates, strict=True)
-        if not exponent_estimate.is_repelling
-    }
 
 
 def _make_dataset(scene, name, values, state, exponent_estimates, sticking_phases):
@@ -381,18 +369,8 @@ def _make_dataset(scene, name, values, state, exponent_estimates, sticking_phase
         "order": ("order", [1, 2], {"long_name": "place among the exponents, the larger first"}),
         "wall": ("wall", ["left", "right"]),
     }
-    attrs = {
-        "equation": equation_text(scene),
-        "units": UNITS_TEXT,
-        "swept": name,
-        **non_parameter_attributes(scene),
-        **scales_attributes(scene),
-    }
-    for other_parameter_name, value in (other_parameters(scene, name) | {"phase": state.phase}).items():
-        if np.ndim(value):
-            coords[other_parameter_name] = (name, value)
-        else:
-            attrs[other_parameter_name] = float(value)
+    attrs = survey_attributes(scene, swept=name)
+    add_fixed_values(coords, attrs, other_parameters(scene, name) | {"phase": state.phase}, name, values.shape)
     rate_attrs = {"units": "per drive period"}
     variables = {
         "exponent": ([name, "order"], exponent, {"long_name": "Lyapunov exponents", **rate_attrs}),

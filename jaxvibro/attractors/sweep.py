@@ -11,27 +11,22 @@ from jax import lax
 from jaxtyping import ArrayLike, Float, Real
 
 from continuation.computation_limits import UNLIMITED, make_limits, partial_result_reason
-from continuation.persistent_jit import persistent_jit
+from continuation.hostcall import persistent_jit
 
 from ..compiled.lane_arithmetic import COMPILER_OPTIONS
 from ..flight.wall_positions import adapt_to_moved_walls
 from ..maps.strobe import strobe
-from ..output.units import LENGTH, SPEED, scales_attributes, unit_of
+from ..output.units import LENGTH, SPEED, unit_of
 from ..scene import check
 from ..scene.codes import Status
-from ..scene.predefined_forces import force_name
 from ..scene.scene import Scene
 from ..scene.state import State, check_start_within_walls
-from ..scene.unit_mistakes import require_scene_units
 from ..stores.study_completion import Store, complete_study
+from .dataset_attributes import STATUS_FLAGS, add_fixed_values, other_parameters, survey_attributes
+from .survey_arguments import SEQUENCE_RULE, check_start_state, check_survey_values
 from .sweep_study import SweepStudy
 
 VALUES_PER_CHUNK = 16  # values between two calls of `progress`
-DRIVE_TEXT = "amplitude cos(frequency t)"
-SPRING_TEXT = f"x'' + 2 damping x' + x = {DRIVE_TEXT}"
-REBOUND_TEXT = "y+ - v_b = -restitution (y- - v_b) at a rigid wall"
-STATUS_FLAGS = {"flag_values": [int(code) for code in Status], "flag_meanings": " ".join(code.word for code in Status)}
-UNITS_TEXT = "lengths in that of the walls, time t in 1/w0"
 
 
 @check.host_only("use strobe")
@@ -140,27 +135,15 @@ def sweep(
 
 def _check_arguments(scene, name, values, state) -> tuple[Float[np.ndarray, " count *lanes"], State]:
     """Check values and state and return both as arrays of the scene's type."""
-    check.require_parameter(name, scene.names, name)
-    values = check.check_finite_array(name, values, scene.dtype)
-    if values.ndim == 0 or values.shape[0] == 0:
-        raise check.ArgumentError(name, "must be a sequence of at least one value", values)
-    require_scene_units("values", scene, name, values)
+    values = check_survey_values(
+        scene, name, values, "values", SEQUENCE_RULE, lambda array: array.ndim > 0 and array.shape[0] > 0
+    )
     n_new_axes = max(0, len(scene.shape) - (values.ndim - 1))
     aligned_values = values.reshape(values.shape[0], *[1] * n_new_axes, *values.shape[1:])
     scene.replace(**{name: aligned_values})
     state = check_start_state(state, scene.dtype, [("scene", np.empty(scene.shape)), (name, values[0])])
     check_start_within_walls(scene.replace(**{name: aligned_values[0]}), state, "at the first value")
     return values, state
-
-
-def check_start_state(state, dtype, other_named_arrays):
-    """Return the state as finite arrays of type `dtype`, which must broadcast with the named arrays."""
-    component_names = ("x", "v", "phase", "contact")
-    arrays = [check.check_finite_array(f"state.{key}", getattr(state, key), dtype) for key in component_names]
-    check.require_broadcast(
-        [*other_named_arrays, *zip((f"state.{key}" for key in component_names), arrays, strict=True)]
-    )
-    return State(*arrays)
 
 
 def _flatten_lanes(lane_shape, scene, values, state) -> tuple[Scene, Float[np.ndarray, "count lanes"], State]:
@@ -258,98 +241,11 @@ def _make_dataset(scene, name, values, state, result_arrays):
         name: ([step_dim, *lane_dims][: value_array.ndim], value_array, {"long_name": name, "units": unit_of(name)}),
         "period": ("period", np.arange(x.shape[-1]), {"long_name": "drive periods after those left out"}),
     }
-    attrs = {
-        "equation": equation_text(scene),
-        "units": UNITS_TEXT,
-        "swept": name,
-        **non_parameter_attributes(scene),
-        **scales_attributes(scene),
-    }
-    for other_parameter_name, value in (other_parameters(scene, name) | {"phase": state.phase}).items():
-        if np.ndim(value):
-            coords[other_parameter_name] = (lane_dims, np.broadcast_to(value, status.shape[1:]))
-        else:
-            attrs[other_parameter_name] = float(value)
+    attrs = survey_attributes(scene, swept=name)
+    add_fixed_values(coords, attrs, other_parameters(scene, name) | {"phase": state.phase}, lane_dims, status.shape[1:])
     variables = {
         "x": ([step_dim, *lane_dims, "period"], x, {"long_name": "position on Sigma", "units": LENGTH}),
         "v": ([step_dim, *lane_dims, "period"], v, {"long_name": "velocity on Sigma", "units": SPEED}),
         "status": ([step_dim, *lane_dims], status, {"long_name": "worst status at this value", **STATUS_FLAGS}),
     }
     return xr.Dataset(variables, coords, attrs)
-
-
-def other_parameters(scene, name):
-    """Return the parameters that are not swept.
-
-    The result omits the hardness and the parameters that a wall takes from the scene. If the hardness is swept, the
-    result also omits the stiffness and the damping of the soft walls.
-
-    Parameters
-    ----------
-    scene : Scene
-        Scene.
-    name : str
-        Swept parameter.
-
-    Returns
-    -------
-    dict of str to array
-        Values of the other parameters by name.
-    """
-    dependent_names = [f"{side}.{name}" for side, wall in scene.walls.items() for name in wall.taken]
-    dependent_names += [
-        f"{side}.{wall_parameter}"
-        for side in scene.soft_sides
-        for wall_parameter in ("stiffness", "damping")
-        if name == "hardness"
-    ]
-    dependent_names.append("hardness")
-    return {
-        parameter_name: scene.parameter(parameter_name)
-        for parameter_name in scene.names
-        if parameter_name != name and parameter_name not in dependent_names
-    }
-
-
-def equation_text(scene):
-    """Return the equation of motion and the impact law as text, for files.
-
-    Parameters
-    ----------
-    scene : Scene
-        Scene.
-
-    Returns
-    -------
-    str
-        Equation of motion and impact law.
-    """
-    drive_term_texts = [
-        f" + drive.{term_index}.amplitude cos({drive_term.harmonic} frequency t + drive.{term_index}.phase)"
-        for term_index, drive_term in enumerate(scene.drive)
-    ]
-    base_equation = (
-        f"x'' = {force_name(scene.force.function)}(t, x, v) + {DRIVE_TEXT}" if scene.force is not None else SPRING_TEXT
-    )
-    return f"{base_equation}{''.join(drive_term_texts)}, {REBOUND_TEXT}"
-
-
-def non_parameter_attributes(scene):
-    """Return the attributes of a scene that are not parameters.
-
-    Parameters
-    ----------
-    scene : Scene
-        Scene.
-
-    Returns
-    -------
-    dict of str to object
-        Names of the walls, and harmonics of the moving walls and of the drive terms.
-    """
-    wall_harmonics = {side: wall.motion.harmonic for side, wall in scene.walls.items() if wall.motion is not None}
-    attributes = {f"{side}.motion.harmonic": wall_harmonic for side, wall_harmonic in wall_harmonics.items()}
-    attributes |= {
-        f"drive.{term_index}.harmonic": drive_term.harmonic for term_index, drive_term in enumerate(scene.drive)
-    }
-    return {"walls": " ".join(scene.walls) or "none"} | attributes

@@ -65,13 +65,12 @@ class SweepStudy:
         lane_values |= {
             f"start.{name}": np.asarray(getattr(start_state, name)) for name in ("x", "v", "phase", "contact")
         }
-        lane_fingerprints = {name: fingerprint_array(array) for name, array in lane_values.items()}
-        setting_texts = {"settings": repr(self.settings), "dtype": str(self.template_scene.dtype)}
         return {
             "scene": scene_toml(self.template_scene),
             self.name: fingerprint_array(values),
-            **lane_fingerprints,
-            **setting_texts,
+            **{name: fingerprint_array(array) for name, array in lane_values.items()},
+            "settings": repr(self.settings),
+            "dtype": str(self.template_scene.dtype),
         }
 
     @property

@@ -14,7 +14,7 @@ from jax import lax
 from jaxtyping import Float, Int
 
 from continuation.array_type import Array
-from continuation.persistent_jit import persistent_jit
+from continuation.hostcall import persistent_jit
 
 from ..compiled.kernel_calls import BLOCK_WIDTH, call_as_kernel
 from ..compiled.lane_arithmetic import COMPILER_OPTIONS, choose
@@ -106,7 +106,7 @@ def start_tangents(state):
     return TangentLanes(state, 0.6 * ones, 0.8 * ones)
 
 
-def worse_status(earlier_status, later_status):
+def worse_status(earlier_status, later_status, array_module=jnp):
     """Return the worse of two successive statuses; an earlier status of CAP or worse is kept.
 
     Parameters
@@ -115,31 +115,17 @@ def worse_status(earlier_status, later_status):
         Status before.
     later_status : array
         Status afterwards.
+    array_module : module, optional
+        jax.numpy, or numpy for host arrays of any shape, without compilation.
 
     Returns
     -------
     array
         Worse status.
     """
-    return jnp.where(earlier_status >= Status.CAP, earlier_status, jnp.maximum(earlier_status, later_status))
-
-
-def worse_status_on_host(earlier_status, later_status):
-    """Apply `worse_status` to host arrays of any shape, without compilation.
-
-    Parameters
-    ----------
-    earlier_status : ndarray
-        Status before.
-    later_status : ndarray
-        Status afterwards.
-
-    Returns
-    -------
-    ndarray
-        Worse status.
-    """
-    return np.where(np.asarray(earlier_status) >= Status.CAP, earlier_status, np.maximum(earlier_status, later_status))
+    return array_module.where(
+        earlier_status >= Status.CAP, earlier_status, array_module.maximum(earlier_status, later_status)
+    )
 
 
 def run_tangents(scene, tangent_lanes, periods):

@@ -9,7 +9,9 @@ from jaxtyping import ArrayLike, Float
 from continuation.computation_limits import UNLIMITED
 
 from ..maps import itinerary
+from ..maps.initial_conditions import initial_box
 from ..maps.iterate import MAX_RECORDED_PERIODS, IteratedStates, iterate
+from ..maps.long_iteration import take_lanes
 from ..scene.codes import Status
 from .recurrence import compute_return_distances, find_recurrence_periods
 
@@ -64,7 +66,7 @@ def is_rotated_orbit(points, other_points, tolerance):
     return any(abs(np.roll(other_points, shift, axis=0) - points).max() <= tolerance for shift in range(len(points)))
 
 
-def settle_lanes(scene, state, settle, max_position, computation_limits=UNLIMITED):
+def settle_lanes(scene, state, settle, computation_limits=UNLIMITED):
     """Simulate lanes until they settle on a periodic orbit, or reach the largest number of periods.
 
     Parameters
@@ -77,8 +79,6 @@ def settle_lanes(scene, state, settle, max_position, computation_limits=UNLIMITE
         Drive periods before recurrence is tested, at least `MAX_RECORDED_PERIODS`. Further rounds of increasing length
         follow, up to `MAX_SETTLE_FACTOR` times as many periods. The limit is `EXTENSION_FACTOR` times larger after a
         round in which a lane has settled, because the chaos of the other lanes may be transient.
-    max_position : float
-        Largest possible magnitude of x.
     computation_limits : Limits, optional
         Time limit, after which no further round is started.
 
@@ -89,13 +89,14 @@ def settle_lanes(scene, state, settle, max_position, computation_limits=UNLIMITE
     periods : ndarray
         Number of periods of the orbit on which each lane has settled; 0 for none. Array of shape (lanes,).
     scale : float
-        Largest magnitude of x and v.
+        Largest magnitude of x and v, and of the positions in the box of initial states.
     """
     elapsed_periods, round_periods = max(settle, MAX_RECORDED_PERIODS), MAX_RECORDED_PERIODS
     max_periods, has_any_settled = MAX_SETTLE_FACTOR * elapsed_periods, False
     iterates = iterate(scene, state, elapsed_periods, max_single_lanes=0)
     is_valid = iterates.status < Status.CAP
-    max_state_magnitude = max([max_position, *abs(iterates.v[:, is_valid]).ravel()])
+    start_box_x_min, start_box_x_max, _ = initial_box(scene)
+    max_state_magnitude = max([abs(start_box_x_min), abs(start_box_x_max), *abs(iterates.v[:, is_valid]).ravel()])
     recurrence_periods = np.zeros(len(is_valid), int)
     previous_distances = compute_return_distances(iterates.points)
     while (
@@ -105,7 +106,7 @@ def settle_lanes(scene, state, settle, max_position, computation_limits=UNLIMITE
             break
         later_iterates = iterate(
             scene,
-            jax.tree.map(lambda leaf, active_lanes=active_lanes: leaf[active_lanes], iterates.state),
+            take_lanes(iterates.state, active_lanes),
             round_periods,
             max_single_lanes=0,
         )

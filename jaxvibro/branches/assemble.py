@@ -7,14 +7,14 @@ import xarray as xr
 
 from continuation.branch_segment import join_segments, reverse_segment
 
+from ..contact.kinds import flow_of_scene
 from ..orbits.orbit import STABILITY_MARGIN, eigenvalue_pairs
 from ..output.units import LENGTH, SPEED, TIME, scales_attributes, unit_of
 from ..problem.end import End
-from ..problem.orbit_curve import parse_orbit_point
-from ..problem.orbit_equations import mark_impact_rows, sides_with_release_codes
-from ..problem.orbit_point import OrbitPoint, is_own_mirror_image, itinerary_of_point, label_of_point
+from ..problem.orbit_equations import mark_impact_rows
+from ..problem.orbit_point import is_own_mirror_image, label_of_point, point_of_solution
 from ..scene.symmetry import is_symmetric
-from .branch import Branch, Segment, frequency_at, make_special, scene_at_value
+from .branch import Branch, Segment, make_special, multipliers_of_row
 from .impossible_points import require_no_area_growth, require_possible_points
 
 START_REASON = End.START.reason()
@@ -23,18 +23,18 @@ START_REASON = End.START.reason()
 def assemble_branch(scene, name, bounds, settings, backward, forward, start_reason=START_REASON):
     """Assemble the `Branch` of the segments that were followed backward and forward from a start.
 
-    `backward` and `forward` are the `DirectedBranch` records of the two directions, None for a direction that was not
-    followed. `start_reason` is the `EndReason` of the end in a direction that was not followed.
+    `backward` and `forward` are the results of `continue_through_grazings` in the two directions, None for a direction
+    that was not followed. `start_reason` is the `EndReason` of the end in a direction that was not followed.
     """
-    branch_segments = [reverse_segment(segment) for segment in reversed(backward.segments)] if backward else []
+    backward_segments, first_reason = backward or ([], start_reason)
+    forward_segments, last_reason = forward or ([], start_reason)
+    branch_segments = [reverse_segment(segment) for segment in reversed(backward_segments)]
     if backward and forward:
-        branch_segments[-1] = join_segments([branch_segments[-1], forward.segments[0]])
-        branch_segments += forward.segments[1:]
+        branch_segments[-1] = join_segments([branch_segments[-1], forward_segments[0]])
+        branch_segments += forward_segments[1:]
     elif forward:
-        branch_segments = forward.segments
-    end_kinds, reasons = zip(
-        backward.reason if backward else start_reason, forward.reason if forward else start_reason, strict=True
-    )
+        branch_segments = forward_segments
+    end_kinds, reasons = zip(first_reason, last_reason, strict=True)
     data, segments, special_points = _build_branch_parts(scene, name, bounds, branch_segments)
     settings = {key: setting for key, setting in settings.items() if key != "limits"}
     return Branch(name, bounds, scene, data, segments, special_points, reasons, settings, end_kinds)
@@ -77,7 +77,7 @@ def _pad_impacts(data, max_impacts):
 
 def _build_branch_parts(scene, name, bounds, branch_segments):
     """Return the dataset, `Segment` and `Special` records of continued segments. Raises ImpossiblePointError."""
-    max_impacts = max(int(np.sum(entry.args.sequence.sides != 0)) for entry in branch_segments)
+    max_impacts = max(entry.args.n_used_rows for entry in branch_segments)
     segment_columns = [
         dataset_columns(entry, name, max_impacts, segment_index) for segment_index, entry in enumerate(branch_segments)
     ]
@@ -88,46 +88,34 @@ def _build_branch_parts(scene, name, bounds, branch_segments):
     descriptions = column_descriptions(name)
     data = {key: xr.Variable(descriptions[key][0], column, descriptions[key][1]) for key, column in columns.items()}
 
-    def column_values_at(branch_row_index):
-        return {key: column[branch_row_index] for key, column in columns.items()}
+    def make_branch_special(branch_row_index, orbit_point, *fields):
+        multipliers = multipliers_of_row({key: column[branch_row_index] for key, column in columns.items()})
+        return make_special(scene, name, bounds, branch_row_index, orbit_point, multipliers, *fields)
 
     segments, special_points, first_row = [], [], 0
     grazing_rows = set()
     for entry in branch_segments:
-        row, n_points = column_values_at(first_row), len(entry.points.z)
-        segment_itinerary = itinerary_of_point(
-            parse_orbit_point(row, name), frequency_at(scene, name, float(row[name]))
-        )
-        segments.append(
-            Segment(
-                first_row,
-                first_row + n_points - 1,
-                label_of_point(scene, parse_orbit_point(row, name), segment_itinerary),
-                segment_itinerary,
-            )
-        )
+        n_points, first_point = len(entry.points.z), _point_of_segment(entry, 0)
+        itinerary = first_point.itinerary
+        label = label_of_point(scene, first_point, itinerary)
+        segments.append(Segment(first_row, first_row + n_points - 1, label, itinerary))
         for special_record in entry.specials:
             branch_row_index = first_row + special_record.row
             is_duplicate = (
                 special_record.kind == "GR" and branch_row_index - 1 in grazing_rows
             )  # the same grazing, located from the other segment
             if not is_duplicate:
-                special_points.append(
-                    _make_special(
-                        scene, name, bounds, special_record, branch_row_index, column_values_at(branch_row_index)
-                    )
-                )
+                special_fields = _special_fields(scene, entry, special_record)
+                special_points.append(make_branch_special(branch_row_index, *special_fields))
             if special_record.kind == "GR":
                 grazing_rows.add(branch_row_index)
         first_row += n_points
-    for branch_row_index in (0, first_row - 1):
-        if not any(entry.place == branch_row_index for entry in special_points):
-            row = column_values_at(branch_row_index)
-            special_points.append(
-                make_special(scene, name, bounds, branch_row_index, row, "EP", float(row["residual"]))
-            )
+    for branch_row_index, entry, row in ((0, branch_segments[0], 0), (first_row - 1, branch_segments[-1], -1)):
+        if not any(special.place == branch_row_index for special in special_points):
+            end_point = _point_of_segment(entry, row)
+            special_points.append(make_branch_special(branch_row_index, end_point, "EP", end_point.residual))
     special_points = tuple(sorted(special_points, key=lambda special: special.place))
-    if scene.force is None:
+    if not flow_of_scene(scene).areas_may_grow():
         require_no_area_growth(name, columns[name], columns["multiplier_real"] + 1j * columns["multiplier_imag"])
     require_possible_points(special_points)
     return xr.Dataset(data, attrs={"parameter": name, **scales_attributes(scene)}), tuple(segments), special_points
@@ -135,25 +123,20 @@ def _build_branch_parts(scene, name, bounds, branch_segments):
 
 def dataset_columns(segment, name, max_impacts, segment_index):
     """Return the columns of a branch's data for one segment, ``{name: array}`` with one row per point."""
-    z, tangent, diagnostics = segment.points.z, segment.points.tangent, segment.diagnostics
-    n_impacts, n_sequence_rows, n_points = (
-        int(np.sum(segment.args.sequence.sides != 0)),
-        len(segment.args.sequence.sides),
-        len(segment.points.z),
-    )
+    problem, diagnostics = segment.args, segment.diagnostics
+    times, speeds, sides = problem.impacts(segment.points.z)
+    time_slopes, speed_slopes, _ = problem.impacts(segment.points.tangent)
+    n_points, n_impacts = times.shape
 
     def pad_impacts(impact_values, fill_value):
         padded = np.full((n_points, max_impacts), fill_value)
         padded[:, :n_impacts] = impact_values
         return padded
 
-    sides = np.broadcast_to(sides_with_release_codes(segment.args.sequence)[:n_impacts], (n_points, n_impacts))
-    speeds = z[:, n_sequence_rows : n_sequence_rows + n_impacts] if n_sequence_rows else z[:, :0]
-    speed_slopes = tangent[:, n_sequence_rows : n_sequence_rows + n_impacts] if n_sequence_rows else speeds
     floquet_multipliers = eigenvalue_pairs(diagnostics.trace, diagnostics.determinant)
     return {
-        name: z[:, -1],
-        "time": pad_impacts(z[:, :n_impacts] if n_sequence_rows else speeds, np.nan),
+        name: segment.points.z[:, -1],
+        "time": pad_impacts(times, np.nan),
         "speed": pad_impacts(speeds, np.nan),
         "side": pad_impacts(sides, 0).astype(np.int8),
         "x": diagnostics.x,
@@ -161,12 +144,12 @@ def dataset_columns(segment, name, max_impacts, segment_index):
         "multiplier_real": floquet_multipliers.real,
         "multiplier_imag": floquet_multipliers.imag,
         "stable": (abs(floquet_multipliers) < 1.0 - STABILITY_MARGIN).all(axis=1).astype(np.int8),
-        "least_speed": speeds[:, mark_impact_rows(segment.args.sequence)[:n_impacts]].min(axis=1, initial=np.inf),
+        "least_speed": speeds[:, mark_impact_rows(problem.sequence)[:n_impacts]].min(axis=1, initial=np.inf),
         "least_clearance": diagnostics.clearance.min(axis=(1, 2), initial=np.inf),
         "residual": segment.points.residual,
-        "time_slope": pad_impacts(tangent[:, :n_impacts] if n_sequence_rows else speeds, np.nan),
+        "time_slope": pad_impacts(time_slopes, np.nan),
         "speed_slope": pad_impacts(speed_slopes, np.nan),
-        "value_slope": tangent[:, -1],
+        "value_slope": segment.points.tangent[:, -1],
         "segment": np.full(n_points, segment_index),
     }
 
@@ -199,37 +182,27 @@ def column_descriptions(name):
     }
 
 
-def _make_special(scene, name, bounds, special_record, branch_row_index, row):
-    kind = special_record.kind
+def _point_of_segment(segment, row):
+    """Return the `OrbitPoint` of one point of a segment."""
+    points, diagnostics = segment.points, segment.diagnostics
+    state = diagnostics.x[row, 0], diagnostics.v[row, 0]
+    return point_of_solution(
+        segment.args, points.z[row].copy(), state, points.residual[row], points.tangent[row].copy()
+    )
+
+
+def _special_fields(scene, segment, special_record):
+    """Return (orbit, kind, residual, neighbours, is_not_followed) of a special point, as `make_special` takes them."""
+    orbit_point, kind = _point_of_segment(segment, special_record.row), special_record.kind
     if kind == "BP" and is_symmetric(scene):
-        orbit_row = parse_orbit_point(row, name)
-        kind = "SB" if is_own_mirror_image(scene_at_value(scene, name, orbit_row.value), orbit_row) else kind
-    neighbour_orbits, is_not_followed = (
-        (
-            [_orbit_row_of_exit(grazing_exit) for grazing_exit in special_record.detector_details.exits],
-            special_record.detector_details.not_followed,
-        )
-        if special_record.detector_details
-        else ((), ())
-    )
-    return make_special(
-        scene, name, bounds, branch_row_index, row, kind, special_record.residual, neighbour_orbits, is_not_followed
-    )
+        kind = "SB" if is_own_mirror_image(orbit_point.problem, orbit_point.z) else kind
+    details = special_record.detector_details
+    neighbours = [_point_of_exit(grazing_exit) for grazing_exit in details.exits] if details else ()
+    return orbit_point, kind, special_record.residual, neighbours, details.not_followed if details else ()
 
 
-def _orbit_row_of_exit(grazing_exit):
-    """Return the `OrbitPoint` close to a grazing on the branch of a `BranchFromGrazing`."""
-    problem, z = grazing_exit.problem, grazing_exit.z_near_grazing
-    n_impacts, n_sequence_rows = int(np.sum(problem.sequence.sides != 0)), len(problem.sequence.sides)
+def _point_of_exit(grazing_exit):
+    """Return the `OrbitPoint` near a grazing on a branch that emanates from it."""
     diagnostics = grazing_exit.diagnostics
-    sides = np.asarray(sides_with_release_codes(problem.sequence)[:n_impacts])
-    periods, section_state = int(problem.sequence.periods), (float(diagnostics.x[0, 0]), float(diagnostics.v[0, 0]))
-    return OrbitPoint(
-        float(z[-1]),
-        z[:n_impacts] if n_sequence_rows else z[:0],
-        z[n_sequence_rows : n_sequence_rows + n_impacts] if n_sequence_rows else z[:0],
-        sides,
-        periods,
-        *section_state,
-        0.0,
-    )
+    state = diagnostics.x[0, 0], diagnostics.v[0, 0]
+    return point_of_solution(grazing_exit.problem, grazing_exit.z_near_grazing, state, 0.0)

@@ -22,8 +22,10 @@ from ..output.table_text import align_columns, column_header, multipliers_text
 from ..output.units import unit_in_system, unit_of
 from ..problem import stability_descriptions
 from ..problem.end import End, rescale_reason_text
+from ..problem.orbit_conversion import orbit_from_point
 from ..problem.orbit_curve import OrbitCurve, SpecialOrbit, dataset_row, parse_orbit_point
-from ..problem.orbit_point import OrbitPoint, itinerary_of_point, label_of_point, orbit_from_point
+from ..problem.orbit_point import OrbitPoint, label_of_point
+from ..problem.orbit_problem import make_orbit_problem
 from ..scene.scene import Scene, map_scene_numbers, replace_unchecked
 from ..scene.scene_table import make_scene_table
 from . import normal_form as forms
@@ -100,9 +102,7 @@ class Special(SpecialOrbit):
     place : int
         Index among the points of the branch.
     spot : OrbitPoint
-        Orbit at the point as plain numbers.
-    slopes : ndarray
-        Unit tangent of the branch: times, speeds and parameter, array of shape (2 * impacts + 1,).
+        The orbit, with the tangent of the branch.
     joins : tuple of OrbitPoint
         At a GR, CH or RL, one orbit close to the point on each branch that emanates from the point; else empty.
     aside : tuple of bool
@@ -127,10 +127,16 @@ class Special(SpecialOrbit):
     residual: float
     place: int
     spot: OrbitPoint = field(repr=False)
-    slopes: Float[np.ndarray, " unknowns"] = field(repr=False)
     joins: tuple[OrbitPoint, ...] = field(repr=False)
     aside: tuple[bool, ...] = field(repr=False)
     saved: NormalForm | None = field(repr=False, default=None)
+
+    @property
+    def slopes(self) -> Float[np.ndarray, " unknowns"]:
+        """Unit tangent of the branch: times, speeds and parameter, array of shape (2 * impacts + 1,)."""
+        tangent = np.asarray(self.spot.tangent)
+        time_slopes, speed_slopes, _ = self.spot.problem.impacts(tangent)
+        return np.concatenate([time_slopes, speed_slopes, tangent[-1:]])
 
     @cached_property
     def normal_form(self) -> NormalForm | None:
@@ -140,7 +146,7 @@ class Special(SpecialOrbit):
         consequence for a stable motion. The value is None for other kinds, for orbits without impacts except at a GR,
         and if the linear equations of the computation are singular.
         """
-        form_arguments = self.kind, self.name, self.scene, self.spot, self.multipliers, self.joins
+        form_arguments = self.kind, self.scene, self.spot, self.multipliers, self.joins
         return self.saved or forms.make_normal_form(*form_arguments)
 
     @cached_property
@@ -226,11 +232,11 @@ class Branch(OrbitCurve[Special]):
         -------
         scene : Scene
             Scene at the point.
-        orbit_row : OrbitPoint
-            Orbit as plain numbers.
+        orbit_point : OrbitPoint
+            The orbit.
         """
-        orbit_row = parse_orbit_point(dataset_row(self.data, place), self.name)
-        return scene_at_value(self.scene, self.name, orbit_row.value), orbit_row
+        orbit_point = branch_point(self, place)
+        return scene_at_value(self.scene, self.name, orbit_point.value), orbit_point
 
     @property
     def content(self) -> bytes:
@@ -444,9 +450,11 @@ def describe_extent(branch, unit_factor=1.0, digits=12):
     )
 
 
-def _orbit_as_list(orbit_row):
-    """Convert an `OrbitPoint` to a list of plain numbers."""
-    return [entry.tolist() if isinstance(entry, np.ndarray) else entry for entry in orbit_row]
+def _orbit_as_list(orbit_point):
+    """Convert an `OrbitPoint` to a list of plain numbers, as a file holds it."""
+    impact_columns = [column.tolist() for column in orbit_point.problem.impacts(orbit_point.z)]
+    state_and_residual = orbit_point.x, orbit_point.v, orbit_point.residual
+    return [orbit_point.value, *impact_columns, orbit_point.periods, *state_and_residual]
 
 
 def neighbour_labels(special):
@@ -464,30 +472,9 @@ def neighbour_labels(special):
     """
     labels = []
     for neighbour in special.joins:
-        frequency = frequency_at(special.scene, special.name, neighbour.value)
         side_symbol = ">" if neighbour.value > special.value else "<"
-        labels.append(label_of_point(special.scene, neighbour, itinerary_of_point(neighbour, frequency)) + side_symbol)
+        labels.append(label_of_point(special.scene, neighbour, neighbour.itinerary) + side_symbol)
     return labels
-
-
-def frequency_at(scene, name, value):
-    """Return the drive frequency at a value of a parameter.
-
-    Parameters
-    ----------
-    scene : Scene
-        Scene.
-    name : str
-        Name of the parameter.
-    value : float
-        Value of the parameter.
-
-    Returns
-    -------
-    float
-        Drive frequency.
-    """
-    return value if name == "frequency" else float(scene.frequency)
 
 
 def scene_at_value(scene, name, value):
@@ -513,28 +500,99 @@ def scene_at_value(scene, name, value):
     )
 
 
-def make_special(
-    scene, name, bounds, row_index, row, kind, residual, neighbour_orbits=(), is_not_followed=(), saved_form=None
-):
-    """Make the `Special` of one row of a branch's data."""
-    orbit_row = parse_orbit_point(row, name)
-    multipliers = row["multiplier_real"] + 1j * row["multiplier_imag"]
-    scene = scene_at_value(scene, name, orbit_row.value)
-    itinerary = itinerary_of_point(orbit_row, float(scene.frequency))
+def branch_point(branch, place):
+    """Return the `OrbitPoint` of one point of a branch.
+
+    Parameters
+    ----------
+    branch : Branch
+        Branch.
+    place : int
+        Index of the point.
+
+    Returns
+    -------
+    OrbitPoint
+        The orbit, with the tangent of the branch.
+    """
+    template = make_orbit_problem(branch.scene, branch.name, periods=1)
+    return point_of_row(template, branch.name, dataset_row(branch.data, place))
+
+
+def point_of_row(problem, name, row):
+    """Return the orbit of one point of a branch.
+
+    Parameters
+    ----------
+    problem : OrbitProblem
+        Problem of an orbit without impacts of the branch.
+    name : str
+        Parameter of the branch.
+    row : dict of str to ndarray
+        Entries from `dataset_row`.
+
+    Returns
+    -------
+    OrbitPoint
+        The orbit, with the tangent of the branch.
+    """
     is_impact = row["side"] != 0
-    slopes = np.concatenate([row["time_slope"][is_impact], row["speed_slope"][is_impact], [row["value_slope"]]])
-    optional_fields = tuple(neighbour_orbits), tuple(is_not_followed), saved_form
+    tangent = np.concatenate([row["time_slope"][is_impact], row["speed_slope"][is_impact], [row["value_slope"]]])
+    return parse_orbit_point(problem, name, row, len(row["x"]), tangent)
+
+
+def multipliers_of_row(row):
+    """Return the multipliers of one point of a branch from the entries of `dataset_row`."""
+    return row["multiplier_real"] + 1j * row["multiplier_imag"]
+
+
+def make_special(
+    scene, name, bounds, place, orbit_point, multipliers, kind, residual, neighbours=(), is_not_followed=(), form=None
+):
+    """Make the `Special` at an orbit of a branch.
+
+    Parameters
+    ----------
+    scene : Scene
+        Scene of the branch.
+    name : str
+        Parameter of the branch.
+    bounds : tuple of float
+        Bounds of the branch.
+    place : int
+        Index among the points of the branch.
+    orbit_point : OrbitPoint
+        The orbit.
+    multipliers : ndarray
+        Floquet multipliers.
+    kind : str
+        Kind of the point.
+    residual : float
+        Largest residual of the equations of the point.
+    neighbours : sequence of OrbitPoint, optional
+        Orbits on the branches that emanate from the point.
+    is_not_followed : sequence of bool, optional
+        True for each neighbour along which the branch does not continue.
+    form : NormalForm, optional
+        Normal form read from a file.
+
+    Returns
+    -------
+    Special
+        The special point.
+    """
     return Special(
         kind,
         name,
-        orbit_row.value,
+        orbit_point.value,
         bounds,
-        scene,
-        itinerary,
+        scene_at_value(scene, name, orbit_point.value),
+        orbit_point.itinerary,
         multipliers,
         residual,
-        row_index,
-        orbit_row,
-        slopes,
-        *optional_fields,
+        place,
+        orbit_point,
+        tuple(neighbours),
+        tuple(is_not_followed),
+        form,
     )

@@ -8,6 +8,7 @@ from ..output.checksums import parse_checked_file
 from ..output.saved_curve_checks import (
     IMPACT_CODES,
     decode_field,
+    decode_plane_curve,
     decode_scene,
     parse_saved_curve,
     require_valid_bounds,
@@ -17,9 +18,10 @@ from ..output.saved_curve_checks import (
 from ..output.units import scales_attributes
 from ..problem.end import End, parse_end
 from ..problem.orbit_curve import dataset_row
-from ..problem.orbit_point import OrbitPoint
+from ..problem.orbit_point import make_orbit_point
+from ..problem.orbit_problem import make_orbit_problem
 from ..scene import check
-from .branch import STEP_SETTINGS, Branch, Segment, make_special
+from .branch import STEP_SETTINGS, Branch, Segment, make_special, multipliers_of_row, point_of_row
 from .held_branch import HELD_UNITS, HeldBranch
 from .normal_form import parse_normal_form
 
@@ -121,7 +123,7 @@ def _build_branch(data):
     require_valid_bounds(bounds)
     scene = decode_scene(attrs, name)
     _check_columns(data, name)
-    last_row = data.sizes["point"] - 1
+    last_row, template = data.sizes["point"] - 1, make_orbit_problem(scene, name, periods=1)
     segments = tuple(
         Segment(*segment_fields)
         for segment_fields in decode_field(attrs, "segments", list[tuple[int, int, str, Itinerary]])
@@ -142,13 +144,13 @@ def _build_branch(data):
     ):
         require_valid_field("special", kind and 0 <= row_index <= last_row)
         optional_fields = (
-            [_parse_neighbour(neighbour_fields) for neighbour_fields in all_neighbour_fields],
+            [_parse_neighbour(template, neighbour_fields) for neighbour_fields in all_neighbour_fields],
             is_not_followed,
             parse_normal_form(form_fields),
         )
-        special_points.append(
-            make_special(scene, name, bounds, row_index, dataset_row(data, row_index), kind, residual, *optional_fields)
-        )
+        row = dataset_row(data, row_index)
+        point_fields = row_index, point_of_row(template, name, row), multipliers_of_row(row), kind, residual
+        special_points.append(make_special(scene, name, bounds, *point_fields, *optional_fields))
     reasons, settings = (
         decode_field(attrs, "reasons", tuple[str, str]),
         decode_field(attrs, "settings", dict[str, float]),
@@ -169,17 +171,12 @@ def _build_branch(data):
 def _build_held_branch(data):
     """Build the `HeldBranch` of a file's data. Raises various errors if fields are invalid."""
     attrs = data.attrs
-    bounds = decode_field(attrs, "bounds", dict[str, tuple[float, float]])
-    parameter_names, quantity_name, value = tuple(bounds), str(attrs["held"]), float(attrs["value"])
-    require_valid_field("parameters", len(parameter_names) == 2)
+    names, bounds, scene, reasons = decode_plane_curve(attrs)
+    quantity_name, value = str(attrs["held"]), float(attrs["value"])
     require_valid_field("held", quantity_name in HELD_UNITS and np.isfinite(value))
-    for parameter_bounds in bounds.values():
-        require_valid_bounds(parameter_bounds)
-    scene = decode_scene(attrs, *parameter_names)
-    _check_columns(data, *parameter_names)
-    reasons = decode_field(attrs, "reasons", tuple[str, str])
+    _check_columns(data, *names)
     data.attrs = scales_attributes(scene)
-    return HeldBranch(parameter_names, quantity_name, value, bounds, scene, data, reasons)
+    return HeldBranch(names, quantity_name, value, bounds, scene, data, reasons)
 
 
 def _check_columns(data, *parameter_names):
@@ -190,10 +187,10 @@ def _check_columns(data, *parameter_names):
     require_valid_field("stable", np.isin(data["stable"].values, (0, 1)).all())
 
 
-def _parse_neighbour(neighbour_fields):
-    value, times, speeds, sides, periods, *state_and_residual = neighbour_fields
+def _parse_neighbour(template, neighbour_fields):
+    """Return the `OrbitPoint` of a neighbour of a special point; `template` is a problem without impacts."""
+    value, times, speeds, sides, periods, x, v, residual = neighbour_fields
     is_valid = len(times) == len(speeds) == len(sides) and set(map(abs, sides)) <= IMPACT_CODES and periods > 0
     require_valid_field("joins", is_valid)
-    return OrbitPoint(
-        value, *(np.array(column, float) for column in (times, speeds, sides)), periods, *state_and_residual
-    )
+    impacts = list(zip(times, speeds, sides, strict=True))
+    return make_orbit_point(template, value, impacts, periods, (x, v), residual)

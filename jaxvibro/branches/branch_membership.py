@@ -3,12 +3,9 @@
 import numpy as np
 
 from ..orbits.orbit_comparison import is_same_orbit
-from ..problem import orbit_equivalence
-from ..problem.orbit_conversion import correct_to_parameter
-from ..problem.orbit_curve import dataset_row, parse_orbit_point
 from ..problem.orbit_diagnostics import diagnose
-from ..problem.orbit_equations import parameter_value_at
-from ..problem.orbit_point import comparison_points, set_up_equations
+from ..problem.orbit_equivalence import comparison_points
+from .branch import branch_point
 
 PREFILTER_TOLERANCE = 0.15  # relative to the largest x and v of the branch; closer states are tested by Newton's method
 ORBIT_TOLERANCE = 1e-5  # relative to the largest speed; largest difference of impacts of one orbit
@@ -17,10 +14,10 @@ CHATTER_TOLERANCE = 1e-4  # relative to the largest x and v; largest difference 
 
 def is_on_branch(seed_orbit, branch):
     """Test whether a seed orbit lies on a branch."""
-    if branch.data.sizes["period"] != seed_orbit.orbit_row.periods:
+    if branch.data.sizes["period"] != seed_orbit.point.periods:
         return False
     value_offsets, branch_states = (
-        branch.values - seed_orbit.orbit_row.value,
+        branch.values - seed_orbit.point.value,
         np.stack([branch.data[key].values for key in "xv"], axis=2),
     )
     max_distance = PREFILTER_TOLERANCE * abs(branch_states).max()
@@ -46,11 +43,8 @@ def _are_states_near(seed_orbit, branch_states, max_distance):
 
 def _converges_to_seed_orbit(seed_orbit, branch, row_before):
     """Test whether Newton's method leads from one of two adjacent points of a branch to the seed orbit."""
-    orbit_rows = (parse_orbit_point(dataset_row(branch.data, row), branch.name) for row in (row_before, row_before + 1))
-    return any(
-        correct_to_seed_orbit(seed_orbit, *set_up_equations(branch.scene, branch.name, orbit_row)) is not None
-        for orbit_row in orbit_rows
-    )
+    points = (branch_point(branch, row) for row in (row_before, row_before + 1))
+    return any(correct_to_seed_orbit(seed_orbit, point.problem, point.z) is not None for point in points)
 
 
 def correct_to_seed_orbit(seed_orbit, problem, z):
@@ -58,7 +52,7 @@ def correct_to_seed_orbit(seed_orbit, problem, z):
 
     Returns the equations and z at this value, or None if the method does not converge to the seed orbit.
     """
-    point = correct_to_parameter(problem, z, seed_orbit.orbit_row.value)
+    point = problem.solve_at(z, -1, seed_orbit.point.value, 1.0)
     return (problem, point.z) if point.converged and _is_seed_orbit(seed_orbit, problem, point.z) else None
 
 
@@ -70,9 +64,9 @@ def _is_seed_orbit(seed_orbit, problem, z):
             1.0, state_scale
         )
     if not len(problem.sequence.sides):
-        return not len(seed_orbit.orbit_row.times) and abs(
+        return not seed_orbit.point.problem.n_rows and abs(
             z[:2] - seed_orbit.section_states[0]
         ).max() < ORBIT_TOLERANCE * max(1.0, abs(seed_orbit.section_states).max())
-    speed_scale = seed_orbit.orbit_row.speeds.max(initial=0.0)
-    seed_impacts = comparison_points(seed_orbit.orbit_row, parameter_value_at(problem, z, "frequency"), speed_scale)
-    return is_same_orbit(orbit_equivalence.comparison_points(problem, z, speed_scale), seed_impacts, ORBIT_TOLERANCE)
+    speed_scale = seed_orbit.point.speeds.max(initial=0.0)
+    seed_impacts = comparison_points(seed_orbit.point.problem, seed_orbit.point.z, speed_scale)
+    return is_same_orbit(comparison_points(problem, z, speed_scale), seed_impacts, ORBIT_TOLERANCE)

@@ -8,11 +8,9 @@ from continuation.computation_limits import UNLIMITED, make_limits
 
 from ..orbits.orbit_comparison import is_same_orbit
 from ..problem.end import RESUMABLE_ENDS, End
-from ..problem.orbit_equivalence import is_repeated
-from ..problem.orbit_point import comparison_points, set_up_equations
+from ..problem.orbit_equivalence import comparison_points, is_repeated
 from ..scene.check import ArgumentError
 from ..scene.symmetry import stays_symmetric
-from .branch import frequency_at
 from .follow import follow
 from .mirror_image import mirror_branch
 from .switch import FIRST_STEP, branch_starts, follow_away_from_point
@@ -206,7 +204,7 @@ def _needs_following(special, max_period):
         return False
     if special.kind == "PD":
         return 2 * special.spot.periods <= max_period
-    return not is_repeated(*set_up_equations(special.scene, special.name, special.spot))
+    return not is_repeated(special.spot.problem, special.spot.z)
 
 
 def _prime_period_starts(special):
@@ -300,10 +298,8 @@ def _identifying_points(branch):
 
 
 def _mirrored_point(special):
-    """Return a special point with the impacts on the other walls half a drive period later, for comparisons."""
-    orbit_row = special.spot
-    half_period = np.pi / frequency_at(special.scene, special.name, special.value)
-    return replace(special, spot=orbit_row._replace(times=orbit_row.times + half_period, sides=-orbit_row.sides))
+    """Return the mirror image of a special point, with the fields that `is_same_point` compares."""
+    return replace(special, spot=special.spot.mirror())
 
 
 def is_same_point(first_point, second_point):
@@ -319,7 +315,6 @@ def has_same_orbit(first_point, second_point, n_repetitions=1):
         return False
     speed_scale = max(special.spot.speeds.max(initial=0.0) for special in (first_point, second_point))
     impact_sets = (
-        comparison_points(special.spot, frequency_at(special.scene, special.name, special.value), speed_scale)
-        for special in (first_point, second_point)
+        comparison_points(special.spot.problem, special.spot.z, speed_scale) for special in (first_point, second_point)
     )
     return is_same_orbit(*impact_sets, IMPACT_TOLERANCE)

@@ -17,8 +17,7 @@ from ..flight.wall_positions import adapt_to_moved_walls
 from ..orbits.find import find_orbit
 from ..orbits.orbit import OrbitError
 from ..problem.end import End
-from ..problem.orbit_conversion import orbit_point_of
-from ..problem.orbit_point import set_up_equations
+from ..problem.orbit_conversion import problem_of_orbit
 from ..scene import check
 from ..scene.scene import Scene
 from ..scene.scene_parameters import check_parameter_bounds, parameter_domain
@@ -223,12 +222,10 @@ def _follow_seed_orbit(tree, seed_orbit, scene, name, bounds, step_settings):
     """Follow a seed orbit and all branches that emanate from its branch."""
     if seed_orbit.may_stick:
         seed_orbit = _add_chatter_impacts(seed_orbit, scene, name)
-    start = seed_orbit and correct_to_seed_orbit(seed_orbit, *set_up_equations(scene, name, seed_orbit.orbit_row))
+    start = seed_orbit and correct_to_seed_orbit(seed_orbit, seed_orbit.point.problem, seed_orbit.point.z)
     if start is None:  # the start had not settled
         return
-    branch = branch_through(
-        scene.replace(**{name: seed_orbit.orbit_row.value}), name, bounds, start, "both", step_settings
-    )
+    branch = branch_through(scene.replace(**{name: seed_orbit.point.value}), name, bounds, start, "both", step_settings)
     if tree.branches and End.MAX_SECONDS in branch.ends:
         return  # the next run follows it again
     if not tree.contains(branch):
@@ -243,20 +240,19 @@ def _add_chatter_impacts(seed_orbit, scene, name):
     seed orbit, or if the mass never leaves the
     wall.
     """
-    orbit_row = seed_orbit.orbit_row
-    scene_at_value = scene.replace(**{name: orbit_row.value})
+    point = seed_orbit.point
+    scene_at_value = scene.replace(**{name: point.value})
     try:
         orbit = find_orbit(
             scene_at_value,
-            adapt_to_moved_walls(scene_at_value, State(orbit_row.x, orbit_row.v)),
-            periods=orbit_row.periods,
+            adapt_to_moved_walls(scene_at_value, State(point.x, point.v)),
+            periods=point.periods,
             settle=0,
         )
-        return (
-            seed_orbit._replace(orbit_row=orbit_point_of(orbit, orbit_row.value))
-            if orbit.periods == orbit_row.periods
-            else None
-        )
+        if orbit.periods != point.periods:
+            return None
+        problem, z = problem_of_orbit(orbit, name)
+        return seed_orbit._replace(point=point._replace(problem=problem, z=z))
     except OrbitError:
         return None
 

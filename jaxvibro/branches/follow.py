@@ -5,31 +5,24 @@ from typing import Any, overload
 
 import numpy as np
 
-from continuation import augmented_systems
-from continuation.arclength import StepControl
+from continuation.arclength import make_control, make_start_point
 from continuation.computation_limits import UNLIMITED, make_limits
-from continuation.event_search import unit_tangent
-from continuation.intermediate_points import make_start_point
+from continuation.continuation_loop import ContinuationTask
 
 from ..orbits.orbit import Orbit, OrbitError
 from ..problem.end import End
-from ..problem.grazing_contact import arclength_weights
-from ..problem.orbit_conversion import correct_to_parameter, orbit_point_of
-from ..problem.orbit_equations import continuation_problem
-from ..problem.orbit_point import set_up_equations
+from ..problem.orbit_conversion import problem_of_orbit
 from ..scene import check
-from ..scene.scene_parameters import check_parameter_bounds, parameter_domain
-from ..scene.typical_scales import typical_length
+from ..scene.scene_parameters import check_parameter_bounds, limit_bounds_to_domains
 from . import held_continuation as holding
 from .assemble import START_REASON, assemble_branch
 from .branch import KIND_NAMES, Branch
 from .held_branch import HeldBranch
-from .itinerary_segment import BranchSettings
+from .itinerary_segment import BranchEventDetector
 from .through_grazings import continue_through_grazings
 from .user_monitors import MonitoredPoint
 
 DIRECTIONS = ("both", "forward", "backward")
-MIN_STEP = 1e-8  # arclength
 MAX_START_RESIDUAL = 1e-6  # relative to the scene's length; a start with a larger residual is rejected
 Monitors = Mapping[str, Callable[[MonitoredPoint], Any]] | tuple[()]  # keys are labels
 
@@ -325,7 +318,7 @@ def branch_through(scene, name, bounds, start, direction, settings):
     bounds : tuple of float
         Lower and upper bound.
     start : tuple
-        `OrbitEquations` and unknowns z of the start.
+        `OrbitProblem` and unknowns z of the start.
     direction : {"both", "forward", "backward"}
         Direction of the start.
     settings : dict
@@ -336,43 +329,34 @@ def branch_through(scene, name, bounds, start, direction, settings):
     Branch
         The branch.
     """
-    (problem, z), length_scale = start, typical_length(scene)
-    branch_settings = make_branch_settings(scene, name, bounds, length_scale, start, **settings)
-    forward_tangent, start_reason, limits = (
-        unit_tangent(continuation_problem(problem), z, arclength_weights(problem, length_scale), problem),
-        START_REASON,
-        branch_settings.limits,
-    )
+    problem, z = start
+    task = make_branch_task(scene, name, bounds, problem, start, **settings)
+    forward_tangent, start_reason, limits = problem.tangent(z), START_REASON, task.limits
     forward_limits = limits.half_points() if direction == "both" else limits
     forward = (
-        continue_through_grazings(
-            problem, make_start_point(z, forward_tangent), branch_settings._replace(limits=forward_limits)
-        )
+        continue_through_grazings(task._replace(limits=forward_limits), make_start_point(z, forward_tangent))
         if direction != "backward"
         else None
     )
-    is_closed = forward is not None and forward.reason.end is End.CLOSED
+    is_closed = forward is not None and forward[1].end is End.CLOSED
     if forward is not None and direction == "both" and not is_closed:
-        limits = limits.after_points(
-            sum(len(segment.points.z) for segment in forward.segments) - 1
-        )  # the start counts once
+        limits = limits.after_points(sum(len(segment.points.z) for segment in forward[0]) - 1)  # the start counts once
         if limits.is_reached(1):
             is_closed, end_kind = True, End.MAX_SECONDS if limits.expired else End.MAX_POINTS
             start_reason = end_kind.reason(z[-1])
-    branch_settings = branch_settings._replace(limits=limits)
     backward = (
-        continue_through_grazings(problem, make_start_point(z, -forward_tangent), branch_settings)
+        continue_through_grazings(task._replace(limits=limits), make_start_point(z, -forward_tangent))
         if direction != "forward" and not is_closed
         else None
     )
     return assemble_branch(scene, name, bounds, settings, backward, forward, start_reason)
 
 
-def make_branch_settings(
+def make_branch_task(
     scene,
     name,
     bounds,
-    length_scale,
+    problem,
     closing_orbit,
     first_step,
     largest_step,
@@ -381,31 +365,41 @@ def make_branch_settings(
     stop,
     limits=UNLIMITED,
 ):
-    """Make the `BranchSettings` of one branch.
+    """Make the `ContinuationTask` of a branch.
 
-    `closing_orbit` is a pair of `OrbitEquations` and z. The branch is closed if it reaches the orbit of this pair
-    again."""
-    domain_bounds = parameter_domain(scene, name)
-    lower, upper = max(bounds[0], domain_bounds[0]), min(bounds[1], domain_bounds[1])
-    control_values = (
-        np.float64(number) for number in (min(MIN_STEP, first_step), largest_step, tolerance, lower, upper)
-    )
-    problem, z = closing_orbit
-    n_rows = len(problem.sequence.sides)
-    closure_targets = (
-        ((problem.sequence._replace(times=z[:n_rows], speeds=z[n_rows : 2 * n_rows]), z[-1]),) if n_rows else ()
-    )
-    domain_end_values = tuple(
-        number for number in domain_bounds if not bounds[0] <= number <= bounds[1] or number not in bounds
-    )
-    return BranchSettings(
-        StepControl(np.ones(1), *control_values),
+    Parameters
+    ----------
+    scene : Scene
+        Scene.
+    name : str
+        Parameter of the branch.
+    bounds : tuple of float
+        Bounds of the parameter.
+    problem : OrbitProblem
+        Problem of the first orbits; `continue_through_grazings` replaces it at each grazing.
+    closing_orbit : tuple
+        Problem and unknowns of an orbit. The branch is closed if it reaches this orbit again.
+    first_step, largest_step, tolerance, monitors, stop
+        As `check_follow_settings` returns them.
+    limits : Limits, optional
+        Limits of points and time.
+
+    Returns
+    -------
+    ContinuationTask
+        The task.
+    """
+    bounds_in_domain, domain_ends = limit_bounds_to_domains(scene, [name], [bounds])
+    return ContinuationTask(
+        problem.equations,
+        problem,
+        make_control(problem.weights(), first_step, largest_step, tolerance, bounds_in_domain[0]),
         min(first_step, largest_step),
-        domain_end_values,
-        monitors,
+        bounds_in_domain,
+        domain_ends,
+        BranchEventDetector(problem, monitors),
         stop,
-        length_scale,
-        closure_targets,
+        (closing_orbit,) if closing_orbit[0].n_rows else (),
         limits,
     )
 
@@ -422,8 +416,8 @@ def polish_orbit(orbit, name):
 
     Returns
     -------
-    problem : OrbitEquations
-        Equations of the orbit.
+    problem : OrbitProblem
+        Problem of the orbit.
     z : ndarray
         Unknowns, corrected by Newton's method if it converges.
 
@@ -433,13 +427,11 @@ def polish_orbit(orbit, name):
         If the residual is too large.
     """
     value = float(orbit.scene.parameter(name))
-    problem, z = set_up_equations(orbit.scene, name, orbit_point_of(orbit, value))
-    residual = float(
-        abs(np.asarray(augmented_systems.evaluate_problem(continuation_problem(problem), z, problem)[0])).max()
-    )
-    if not residual < MAX_START_RESIDUAL * typical_length(orbit.scene):
+    problem, z = problem_of_orbit(orbit, name)
+    residual = float(abs(problem.evaluate(z)[0]).max())
+    if not residual < MAX_START_RESIDUAL * problem.length_scale:
         raise OrbitError("the start is not an orbit", residual, "use an Orbit from find_orbit with its own scene")
-    point = correct_to_parameter(problem, z, value)
+    point = problem.solve_at(z, -1, value, 1.0)
     return problem, point.z if point.converged else z
 
 

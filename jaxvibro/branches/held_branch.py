@@ -1,26 +1,21 @@
 """Orbits along two parameters with one quantity held fixed."""
 
-import json
 from dataclasses import dataclass, field
 from functools import cached_property
 
-import msgspec
 import numpy as np
 import pandas as pd
 import xarray as xr
-from jaxtyping import Bool, Float
+from jaxtyping import Bool
 
-from .. import __version__
-from ..output.checksums import netcdf_bytes
 from ..output.dataframes import make_dataframe
 from ..output.equal_runs import find_equal_runs
 from ..output.table_text import align_columns, column_header
 from ..output.units import LENGTH, SPEED, unit_in_system, unit_of
-from ..problem import plane_curve_end, stability_descriptions
-from ..problem.orbit_curve import OrbitCurve, dataset_row, parse_orbit_point
-from ..problem.orbit_point import OrbitPoint, itinerary_of_point, label_of_point
+from ..problem import stability_descriptions
+from ..problem.orbit_point import label_of_point
+from ..problem.plane_curve import PlaneCurve
 from ..scene.scene import Scene
-from ..scene.scene_table import make_scene_table
 from .branch import Special
 from .orbit_columns import orbit_columns
 
@@ -28,7 +23,7 @@ HELD_UNITS = {"peak": LENGTH, "least_speed": SPEED}  # units of the quantities t
 
 
 @dataclass(frozen=True, eq=False)
-class HeldBranch(OrbitCurve[Special]):
+class HeldBranch(PlaneCurve[Special]):
     """Orbits along two parameters with one quantity held fixed.
 
     Attributes
@@ -78,11 +73,6 @@ class HeldBranch(OrbitCurve[Special]):
         return f"HeldBranch({self.held} {self.value:g} along {first_name} and {second_name}, {len(self)} points)"
 
     @property
-    def values(self) -> Float[np.ndarray, "points 2"]:
-        """Values of the two parameters at each point, array of shape (points, 2)."""
-        return np.stack([self.data[name].values for name in self.names], axis=1)
-
-    @property
     def stable(self) -> Bool[np.ndarray, " points"]:
         """True at each point with a stable orbit, boolean array of shape (points,)."""
         return self.data["stable"].values.astype(bool)
@@ -90,41 +80,13 @@ class HeldBranch(OrbitCurve[Special]):
     @cached_property
     def label(self) -> str:
         """Label P n p q of the orbits."""
-        scene, orbit_row = self.located(0)
-        return label_of_point(scene, orbit_row, itinerary_of_point(orbit_row, float(scene.frequency)))
-
-    def located(self, place: int) -> tuple[Scene, OrbitPoint]:
-        """Return the scene and the orbit at a point.
-
-        Parameters
-        ----------
-        place : int
-            Index of the point.
-
-        Returns
-        -------
-        scene : Scene
-            Scene at the point.
-        orbit_row : OrbitPoint
-            Orbit as plain numbers.
-        """
-        row = dataset_row(self.data, place)
-        values = {name: float(row[name]) for name in self.names}
-        return self.scene.replace(**values), parse_orbit_point(row, self.names[0])
+        scene, orbit_point = self.located(0)
+        return label_of_point(scene, orbit_point, orbit_point.itinerary)
 
     @property
     def content(self) -> bytes:
         """Bytes of the file that `save` writes."""
-        attrs = {
-            "title": "jaxvibro held branch",
-            "source": f"jaxvibro {__version__}",
-            "held": self.held,
-            "value": self.value,
-            "bounds": json.dumps({name: self.bounds[name] for name in self.names}),
-            "scene": msgspec.toml.encode(make_scene_table(self.scene)).decode(),
-            "reasons": json.dumps(self.reasons),
-        }
-        return netcdf_bytes(self.data.assign_attrs(attrs))
+        return self._file_content("jaxvibro held branch", {"held": self.held, "value": self.value}, {})
 
     def table(self, units: str = "scene") -> str:
         """Format the held quantity, the stability along the curve, and the reasons for the ends.
@@ -162,16 +124,11 @@ class HeldBranch(OrbitCurve[Special]):
             ]
             range_texts = [f"{start_value:.12g} to {end_value:.12g}" for start_value, end_value in run_end_values.T]
             rows.append((f"{start_row} to {stop_row - 1}", *range_texts, self.label, stability_words[start_row]))
-        unit_factors = {name: unit_factor for name, (_, unit_factor) in column_units.items()}
-        end_lines = [
-            f"{end_name} point: {plane_curve_end.rescale_end_text(text, unit_factors)}"
-            for end_name, text in self.reason.items()
-        ]
         return "\n".join(
             [
                 f"{column_header(self.held, held_unit, units)} held at {self.value * held_factor:.12g}",
                 align_columns(rows),
-                *end_lines,
+                *self._end_lines(units),
             ]
         )
 

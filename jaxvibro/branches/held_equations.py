@@ -5,9 +5,10 @@ second parameter. The gradient of the quantity is a central difference. The grad
 steps; the quantity itself is exact.
 """
 
+from dataclasses import dataclass
 from functools import partial
-from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
@@ -18,45 +19,34 @@ from continuation.array_type import Array
 from continuation.problem import Problem
 
 from ..compiled.kernel_calls import call_as_kernel
-from ..flight.flight_coefficients import flow_coefficients
-from ..orbits.impact_equations import ImpactSequence
+from ..contact.kinds import flow_coefficients
 from ..problem.orbit_diagnostics import flight_without_impacts
-from ..problem.orbit_equations import (
-    FREE_PROBLEM,
-    IMPACT_PROBLEM,
-    STICKING_PROBLEM,
-    OrbitEquations,
-    continuation_problem,
-    scene_at,
-    sequence_at,
-)
-from ..scene.scene import Scene
+from ..problem.orbit_equations import FREE_PROBLEM, IMPACT_PROBLEM, STICKING_PROBLEM, scene_at, sequence_at
+from ..problem.orbit_problem import Condition, OrbitProblem
 from .largest_position import peak_of_flight, peak_of_sequence
 
 DIFFERENCE_STEP = 1e-5  # relative to 1 + abs(z)
 
 
-class HeldOrbitEquations(NamedTuple):
-    """Equations of orbits with one quantity held fixed.
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class HeldCondition(Condition):
+    """Condition that one quantity has a value.
 
     Attributes
     ----------
-    scene, parameter_marks, sequence
-        As in `OrbitEquations`.
     quantity_mask : Array
         Array of shape (2,), 1 at the held quantity among `HELD_QUANTITIES`.
     value : Array
         Value of the held quantity.
     """
 
-    scene: Scene
-    parameter_marks: Scene
-    sequence: ImpactSequence
     quantity_mask: Float[Array, "2"]
     value: Float[Array, ""]
 
-    impact_rows = OrbitEquations.impact_rows  # type: ignore[misc]  # shared property
-    slack = OrbitEquations.slack  # type: ignore[misc]  # shared property
+    def equations(self, problem: OrbitProblem) -> Problem:
+        """Return the equations of the orbits, with the quantity minus its value as the last residual."""
+        return HELD_EQUATIONS[super().equations(problem)]
 
 
 def _largest_position(z, problem):
@@ -76,7 +66,8 @@ HELD_QUANTITIES = {"peak": _largest_position, "least_speed": _least_impact_speed
 def held_quantity(z, problem):
     """Return the held quantity at z."""
     return sum(
-        problem.quantity_mask[k] * jnp.where(problem.quantity_mask[k] > 0, quantity_function(z, problem), 0.0)
+        problem.condition.quantity_mask[k]
+        * jnp.where(problem.condition.quantity_mask[k] > 0, quantity_function(z, problem), 0.0)
         for k, quantity_function in enumerate(HELD_QUANTITIES.values())
     )
 
@@ -90,30 +81,25 @@ def _residual_and_jacobian(orbit_residual_function, z, problem):
         lambda direction: held_quantity(z + direction * step_sizes, problem), jnp.asarray(z_directions, z.dtype)
     )
     quantity_gradient = (quantity_values[1 : len(z) + 1] - quantity_values[len(z) + 1 :]) / (2.0 * step_sizes)
-    return jnp.append(residual, quantity_values[0] - problem.value), jnp.concatenate(
+    return jnp.append(residual, quantity_values[0] - problem.condition.value), jnp.concatenate(
         [jacobian, quantity_gradient[None]]
     )
 
 
-def _make_held_problem(orbit_problem):
-    residual_and_jacobian = partial(_residual_and_jacobian, orbit_problem.dense_function)
+def _hold_quantity(orbit_equations):
+    """Append the held quantity to the equations of orbits without a condition."""
+    residual_and_jacobian = partial(_residual_and_jacobian, orbit_equations.dense_function)
     return Problem(
         residual_and_jacobian,
         solve_bordered,
         residual_and_jacobian,
         (),
         call_as_kernel,
-        orbit_problem.is_valid,
+        orbit_equations.is_valid,
         compile_at_once=True,
     )
 
 
-PROBLEMS = tuple(
-    _make_held_problem(orbit_problem) for orbit_problem in (IMPACT_PROBLEM, STICKING_PROBLEM, FREE_PROBLEM)
-)
-
-
-@continuation_problem.register
-def _(problem: HeldOrbitEquations):
-    has_sticking = problem.sequence.releases is not None
-    return PROBLEMS[(1 if has_sticking else 0) if len(problem.sequence.sides) else 2]
+HELD_EQUATIONS = {
+    equations: _hold_quantity(equations) for equations in (IMPACT_PROBLEM, STICKING_PROBLEM, FREE_PROBLEM)
+}

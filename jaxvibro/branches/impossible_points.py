@@ -50,7 +50,11 @@ def require_possible_points(special_points):
         if multiplier_product < 1.0 - rounding_error:
             contracting_points.append((special, multiplier_product))
     for special, multiplier_product in contracting_points:
-        if special.kind == "PD" and is_symmetric(special.scene) and is_own_mirror_image(special.scene, special.spot):
+        if (
+            special.kind == "PD"
+            and is_symmetric(special.scene)
+            and is_own_mirror_image(special.spot.problem, special.spot.z)
+        ):
             raise ImpossiblePointError(
                 "PD of an orbit that is its own mirror image", special.name, special.value, multiplier_product
             )

@@ -19,7 +19,9 @@ from ..orbits.impact_equations import ImpactSequence
 from ..orbits.orbit_comparison import repetition_count
 from ..problem.end import End
 from ..problem.orbit_diagnostics import diagnose
-from ..problem.orbit_point import OrbitPoint, comparison_points, set_up_equations
+from ..problem.orbit_equivalence import comparison_points
+from ..problem.orbit_point import make_orbit_point
+from ..problem.orbit_problem import make_orbit_problem
 from ..scene import check
 from ..scene.scene_parameters import parameter_domain
 from ..scene.symmetry import stays_symmetric
@@ -139,12 +141,10 @@ def _isolas_of_seed_orbit(tree, seed_orbit, scene, name, bounds, step_settings):
 
     Returns the branch and its mirror image if they are closed, else an empty list.
     """
-    start = correct_to_seed_orbit(seed_orbit, *set_up_equations(scene, name, seed_orbit.orbit_row))
+    start = correct_to_seed_orbit(seed_orbit, seed_orbit.point.problem, seed_orbit.point.z)
     if start is None:
         return []
-    branch = branch_through(
-        scene.replace(**{name: seed_orbit.orbit_row.value}), name, bounds, start, "both", step_settings
-    )
+    branch = branch_through(scene.replace(**{name: seed_orbit.point.value}), name, bounds, start, "both", step_settings)
     if tree.contains(branch):
         return []
     n_branches_before = len(tree.branches)
@@ -176,22 +176,15 @@ def _solve_wall_order(scene, name, bounds, periods, sides, rng):
     scenes = jax.tree.map(lambda leaf: np.broadcast_to(np.asarray(leaf), n_lanes), scenes)
     sequences = ImpactSequence(times, speeds, row_sides, np.zeros(n_lanes), np.full(n_lanes, float(periods)))
     solutions = solve_with_deflation(scenes, sequences, max_speeds)
+    template = make_orbit_problem(scene, name, periods=periods)
     for lane, solution_index in zip(*np.nonzero(solutions.admissible.T), strict=True):
         impact_columns = (
             solutions.times[solution_index, lane, :n_impacts],
             solutions.speeds[solution_index, lane, :n_impacts],
             sides,
         )
-        orbit_row = OrbitPoint(float(values[lane]), *impact_columns, periods, np.nan, np.nan, 0.0)
-        if (
-            repetition_count(comparison_points(orbit_row, 2.0 * np.pi / drive_periods[lane]), periods, IMPACT_TOLERANCE)
-            == 1
-        ):
-            diagnostics = diagnose(
-                *(
-                    argument[None] if k else argument
-                    for k, argument in enumerate(set_up_equations(scene, name, orbit_row))
-                )
-            )
+        point = make_orbit_point(template, float(values[lane]), list(zip(*impact_columns, strict=True)), periods)
+        if repetition_count(comparison_points(point.problem, point.z), periods, IMPACT_TOLERANCE) == 1:
+            diagnostics = diagnose(point.problem, point.z[None])
             x, v = diagnostics.x[0], diagnostics.v[0]
-            yield SeedOrbit(orbit_row._replace(x=float(x[0]), v=float(v[0])), np.stack([x, v], axis=1))
+            yield SeedOrbit(point._replace(x=float(x[0]), v=float(v[0])), np.stack([x, v], axis=1))

@@ -8,14 +8,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..contact.kinds import flow_coefficients
 from ..flight import motion_in_soft_wall
-from ..flight.flight_coefficients import flow_coefficients
-from ..flight.flow_dispatch import flow_of
-from ..orbits import contact_maps, flight_clearance, impact_equations
-from ..problem.orbit_curve import dataset_row, parse_orbit_point
+from ..orbits import flight_clearance, impact_equations
+from ..problem.orbit_curve import unknowns_of_rows
 from ..problem.orbit_diagnostics import evaluate_at_points, flight_without_impacts
 from ..problem.orbit_equations import scene_at, sequence_at
-from ..problem.orbit_point import set_up_equations
 
 MAX_CELLS = 50_000
 N_ITERATIONS = 6  # of false position; the error of x at a turning point is the square of that of its time
@@ -26,28 +24,10 @@ def branch_peak_positions(branch):
     positions = np.zeros(len(branch))
     for segment in branch.segments:
         segment_data = branch.data.isel(point=slice(segment.first, segment.last + 1))
-        orbit_row = parse_orbit_point(dataset_row(segment_data, 0), branch.name)
-        problem, z = set_up_equations(branch.scene, branch.name, orbit_row)
-        positions[segment.first : segment.last + 1] = peak_positions(
-            problem, _unknowns_of_rows(segment_data, branch.name, problem, z)
-        )
+        orbit_point = branch.located(segment.first)[1]
+        zs = unknowns_of_rows(segment_data, branch.name, orbit_point.problem)
+        positions[segment.first : segment.last + 1] = peak_positions(orbit_point.problem, zs)
     return positions
-
-
-def _unknowns_of_rows(segment_data, name, problem, z):
-    """Return the unknowns z of rows that share one itinerary, array of shape (points, unknowns)."""
-    n_sequence_rows, n_impacts = len(problem.sequence.sides), int(np.sum(problem.sequence.sides != 0))
-    zs = np.zeros((segment_data.sizes["point"], len(z)))
-    zs[:, -1] = segment_data[name].values
-    if not n_sequence_rows:
-        zs[:, 0], zs[:, 1] = segment_data["x"].values[:, 0], segment_data["v"].values[:, 0]
-        return zs
-    is_impact = segment_data["side"].values[0] != 0
-    zs[:, :n_impacts], zs[:, n_sequence_rows : n_sequence_rows + n_impacts] = (
-        segment_data["time"].values[:, is_impact],
-        segment_data["speed"].values[:, is_impact],
-    )
-    return zs
 
 
 def peak_positions(problem, zs):
@@ -91,13 +71,13 @@ def peak_of_sequence(coeffs, sequence):
             state_at,
             start_times,
             contact_durations,
-            contact_maps.max_contact_step(coeffs, flights.contact_map, sequence.sides),
+            coeffs.contact.max_contact_step(coeffs, flights.contact_map, sequence.sides),
             largest_abs_x,
         )
         start_times = start_times + contact_durations
 
     def flight_state_at(time):  # avoids compiling the contact phase again
-        return flow_of(coeffs).fly(coeffs, flights.x, flights.v, flights.cosine, flights.sine, time - start_times)[:2]
+        return coeffs.flow.fly(coeffs, flights.x, flights.v, flights.cosine, flights.sine, time - start_times)[:2]
 
     largest_abs_x = _peak_over_spans(flight_state_at, start_times, durations, coeffs.max_step, largest_abs_x)
     return jnp.max(jnp.where(is_impact, largest_abs_x, 0.0))
@@ -124,7 +104,7 @@ def peak_of_flight(coeffs, flight):
     """
 
     def state_at(time):
-        return flow_of(coeffs).fly(coeffs, flight.x, flight.v, flight.cosine, flight.sine, time)[:2]
+        return coeffs.flow.fly(coeffs, flight.x, flight.v, flight.cosine, flight.sine, time)[:2]
 
     zero = jnp.zeros_like(flight.x)
     return jnp.max(_peak_over_spans(state_at, zero, flight.time, coeffs.max_step, zero))

@@ -8,6 +8,7 @@ import numpy as np
 
 from continuation.point_rows import row_at
 
+from ..contact.kinds import flow_of_scene
 from ..orbits.orbit import has_unit_determinants
 from ..problem.orbit_diagnostics import diagnose
 from ..scene.area_growth_proof import areas_never_grow
@@ -18,10 +19,10 @@ def locate_neimark_sacker(task, points, diagnostics):
     """Locate the `Event` of each point at which the determinant of the monodromy matrix passes 1.
 
     The kind is NS if the multipliers are complex there, and NSA (neutral saddle) if they are real. There are no events
-    without a user-defined force, if areas are proved never to grow, or if the determinant is 1 everywhere.
+    if the flow contracts areas, if areas are proved never to grow, or if the determinant is 1 everywhere.
     """
     determinant_excess = diagnostics.determinant - 1.0
-    if task.args.scene.force is None or not (np.diff(np.sign(determinant_excess)) != 0).any():
+    if not flow_of_scene(task.args.scene).areas_may_grow() or not (np.diff(np.sign(determinant_excess)) != 0).any():
         return []
     if has_unit_determinants(diagnostics.trace, diagnostics.determinant) or areas_never_grow(
         *_scenes_at_extremes(task.args, points)

@@ -9,8 +9,6 @@ from ..orbits.orbit import STABILITY_MARGIN, eigenvalue_pair
 from ..problem import normal_forms
 from ..problem.grazing_jumps import GrazingJump, grazing_jumps
 from ..problem.orbit_diagnostics import diagnose
-from ..problem.orbit_point import set_up_equations
-from ..scene.typical_scales import typical_length
 
 JUMP, SOFT, HARMLESS = "jump", "soft", "harmless"
 UNFOLDING_FUNCTIONS = {
@@ -65,22 +63,21 @@ class NormalForm:
         return f"{self.coefficient:.6g} sqrt(depth), {self.rate:+.6g} a unit"
 
 
-def make_normal_form(kind, name, scene, orbit_row, floquet_multipliers, neighbours):
+def make_normal_form(kind, scene, orbit_point, floquet_multipliers, neighbours):
     """Compute the normal form of a special point.
 
     Returns None for kinds other than SN, PD, SB and GR, for orbits without impacts except at a GR, if the linear
     equations are singular, and if the coefficient is not finite. `scene` is the scene at the point; `neighbours` are
     the orbits that meet at a GR.
     """
-    if kind not in NORMAL_FORM_KINDS or (kind != "GR" and not len(orbit_row.times)):
+    if kind not in NORMAL_FORM_KINDS or (kind != "GR" and not orbit_point.problem.n_rows):
         return None
     try:
         with np.errstate(all="ignore"):
-            problem, z = set_up_equations(scene, name, orbit_row)
+            problem, z = orbit_point.problem, orbit_point.z
             if kind == "GR":
                 return _grazing_normal_form(
-                    grazing_jumps(scene, problem, z, typical_length(scene)),
-                    _is_stable_on_both_sides(name, scene, orbit_row, neighbours),
+                    grazing_jumps(scene, problem, z), _is_stable_on_both_sides(orbit_point, neighbours)
                 )
             return normal_form_of_unfolding(
                 kind,
@@ -143,17 +140,16 @@ def _grazing_normal_form(contact_depths, is_stable_beyond):
     )
 
 
-def _is_stable_on_both_sides(name, scene, orbit_row, neighbours):
+def _is_stable_on_both_sides(orbit_point, neighbours):
     """Return True if stable orbits meet at a GR from both sides of its value, or from neither side."""
     stable_sides = set()
     for neighbour in neighbours:
-        problem, z = set_up_equations(scene, name, neighbour)
-        diagnostics = diagnose(problem, z[None])
+        diagnostics = diagnose(neighbour.problem, neighbour.z[None])
         if (
             abs(eigenvalue_pair(float(diagnostics.trace[0]), float(diagnostics.determinant[0]))).max()
             < 1.0 - STABILITY_MARGIN
         ):
-            stable_sides.add(neighbour.value > orbit_row.value)
+            stable_sides.add(neighbour.value > orbit_point.value)
     return len(stable_sides) != 1
 
 

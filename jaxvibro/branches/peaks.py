@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..orbits.orbit import Orbit
-from ..problem.orbit_point import OrbitPoint, set_up_equations
+from ..problem.orbit_problem import make_orbit_problem
 from ..scene import check
 from .branch import Branch
 from .largest_position import branch_peak_positions, peak_positions
@@ -77,9 +77,9 @@ def peak(orbit: Orbit) -> float:
     x, v, phase = (float(np.asarray(value)) for value in (state.x, state.v, state.phase))
     start_time = phase / float(scene.frequency)
     impact_columns = np.asarray(impacts.time) + start_time, np.asarray(impacts.speed), np.asarray(impacts.side, float)
-    orbit_row = OrbitPoint(float(scene.amplitude), *impact_columns, orbit.periods, x, v, orbit.residual)
-    problem, z = set_up_equations(scene, "amplitude", orbit_row)
-    if not len(orbit_row.times):
-        z = np.array([orbit_row.x, orbit_row.v, orbit_row.value])
+    problem, z = make_orbit_problem(scene, "amplitude", periods=orbit.periods), np.array([x, v, float(scene.amplitude)])
+    if len(impacts.time):
+        problem, z = problem.with_impacts(z, list(zip(*impact_columns, strict=True)))
+    else:
         problem = problem._replace(sequence=problem.sequence._replace(phase=np.asarray(phase)))
     return float(peak_positions(problem, z[None])[0])

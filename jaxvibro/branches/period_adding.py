@@ -9,11 +9,10 @@ from continuation.computation_limits import make_limits, partial_result_reason
 from ..orbits.orbit import Orbit
 from ..output.table_text import align_columns
 from ..problem.added_impact_orbits import added_impact_orbits, locate_next_grazing
-from ..problem.orbit_point import orbit_from_point
+from ..problem.orbit_conversion import orbit_from_point
 from ..problem.square_root_map import SquareRootMap
 from ..scene import check
 from ..scene.scene import SIDES
-from ..scene.typical_scales import typical_length
 from .branch import Special
 from .scenario import (
     DEFAULT_MAX_RETURNS,
@@ -115,15 +114,11 @@ class PeriodAdding:
                 (
                     window.returns,
                     window.orbit.label if window.orbit else "-",
-                    *(_dash_if_nan(entry) for entry in value_texts),
+                    *("-" if text == "nan" else text for text in value_texts),
                 )
             )
         ratio_line = f"the ratio tends to {self.scenario.ratio:.6g}"
         return "\n".join([align_columns(rows), ratio_line, *([self.stopped] if self.stopped else [])])
-
-
-def _dash_if_nan(text):
-    return "-" if text == "nan" else text
 
 
 @check.host_only("use located for derivatives of a grazing's value")
@@ -178,24 +173,24 @@ def period_adding(
             "special", "must be a grazing that period adding or chaos follows", scenario.follows.value
         )
     windows: list[PeriodicWindow] = []
-    length_scale, previous_value = typical_length(special.scene), np.nan
+    previous_value = np.nan
     for n_returns in range(MIN_RETURNS, longest + 1):
         if limits.expired:
             reason = partial_result_reason(len(windows), longest + 1 - MIN_RETURNS, "windows")
             return PeriodAdding(scenario, tuple(windows), reason)
-        windows.append(_make_window(scenario, grazing_return, n_returns, length_scale, previous_value))
+        windows.append(_make_window(scenario, grazing_return, n_returns, previous_value))
         previous_value = windows[-1].found
     return PeriodAdding(scenario, tuple(windows))
 
 
-def _make_window(scenario, grazing_return, n_returns, length_scale, previous_value):
+def _make_window(scenario, grazing_return, n_returns, previous_value):
     """Make the `PeriodicWindow` of n returns; `previous_value` is the value located for n - 1."""
     special, doubled_acceleration = scenario.special, 2.0 * scenario.acceleration
     window, predicted_value = (
         SquareRootMap(scenario.root, scenario.matrix).added_impact_window(n_returns),
         scenario.orbits[n_returns - 1].touch,
     )
-    orbits_near_grazing = added_impact_orbits(grazing_return, n_returns, length_scale)
+    orbits_near_grazing = added_impact_orbits(grazing_return, n_returns)
     next_grazing = locate_next_grazing(orbits_near_grazing, window.next_grazing_root * np.sqrt(doubled_acceleration))
     if next_grazing is None:
         return PeriodicWindow(n_returns, predicted_value, np.nan, "", np.nan, None)
@@ -204,9 +199,9 @@ def _make_window(scenario, grazing_return, n_returns, length_scale, previous_val
     onset_speed = window.min_stable_root * np.sqrt(doubled_acceleration)
     onset_speed = onset_speed if onset_speed < speed else 0.0
     middle_point = orbits_near_grazing.point_at_speed(z, 0.5 * (onset_speed + speed))
-    orbit_row = orbits_near_grazing.orbit_point_at(middle_point.z, middle_point.residual)
+    orbit_point = orbits_near_grazing.orbit_point_at(middle_point.z, middle_point.residual)
     orbit = (
-        orbit_from_point(special.scene.replace(**{special.name: orbit_row.value}), orbit_row)
+        orbit_from_point(special.scene.replace(**{special.name: orbit_point.value}), orbit_point)
         if middle_point.converged
         else None
     )

@@ -6,18 +6,16 @@ from enum import Enum
 import numpy as np
 from jaxtyping import Complex, Float
 
+from ..contact.kinds import contact_of_wall
 from ..maps import itinerary as words
 from ..orbits.orbit import STABILITY_MARGIN
 from ..output.table_text import align_columns, multipliers_text
 from ..problem.added_impact_orbits import added_impact_indices, grazing_traversal_count
-from ..problem.contact_effect_exponent import contact_effect_exponent
 from ..problem.grazing_return_map import compute_grazing_return
-from ..problem.orbit_point import set_up_equations
 from ..problem.soft_wall_grazing import is_smooth_soft_wall
 from ..problem.square_root_map import MAX_RETURNS, SquareRootMap
 from ..scene import check
 from ..scene.scene import SIDES
-from ..scene.typical_scales import typical_length
 from .branch import Special
 
 DEFAULT_MAX_RETURNS = 6
@@ -272,8 +270,7 @@ def grazing_return_of(special):
         raise check.ArgumentError("special", "must be a grazing, GR, of a branch", rejected_value)
     if special.orbit.rests:
         raise check.ArgumentError("special", "must be of an orbit that does not stick", special.label)
-    problem, z = set_up_equations(special.scene, special.name, special.spot)
-    grazing_return = compute_grazing_return(special.scene, special.name, problem, z, typical_length(special.scene))
+    grazing_return = compute_grazing_return(special.scene, special.name, special.spot.problem, special.spot.z)
     if grazing_return is None:
         raise check.ArgumentError("special", "must touch a wall from outside", special.label)
     return grazing_return
@@ -285,16 +282,17 @@ def make_scenario(special, grazing_return, max_returns):
         (omitted_grazing.depth for omitted_grazing in grazing_return.omitted_grazings),
         key=lambda contact_depth: contact_depth.root,
     )
-    wall, square_root_map = (
-        special.scene.walls[SIDES[int(dominant_depth.side > 0)]],
+    side, square_root_map = (
+        SIDES[int(dominant_depth.side > 0)],
         SquareRootMap(dominant_depth.root, grazing_return.matrix),
     )
+    wall, contact = special.scene.walls[side], contact_of_wall(special.scene, side)
     is_single_rigid_contact = not wall.soft and len(grazing_return.omitted_grazings) == 1 + grazing_return.is_half_orbit
     if all(
         is_smooth_soft_wall(special.scene, omitted_grazing.depth.side)
         for omitted_grazing in grazing_return.omitted_grazings
     ):
-        follows, deeper, exponent = Follows.C1, 0, contact_effect_exponent(wall)
+        follows, deeper, exponent = Follows.C1, 0, contact.grazing_exponent(wall)
     else:
         (follows, deeper), exponent = _classify_outcome(square_root_map, is_single_rigid_contact), ROOT_EXPONENT
     has_map_orbits = is_single_rigid_contact and follows is not Follows.UNSTABLE

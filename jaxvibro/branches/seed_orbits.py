@@ -11,7 +11,8 @@ from ..flight.wall_positions import WALL_SIGNS
 from ..maps.initial_conditions import draw_initial_states
 from ..maps.iterate import iterate
 from ..orbits.free_response import free_orbit
-from ..problem.orbit_point import OrbitPoint
+from ..problem.orbit_point import OrbitPoint, make_orbit_point
+from ..problem.orbit_problem import make_orbit_problem
 from ..scene.codes import Contact, Status
 from ..scene.scene import SIDES
 from ..scene.scene_parameters import parameter_domain
@@ -27,7 +28,7 @@ class SeedOrbit(NamedTuple):
 
     Attributes
     ----------
-    orbit_row : OrbitPoint
+    point : OrbitPoint
         Approximate orbit. It has no impacts if it sticks after complete chatter.
     section_states : ndarray
         x and v at the end of each period, array of shape (periods, 2).
@@ -35,7 +36,7 @@ class SeedOrbit(NamedTuple):
         True if the orbit may stick, or has too many bounces to be recorded.
     """
 
-    orbit_row: OrbitPoint
+    point: OrbitPoint
     section_states: Float[np.ndarray, "periods 2"]
     may_stick: bool = False
 
@@ -60,12 +61,13 @@ def free_seed_orbits(scene, name, bounds):
 
     The values cover both sides of a resonance, near which this motion may not exist.
     """
+    template = make_orbit_problem(scene, name, periods=1)
     lower, upper = np.clip(parameter_domain(scene, name), *bounds)
     for value in np.linspace(lower, upper, N_FREE_VALUES + 2)[1:-1].tolist():
         orbit = free_orbit(scene.replace(**{name: value}))
         if orbit is not None:
-            section_states = np.array([[orbit.state.x, orbit.state.v]])
-            yield SeedOrbit(OrbitPoint(value, *[np.zeros(0)] * 3, 1, *section_states[0].tolist(), 0.0), section_states)
+            state = float(orbit.state.x), float(orbit.state.v)
+            yield SeedOrbit(make_orbit_point(template, value, [], 1, state), np.array([state]))
 
 
 def _draw_values_and_states(scene, name, bounds, seed):
@@ -89,6 +91,7 @@ def _merge_scenes(scenes):
 def _seed_orbits_of_scene(scene, name, values, iterates, max_period):
     """Return the seed orbits of one scene, sorted by period and value."""
     scene_at_values, seed_orbits = scene.replace(**{name: values}), []
+    template = make_orbit_problem(scene, name, periods=1)
     drive_periods = 2.0 * np.pi / np.broadcast_to(scene_at_values.frequency, len(values))
     is_inelastic = {
         wall_sign: np.broadcast_to(np.equal(scene_at_values.bounce(side), 0.0), len(values))
@@ -97,12 +100,11 @@ def _seed_orbits_of_scene(scene, name, values, iterates, max_period):
     }
     for lane, periods, impacts in settled_orbits(iterates, drive_periods, max_period, True):
         section_states = iterates.points[-periods:, lane]
-        orbit_row = OrbitPoint(
-            float(values[lane]), *(impacts or [np.zeros(0)] * 3), periods, *section_states[-1].tolist(), 0.0
-        )
-        may_stick = impacts is None or any(is_inelastic[side][lane] for side in orbit_row.sides)
-        seed_orbits.append(SeedOrbit(orbit_row, section_states, may_stick))
-    return sorted(seed_orbits, key=lambda seed_orbit: (seed_orbit.orbit_row.periods, seed_orbit.orbit_row.value))
+        impact_list = [] if impacts is None else list(zip(*impacts, strict=True))
+        point = make_orbit_point(template, float(values[lane]), impact_list, periods, section_states[-1].tolist())
+        may_stick = impacts is None or any(is_inelastic[side][lane] for side in point.sides)
+        seed_orbits.append(SeedOrbit(point, section_states, may_stick))
+    return sorted(seed_orbits, key=lambda seed_orbit: (seed_orbit.point.periods, seed_orbit.point.value))
 
 
 def settled_orbits(iterates, drive_periods, max_period, include_chatter=False):

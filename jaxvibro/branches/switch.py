@@ -7,23 +7,16 @@ import numpy as np
 
 from continuation import augmented_systems
 from continuation import branch_point_tangents as crossing
+from continuation.arclength import make_start_point
 from continuation.computation_limits import UNLIMITED, Limits, make_limits
-from continuation.event_search import unit_tangent
-from continuation.intermediate_points import make_start_point
 
-from ..problem.branches_from_grazing import make_padded_sequence
 from ..problem.end import RESUMABLE_ENDS, End, EndReason
-from ..problem.grazing_contact import arclength_weights
-from ..problem.orbit_curve import dataset_row, parse_orbit_point
-from ..problem.orbit_equations import continuation_problem
-from ..problem.orbit_point import set_up_equations
 from ..problem.soft_wall_grazing import find_all_exits
 from ..scene import check
 from ..scene.scene_parameters import check_parameter_bounds, parameter_domain
-from ..scene.typical_scales import typical_length
 from .assemble import START_REASON, assemble_branch, merge_branches
 from .branch import Branch, Special
-from .follow import Monitors, check_follow_settings, make_branch_settings
+from .follow import Monitors, check_follow_settings, make_branch_task
 from .through_grazings import continue_through_grazings
 
 FIRST_STEP = 0.01  # first step of a branch that leaves a special point
@@ -88,21 +81,19 @@ def switch(
 
 
 def branch_starts(special):
-    """Return `OrbitEquations` and `Point` at the start of each branch that emanates from a special point.
+    """Return `OrbitProblem` and `Point` at the start of each branch that emanates from a special point.
 
     The kind of the point must be one of `SWITCHING_KINDS`. Raises ValueError if the equations show that no branches
     cross.
     """
     start_function = {"PD": _doubling_starts, "GR": _grazing_starts}.get(special.kind, _crossing_starts)
-    return start_function(special, *set_up_equations(special.scene, special.name, special.spot))
+    return start_function(special, special.spot.problem, special.spot.z)
 
 
 def follow_away_from_point(special, start, bounds, **settings):
     """Follow a branch that emanates from a special point in one direction, from one of its `branch_starts`."""
     (problem, point), scene = start, special.scene
-    branch_settings = make_branch_settings(
-        scene, special.name, bounds, typical_length(scene), (problem, point.z), **settings
-    )
+    task = make_branch_task(scene, special.name, bounds, problem, (problem, point.z), **settings)
     start_reason = End.LEFT.reason(special.value, special.kind)
     return assemble_branch(
         scene,
@@ -110,7 +101,7 @@ def follow_away_from_point(special, start, bounds, **settings):
         bounds,
         settings,
         None,
-        continue_through_grazings(problem, point, branch_settings),
+        continue_through_grazings(task, point),
         start_reason,
     )
 
@@ -209,53 +200,31 @@ def _extend_from_end(branch, end_index, bounds, limits):
     Beyond end -1 the extension starts at the last point; beyond end 0 it finishes at the first point. The extension is
     closed if it reaches the other end.
     """
-    row, sign = dataset_row(branch.data, end_index), 1.0 if end_index else -1.0
-    orbit_row = parse_orbit_point(row, branch.name)
-    scene = branch.scene.replace(**{branch.name: orbit_row.value})
-    problem, z = set_up_equations(scene, branch.name, orbit_row)
-    closing_orbit = set_up_equations(
-        scene, branch.name, parse_orbit_point(dataset_row(branch.data, -1 - end_index), branch.name)
+    sign = 1.0 if end_index else -1.0
+    scene, end_point = branch.located(end_index)
+    _, other_end_point = branch.located(-1 - end_index)
+    problem, z = end_point.problem, end_point.z
+    task = make_branch_task(
+        scene,
+        branch.name,
+        bounds,
+        problem,
+        (other_end_point.problem, other_end_point.z),
+        **branch.settings,
+        limits=limits,
     )
-    n_impacts, n_rows = len(orbit_row.times), len(problem.sequence.sides)
-    stored_tangent = np.zeros(len(z))
-    is_impact = row["side"] != 0
-    if n_rows:
-        stored_tangent[:n_impacts], stored_tangent[n_rows : n_rows + n_impacts] = (
-            row["time_slope"][is_impact],
-            row["speed_slope"][is_impact],
-        )
-    stored_tangent[-1] = row["value_slope"]
-    start = make_start_point(
-        z,
-        unit_tangent(
-            continuation_problem(problem),
-            z,
-            arclength_weights(problem, typical_length(scene)),
-            problem,
-            sign * stored_tangent,
-        ),
-    )
-    branch_settings = make_branch_settings(
-        scene, branch.name, bounds, typical_length(scene), closing_orbit, **branch.settings, limits=limits
-    )
-    extension = continue_through_grazings(problem, start, branch_settings)
+    extension = continue_through_grazings(task, make_start_point(z, problem.tangent(z, sign * end_point.tangent)))
     backward, forward = (extension, None) if sign < 0 else (None, extension)
     return replace(assemble_branch(scene, branch.name, bounds, branch.settings, backward, forward), scene=branch.scene)
 
 
 def _crossing_starts(special, problem, z):
     """Return the starts of both directions of the branch that crosses the branch of the point."""
-    weights, n_rows = arclength_weights(problem, typical_length(special.scene)), len(problem.sequence.sides)
-    n_impacts, branch_tangent = len(special.spot.times), np.zeros(len(z))
-    branch_tangent[:n_impacts], branch_tangent[n_rows : n_rows + n_impacts] = (
-        special.slopes[:n_impacts],
-        special.slopes[n_impacts:-1],
-    )
-    branch_tangent[-1] = special.slopes[-1]
-    tangent_pair = crossing.branch_tangents(continuation_problem(problem), z, weights, problem)
+    weights = problem.weights()
+    tangent_pair = crossing.branch_tangents(problem.equations, z, weights, problem)
     if special.kind == "SB":  # the halves of one branch are mirror images at equal parameter values
         tangent_pair[np.argmin(abs(tangent_pair[:, -1])), -1] = 0.0
-    crossing_tangent = crossing.less_aligned_tangent(tangent_pair, branch_tangent, weights)
+    crossing_tangent = crossing.less_aligned_tangent(tangent_pair, special.spot.tangent, weights)
     sign_entry_index = np.flatnonzero(abs(crossing_tangent) > 0.5 * abs(crossing_tangent).max())[
         0
     ]  # a null vector has no sign of its own
@@ -267,46 +236,25 @@ def _crossing_starts(special, problem, z):
 
 def _doubling_starts(special, problem, z):
     """Return the start of the branch of twice the period, in the direction in which its two halves differ."""
-    orbit_problem, n_rows, n_impacts = (
-        continuation_problem(problem),
-        len(problem.sequence.sides),
-        len(special.spot.times),
-    )
+    equations, n_rows, n_impacts = problem.equations, problem.n_rows, problem.n_used_rows
     null_vector = augmented_systems.null_vector(
-        augmented_systems.matrix_and_derivative(orbit_problem, orbit_problem.test_functions[0], z, problem)[0]
+        augmented_systems.matrix_and_derivative(equations, equations.test_functions[0], z, problem)[0]
     )
-    orbit_row, orbit_duration = special.spot, special.spot.periods * 2.0 * np.pi / float(special.scene.frequency)
-    doubled_times = np.concatenate([orbit_row.times, orbit_row.times + orbit_duration])
-    doubled_problem = problem._replace(sequence=problem.sequence._replace(periods=np.asarray(2.0 * orbit_row.periods)))
-    if not n_impacts:  # z = (x, v, parameter)
-        tangent = np.append(null_vector, 0.0)
-        return [
-            (
-                doubled_problem,
-                make_start_point(
-                    z,
-                    tangent
-                    / np.linalg.norm(arclength_weights(doubled_problem, typical_length(special.scene)) * tangent),
-                ),
-            )
-        ]
-    doubled_impacts = zip(doubled_times, np.tile(orbit_row.speeds, 2), np.tile(orbit_row.sides, 2), strict=True)
-    doubled_problem = doubled_problem._replace(sequence=make_padded_sequence(doubled_problem, list(doubled_impacts)))
-    n_doubled_rows = len(doubled_problem.sequence.sides)
-    tangent = np.zeros(2 * n_doubled_rows + 1)
+    doubled_problem, doubled_z = problem.repeat(z, 2)
+    tangent = np.zeros(len(doubled_z)) if n_impacts else np.append(null_vector, 0.0)
+    n_doubled_rows = doubled_problem.n_rows
     for half_index in (0, 1):
         half_null_vector = null_vector[half_index * n_rows : half_index * n_rows + n_impacts]
         tangent[half_index * n_doubled_rows : half_index * n_doubled_rows + 2 * n_impacts] = np.concatenate(
             [half_null_vector, -half_null_vector]
         )
-    tangent /= np.linalg.norm(arclength_weights(doubled_problem, typical_length(special.scene)) * tangent)
-    doubled_z = np.concatenate([doubled_problem.sequence.times, doubled_problem.sequence.speeds, z[-1:]])
+    tangent /= np.linalg.norm(doubled_problem.weights() * tangent)
     return [(doubled_problem, make_start_point(doubled_z, tangent))]
 
 
 def _grazing_starts(special, problem, z):
     """Return the starts of the branches from a grazing, except those along which the branch of the point continues."""
-    _, grazing_exits, _ = find_all_exits(problem, z, typical_length(special.scene))
+    grazing_exits = find_all_exits(problem, z).exits
     if len(grazing_exits) != len(special.aside):
         raise check.ArgumentError(
             "special", "must be a grazing that this version reproduces; follow its branch again", special

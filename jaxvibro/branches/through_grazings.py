@@ -1,19 +1,18 @@
 """Continue a branch through grazings, from segment to segment."""
 
 import warnings
-from typing import NamedTuple
 
 import numpy as np
 
-from continuation.branch_segment import BranchSegment, SpecialIndex
+from continuation.branch_segment import SpecialIndex
 from continuation.slow_progress import SlowProgressWarning
 
 from ..orbits.orbit_comparison import is_same_orbit
-from ..problem.end import End, EndReason
-from ..problem.grazing_contact import arclength_weights
+from ..problem.branches_from_grazing import GrazingPoint
+from ..problem.end import End
 from ..problem.orbit_equations import sides_with_release_codes
 from ..problem.orbit_equivalence import comparison_points, is_repeated
-from .itinerary_segment import GrazingPoint, follow_itinerary
+from .itinerary_segment import follow_itinerary
 from .through_sticking import SLOW_SPEED, has_very_slow_impact, locate_nearby_chatter, reselect_bounce_rows
 
 MAX_SEGMENTS = 200
@@ -25,48 +24,45 @@ CHATTER_SPEED = 1e-2  # scene's lengths per t; without an exit, a slower impact 
 VALUE_TOLERANCE, IMPACT_TOLERANCE = 1e-7, 1e-6  # largest differences of identical grazings
 
 
-class DirectedBranch(NamedTuple):
-    """Segments of a branch in one direction, and the reason for its end.
+def continue_through_grazings(task, start):
+    """Follow a branch in one direction, from one itinerary to the next.
 
-    Attributes
+    Parameters
     ----------
+    task : ContinuationTask
+        Task of the branch, as `follow.make_branch_task` makes it.
+    start : Point
+        First point; the branch is followed along its tangent.
+
+    Returns
+    -------
     segments : list of BranchSegment
         Segments in order from the start.
     reason : EndReason
         Reason for the end of the last segment.
     """
-
-    segments: list[BranchSegment]
-    reason: EndReason
-
-
-def continue_through_grazings(problem, start, settings):
-    """Follow the `DirectedBranch` from a `Point` along its tangent."""
-    segments, known_grazings, chatter_specials = [], [], ()
+    problem, segments, known_grazings, chatter_specials = task.args, [], [], ()
     while True:
-        weights = arclength_weights(problem, settings.length_scale)
-        segment = follow_itinerary(problem, start, settings._replace(control=settings.control._replace(scale=weights)))
+        segment = follow_itinerary(task, problem, start)
         segment = segment._replace(specials=(*chatter_specials, *segment.specials))
         grazing_exit, chatter_specials = None, ()
-        settings = settings._replace(limits=settings.limits.after_points(len(segment.points.z)))
-        if segment.end is End.GRAZE and settings.limits.is_reached(1):
-            segment = segment._replace(end=End.MAX_SECONDS if settings.limits.expired else End.MAX_POINTS)
+        task = task._replace(limits=task.limits.after_points(len(segment.points.z)))
+        if segment.end is End.GRAZE and task.limits.is_reached(1):
+            segment = segment._replace(end=End.MAX_SECONDS if task.limits.expired else End.MAX_POINTS)
         if segment.end is End.GRAZE:
-            segment, grazing_exit = _choose_exit(problem, segment, weights)
-            grazing_key = (
-                segment.points.z[-1, -1],
-                comparison_points(problem, segment.points.z[-1], settings.length_scale),
-            )
+            segment, grazing_exit = _choose_exit(problem, segment, problem.weights())
+            z = segment.points.z[-1]
+            grazing_key = z[-1], comparison_points(problem, z, problem.length_scale)
             if any(_is_same_grazing(grazing_key, known_grazing) for known_grazing in known_grazings):
                 segment, grazing_exit = segment._replace(end=End.CLOSED), None
-            elif is_repeated(problem, segment.points.z[-1]):
+            elif is_repeated(problem, z):
                 segment, grazing_exit = segment._replace(end=End.HALVED), None
             elif segment.specials[-1].kind == "GR" and _has_slow_impact(
-                problem, segment, settings.length_scale, SLOW_SPEED if grazing_exit else CHATTER_SPEED
+                problem, segment, SLOW_SPEED if grazing_exit else CHATTER_SPEED
             ):
-                z, sign = segment.points.z[-1], np.sign(segment.points.tangent[-1, -1])
-                chatter_result = locate_nearby_chatter(problem, z, sign, settings.length_scale, settings.limits)
-                if chatter_result is None and settings.limits.expired:
+                sign = np.sign(segment.points.tangent[-1, -1])
+                chatter_result = locate_nearby_chatter(problem, z, sign, task.limits)
+                if chatter_result is None and task.limits.expired:
                     segment, grazing_exit = segment._replace(end=End.MAX_SECONDS), None
                 else:
                     segment, grazing_exit, chatter_specials = _enter_sticking(
@@ -74,15 +70,15 @@ def continue_through_grazings(problem, start, settings):
                     )
             known_grazings.append(grazing_key)
         if segment.end is End.STEP:
-            grazing_exit = reselect_bounce_rows(
-                problem, segment.points.z[-1], np.sign(segment.points.tangent[-1, -1]), settings.length_scale
-            )
+            sign = np.sign(segment.points.tangent[-1, -1])
+            grazing_exit = reselect_bounce_rows(problem, segment.points.z[-1], sign)
         if len(segments) == MAX_SEGMENTS - 1 and grazing_exit is not None:
             segment, grazing_exit = segment._replace(end=End.POINTS), None
         segments.append(segment)
         _warn_of_slow_progress(segments)
         if grazing_exit is None:
-            return DirectedBranch(segments, _end_reason(segment))
+            kind = segment.specials[-1].kind if segment.specials else ""
+            return segments, segment.end.reason(segment.points.z[-1, -1], kind)
         problem, start = grazing_exit.problem, grazing_exit.point
 
 
@@ -151,10 +147,10 @@ def _enter_sticking(segment, chatter_result, has_exit):
     return segment, grazing_exit, (SpecialIndex(0, "CH", residual, GrazingPoint((), (grazing_exit,), True, (False,))),)
 
 
-def _has_slow_impact(problem, segment, length_scale, max_speed):
+def _has_slow_impact(problem, segment, max_speed):
     """Test whether an impact other than the grazing contacts is slower than `max_speed` at the end of a segment."""
     return has_very_slow_impact(
-        problem, segment.points.z[-1], length_scale, segment.specials[-1].detector_details.grazing_contacts, max_speed
+        problem, segment.points.z[-1], segment.specials[-1].detector_details.grazing_contacts, max_speed
     )
 
 
@@ -163,8 +159,3 @@ def _is_same_grazing(grazing_key, known_grazing):
     return abs(grazing_key[0] - known_grazing[0]) < VALUE_TOLERANCE and is_same_orbit(
         grazing_key[1], known_grazing[1], IMPACT_TOLERANCE
     )
-
-
-def _end_reason(segment):
-    kind = segment.specials[-1].kind if segment.specials else ""
-    return segment.end.reason(segment.points.z[-1, -1], kind)

@@ -8,19 +8,18 @@ rounding, and a small interval of the parameter is skipped.
 
 import numpy as np
 
+from continuation.arclength import make_start_point
 from continuation.computation_limits import UNLIMITED
-from continuation.event_search import unit_tangent
-from continuation.intermediate_points import make_start_point
 
 from ..flight.wall_positions import adapt_to_moved_walls
 from ..orbits.find import find_orbit
 from ..orbits.orbit import OrbitError
 from ..problem import sticking_limits
-from ..problem.branches_from_grazing import BranchFromGrazing, make_padded_sequence
-from ..problem.grazing_contact import arclength_weights, are_admissible
-from ..problem.orbit_conversion import correct_to_parameter, orbit_point_of
+from ..problem.branches_from_grazing import BranchFromGrazing
+from ..problem.grazing_contact import are_admissible
+from ..problem.orbit_conversion import impacts_since_phase_0
 from ..problem.orbit_diagnostics import diagnose
-from ..problem.orbit_equations import continuation_problem, scene_at
+from ..problem.orbit_equations import scene_at
 from ..scene.state import State
 
 VALUE_OFFSETS = (
@@ -38,50 +37,50 @@ MIN_HOP_MARGIN = (
 SLOW_SPEED = 1e-6  # scene's lengths per t; below it the flights between impacts are lost in rounding
 
 
-def has_very_slow_impact(problem, z, length_scale, grazing_contacts=(), max_speed=SLOW_SPEED):
+def has_very_slow_impact(problem, z, grazing_contacts=(), max_speed=SLOW_SPEED):
     """Test whether an orbit has an impact so slow that many more follow before the mass sticks.
 
     Impacts among the `grazing_contacts` are ignored.
     """
     contact_rows = [contact.row for contact in grazing_contacts if contact.is_impact]
     speeds = z[len(problem.sequence.sides) :][np.setdiff1d(problem.impact_rows, contact_rows)]
-    return bool(((speeds > 0) & (speeds < max_speed * length_scale)).any())
+    return bool(((speeds > 0) & (speeds < max_speed * problem.length_scale)).any())
 
 
-def find_sticking_exits(problem, z, parameter_sign, length_scale, limits=UNLIMITED):
+def find_sticking_exits(problem, z, parameter_sign, limits=UNLIMITED):
     """Return the list of `BranchFromGrazing` records of a CH or RL, None if the time limit is reached.
 
     The exits lead to orbits on the other side: towards greater values of the parameter if `parameter_sign` is 1.
     """
-    toggled_lift_off_problem = sticking_limits.toggle_early_lift_off(problem, z, length_scale)
+    toggled_lift_off_problem = sticking_limits.toggle_early_lift_off(problem, z)
     if toggled_lift_off_problem is not None:
-        return [_make_exit_towards(toggled_lift_off_problem, z, parameter_sign, length_scale)]
+        return [_make_exit_towards(toggled_lift_off_problem, z, parameter_sign)]
     for value_offset in VALUE_OFFSETS:
         if limits.expired:
             return None
         settled_orbit = _settled_orbit(problem, z, z[-1] + parameter_sign * value_offset * (1.0 + abs(z[-1])))
-        if settled_orbit is not None and not has_very_slow_impact(*settled_orbit, length_scale):
-            return [_make_exit_towards(*settled_orbit, parameter_sign, length_scale)]
+        if settled_orbit is not None and not has_very_slow_impact(*settled_orbit):
+            return [_make_exit_towards(*settled_orbit, parameter_sign)]
     return []
 
 
-def reselect_bounce_rows(problem, z, parameter_sign, length_scale):
+def reselect_bounce_rows(problem, z, parameter_sign):
     """Return the `BranchFromGrazing` of the same orbit with other bounces as rows, None if the present rows are
     adequate."""
     if problem.sequence.releases is None or diagnose(problem, z[None]).hop_margin.min() > MIN_HOP_MARGIN:
         return None
     settled_orbit = _settled_orbit(problem, z, z[-1])
-    return None if settled_orbit is None else _make_exit_towards(*settled_orbit, parameter_sign, length_scale)
+    return None if settled_orbit is None else _make_exit_towards(*settled_orbit, parameter_sign)
 
 
-def _make_exit_towards(problem, z, parameter_sign, length_scale):
+def _make_exit_towards(problem, z, parameter_sign):
     """Make the `BranchFromGrazing` from a regular point, towards greater values of the parameter if `parameter_sign` is
     1."""
-    exit_tangent = unit_tangent(continuation_problem(problem), z, arclength_weights(problem, length_scale), problem)
+    exit_tangent = problem.tangent(z)
     return _make_exit(problem, z, parameter_sign * np.sign(exit_tangent[-1]) * exit_tangent, z)
 
 
-def locate_nearby_chatter(problem, z, parameter_sign, length_scale, limits=UNLIMITED):
+def locate_nearby_chatter(problem, z, parameter_sign, limits=UNLIMITED):
     """Find the CH close to a grazing.
 
     Returns the `BranchFromGrazing` from the CH and the largest residual there, if orbits that stick exist on one of its
@@ -99,12 +98,7 @@ def locate_nearby_chatter(problem, z, parameter_sign, length_scale, limits=UNLIM
             sticking_problem, nearby_z = settled_orbit
             chatter_point = _nearest_chatter_limit(sticking_problem, nearby_z, z[-1], value)
             if chatter_point is not None:
-                exit_tangent = unit_tangent(
-                    continuation_problem(sticking_problem),
-                    chatter_point.z,
-                    arclength_weights(sticking_problem, length_scale),
-                    sticking_problem,
-                )
+                exit_tangent = sticking_problem.tangent(chatter_point.z)
                 tangent_sign = np.sign(nearby_z[-1] - chatter_point.z[-1]) * np.sign(exit_tangent[-1])
                 return _make_exit(
                     sticking_problem, chatter_point.z, tangent_sign * exit_tangent, nearby_z
@@ -150,19 +144,13 @@ def _settled_orbit(problem, z, value):
     state = adapt_to_moved_walls(scene, State(float(start_diagnostics.x[0, 0]), float(start_diagnostics.v[0, 0])))
     try:
         orbit = find_orbit(scene, State(float(state.x), float(state.v)), periods=periods, settle=SETTLING_PERIODS)
-        orbit_row = orbit_point_of(orbit, value)
+        impacts, _ = impacts_since_phase_0(orbit)
     except (OrbitError, ValueError):
         return None
-    if orbit.periods != periods or not len(orbit_row.times):
+    if orbit.periods != periods or not impacts:
         return None
-    new_problem = problem._replace(
-        sequence=make_padded_sequence(
-            problem, list(zip(orbit_row.times, orbit_row.speeds, orbit_row.sides, strict=True))
-        )
-    )
-    point = correct_to_parameter(
-        new_problem, np.concatenate([new_problem.sequence.times, new_problem.sequence.speeds, [value]]), value
-    )
+    new_problem, new_z = problem.with_impacts(np.append(z[:-1], value), impacts)
+    point = new_problem.solve_at(new_z, -1, value, 1.0)
     new_diagnostics = diagnose(new_problem, point.z[None])
     max_distance = STATE_TOLERANCE * max(abs(start_diagnostics.x).max(), abs(start_diagnostics.v).max())
     state_distance = max(

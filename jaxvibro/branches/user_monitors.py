@@ -5,14 +5,11 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Complex, Float
 
-from continuation.event_search import Event
-from continuation.intermediate_points import point_at_length
+from continuation.intermediate_points import locate_sign_changes
 from continuation.point_rows import row_at
-from continuation.roots import find_bracketed_root
 
 from ..orbits.orbit import eigenvalue_pair
 from ..problem.orbit_diagnostics import diagnose
-from ..problem.orbit_equations import sides_with_release_codes
 from ..scene.check import ArgumentError
 
 
@@ -45,12 +42,9 @@ class MonitoredPoint(NamedTuple):
 
 def make_monitored_point(problem, z, diagnostics):
     """Make the `MonitoredPoint` of one point."""
-    n_rows, n_impacts = len(problem.sequence.sides), int(np.sum(problem.sequence.sides != 0))
     return MonitoredPoint(
         float(z[-1]),
-        z[:n_impacts],
-        z[n_rows : n_rows + n_impacts],
-        np.asarray(sides_with_release_codes(problem.sequence)[:n_impacts]),
+        *problem.impacts(z),
         diagnostics.x,
         diagnostics.v,
         eigenvalue_pair(float(diagnostics.trace), float(diagnostics.determinant)),
@@ -61,29 +55,20 @@ def make_monitored_point(problem, z, diagnostics):
 def locate_crossings(task, points, diagnostics, kind, monitor):
     """Locate the `Event` of each sign change of a user's monitor; `task` is the `ContinuationTask` of the branch."""
     problem = task.args
-    monitor_values = np.array(
-        [
-            _monitor_value(kind, monitor, make_monitored_point(problem, z, row_at(diagnostics, row)))
-            for row, z in enumerate(points.z)
-        ]
-    )
-    for row_before in np.flatnonzero(monitor_values[:-1] * monitor_values[1:] < 0).tolist():
 
-        def monitor_value_at(arclength, row_before=row_before):
-            point = point_at_length(task, points, row_before, arclength)
-            if point is None:
-                raise ArgumentError(
-                    f"monitors.{kind}",
-                    "must be evaluated between two points, where Newton's method fails",
-                    float(points.z[row_before, -1]),
-                )
-            return _monitor_value(
-                kind, monitor, make_monitored_point(problem, point.z, row_at(diagnose(problem, point.z[None]), 0))
-            )
+    def value_at(z):
+        diagnostics_at_z = row_at(diagnose(problem, z[None]), 0)
+        return _monitor_value(kind, monitor, make_monitored_point(problem, z, diagnostics_at_z))
 
-        arclength = find_bracketed_root(monitor_value_at, float(points.step[row_before + 1]))
-        point = point_at_length(task, points, row_before, arclength)
-        yield Event(kind, row_before, arclength, point.z, float(point.residual))
+    def make_error(kind, row_before):
+        rule = "must be evaluated between two points, where Newton's method fails"
+        return ArgumentError(f"monitors.{kind}", rule, float(points.z[row_before, -1]))
+
+    monitor_values = [
+        _monitor_value(kind, monitor, make_monitored_point(problem, z, row_at(diagnostics, row)))
+        for row, z in enumerate(points.z)
+    ]
+    return locate_sign_changes(task, points, kind, np.array(monitor_values), value_at, make_error)
 
 
 def _monitor_value(kind, monitor, point):

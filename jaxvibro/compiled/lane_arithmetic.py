@@ -139,6 +139,37 @@ def two_sum(first_summand, second_summand):
     return rounded_sum, (first_summand - (rounded_sum - virtual_summand)) + (second_summand - virtual_summand)
 
 
+def value_and_gradient(function, arguments, axis=0):
+    """Compute a function of lanes and its derivatives with respect to each argument.
+
+    Parameters
+    ----------
+    function : callable
+        Function of arrays of lanes whose results belong to the same lanes.
+    arguments : sequence of array
+        Arguments of the function.
+    axis : int, optional
+        New axis of the derivatives, which numbers the arguments.
+
+    Returns
+    -------
+    value : pytree of array
+        Result of the function.
+    gradient : pytree of array
+        Derivatives of each result.
+    """
+
+    def derivative_along(direction):
+        tangents = [
+            jnp.broadcast_to(component, jnp.shape(argument))
+            for component, argument in zip(direction, arguments, strict=True)
+        ]
+        return jax.jvp(function, tuple(arguments), tuple(tangents))
+
+    directions = jnp.eye(len(arguments), dtype=jnp.result_type(arguments[0]))
+    return jax.vmap(derivative_along, out_axes=(None, axis))(directions)
+
+
 def call_without_inlining(function, *lanes, **static):
     """Call a function without inlining it, so that its results are stored.
 

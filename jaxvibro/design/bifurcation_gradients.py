@@ -15,11 +15,11 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
+from continuation.hostcall import FAST_COMPILE
 from continuation.implicit_function import make_lane_loop_function
-from continuation.persistent_jit import FAST_COMPILE
 
 from ..compiled.kernel_calls import call_as_kernel
-from ..flight.flight_coefficients import flow_coefficients
+from ..contact.kinds import flow_coefficients
 from ..orbits import impact_equations
 from .parameter_rays import bifurcation_test_values, impact_free_state, sequence_at
 

@@ -18,7 +18,7 @@ from continuation import augmented_systems
 from continuation.array_type import Array
 from continuation.implicit_function import Parameters, Unknowns
 
-from ..flight.flight_coefficients import flow_coefficients
+from ..contact.kinds import flow_coefficients
 from ..orbits import cyclic_system, flight_clearance, impact_equations
 from ..orbits.flight_clearance import GRAZING_TOLERANCE
 from ..orbits.impact_equations import ImpactSequence

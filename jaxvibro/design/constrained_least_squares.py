@@ -25,10 +25,14 @@ REGULARISATION = 1e-12  # relative to the diagonal of H: regularises unknowns wi
 
 
 class FreeParameterSpec(NamedTuple):
-    """Description of the free parameters of a fit: names, scales, initial values, bounds and prior.
+    """Free parameters of a fit: names, scales, initial values, bounds and prior.
 
     Attributes
     ----------
+    scene : Scene
+        Initial scene.
+    phase : float
+        Phase of the drive at time 0; not used if the phase is a free parameter.
     names : tuple of str
         Names of the parameters. The last is ``"phase"`` if the phase of the drive at time 0 is free.
     scales : numpy.ndarray
@@ -41,6 +45,8 @@ class FreeParameterSpec(NamedTuple):
         Information matrix of the prior, in scales. Array of shape (free, free).
     """
 
+    scene: Scene
+    phase: float
     names: tuple[str, ...]
     scales: Float[np.ndarray, " free"]
     start_values: Float[np.ndarray, " free"]
@@ -48,23 +54,18 @@ class FreeParameterSpec(NamedTuple):
     upper: Float[np.ndarray, " free"]
     prior_information: Float[np.ndarray, "free free"]
 
-    def separate_start_phase(
-        self, parameters: Float[np.ndarray, "free ..."], fixed_start_phase: float
-    ) -> tuple[tuple[str, ...], Any]:
+    def separate_start_phase(self, parameters: Float[np.ndarray, "free ..."]) -> tuple[tuple[str, ...], Any]:
         """Return the names of the parameters of the scene, and the phase of the drive at time 0.
 
-        The phase is the last of `parameters` if it is free, and `fixed_start_phase` otherwise.
+        The phase is the last of `parameters` if it is free.
         """
-        return (self.names[:-1], parameters[-1]) if self.names[-1:] == ("phase",) else (self.names, fixed_start_phase)
+        return (self.names[:-1], parameters[-1]) if self.names[-1:] == ("phase",) else (self.names, self.phase)
 
-    def scene_and_start_phase(
-        self, scene: Scene, start_phase: float, parameters: Float[np.ndarray, " free"]
-    ) -> tuple[Scene, float]:
+    def scene_and_start_phase(self, parameters: Float[np.ndarray, " free"]) -> tuple[Scene, float]:
         """Return the scene with these parameters, and the phase of the drive at time 0."""
-        parameter_names, start_phase = self.separate_start_phase(parameters, start_phase)
-        return replace_unchecked(
-            scene, dict(zip(parameter_names, parameters[: len(parameter_names)], strict=True))
-        ), float(start_phase)
+        names, phase = self.separate_start_phase(parameters)
+        scene = replace_unchecked(self.scene, dict(zip(names, parameters[: len(names)], strict=True)))
+        return scene, float(phase)
 
     def with_start_phase(self, parameters: Float[np.ndarray, " free"]) -> "FreeParameterSpec":
         """If the phase is free, return a copy whose initial phase is the last of `parameters`."""

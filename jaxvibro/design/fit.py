@@ -8,18 +8,13 @@ from ..scene import check
 from ..scene.input_warnings import warn_if_times_in_seconds
 from ..scene.scene import SIDES, Scene
 from ..scene.scene_parameters import common_parameter_value
-from . import fit_result, impact_chain_fit, sample_fit, special_point_fit
+from . import fit_result, sample_fit, special_point_fit
 from .constrained_least_squares import FreeParameterSpec
 from .fit_result import Fit, FitStatus
-from .free_parameter_checks import bounds_of_changes, check_free_parameters
+from .free_parameters import bounds_of_changes, check_free_parameters
+from .impact_chain_fit import fit_chain_parameters
 from .impact_chain_search import match_impact_record
-from .impact_chains import (
-    IMPOSSIBLE_COST,
-    ImpactFitProblem,
-    chain_measurements,
-    is_possible_motion,
-    scene_and_start_phase,
-)
+from .impact_chains import IMPOSSIBLE_COST, ImpactFitProblem, chain_measurements, is_possible_motion
 from .record_periodicity import count_impact_information, count_sample_information
 from .records import ImpactRecord, PointRecord, SampleRecord
 
@@ -90,22 +85,17 @@ def fit(
     >>> round(result.values["damping"], 5), result.status.name
     (0.05298, 'OK')
     """
-    if not isinstance(scene, Scene):
-        raise check.ArgumentError("scene", "must be a Scene", scene)
     check.require_single_scene(scene)
     check.require_spring(scene, "fit")
     if scene.dtype != np.float64:
         raise check.ArgumentError("scene", "must be in double precision", np.dtype(scene.dtype).name)
     if isinstance(data, PointRecord):
         return _fit_special_points(scene, data, free, bounds or {})
-    if not isinstance(data, ImpactRecord | SampleRecord):
-        raise check.ArgumentError("data", "must be an ImpactRecord, a SampleRecord or a PointRecord", data)
     parameter_units = check_free_parameters(scene, free)
     change_bounds = bounds_of_changes(scene, parameter_units, bounds or {})
     warn_if_times_in_seconds(scene, data)
-    return (_fit_impacts if isinstance(data, ImpactRecord) else _fit_samples)(
-        scene, data, parameter_units, change_bounds
-    )
+    fit_record = _fit_impacts if isinstance(data, ImpactRecord) else _fit_samples
+    return fit_record(scene, data, parameter_units, change_bounds)
 
 
 def _fit_impacts(scene, data, parameter_units, change_bounds):
@@ -115,88 +105,110 @@ def _fit_impacts(scene, data, parameter_units, change_bounds):
                 "data.sides", f"must be sides of its walls; the scene has no {SIDES[int(side > 0)]} wall", int(side)
             )
     _require_enough_data(len(data.times), "times", parameter_units, data.phase)
-    free_spec, sigma = (
-        _make_free_spec(scene, data.phase, parameter_units, change_bounds),
-        np.full(len(data.times), data.sigma),
-    )
-    fit_problem = ImpactFitProblem(scene, data.phase or 0.0, data.times, data.sides.astype(float), sigma, free_spec)
-
+    free_spec = _make_free_spec(scene, data.phase, parameter_units, change_bounds)
+    sigma = np.full(len(data.times), data.sigma)
+    fit_problem = ImpactFitProblem(data.times, data.sides.astype(float), sigma, free_spec)
     chain = _match_impact_record(fit_problem, data)
     search_solution = None if chain is None or chain.cost >= IMPOSSIBLE_COST else chain.solution
-    _refuse_underdetermined(
+
+    def solve_with_spec(free_spec):
+        measurements = chain_measurements(fit_problem, chain)
+        return fit_chain_parameters(search_solution.nodes, measurements, free_spec, search_solution.parameters)
+
+    def missed_and_spurious(solution):
+        missed_indices = np.flatnonzero(chain.record_indices < 0)
+        missed_nodes = zip(solution.nodes.times[missed_indices], solution.nodes.sides[missed_indices], strict=True)
+        return tuple((float(time), int(side)) for time, side in missed_nodes), tuple(sorted(chain.spurious_indices))
+
+    n_independent_values = count_impact_information(data, float(scene.frequency), "frequency" in parameter_units)
+    return _fit_identifiable(
         data,
         free_spec,
         search_solution,
-        count_impact_information(data, float(scene.frequency), "frequency" in parameter_units),
-    )
-    if search_solution is None:
-        return fit_result.build_empty_fit(scene, free_spec.names, free_spec.start_values)
-    free_spec, measurements = (
-        free_spec.with_start_phase(search_solution.parameters),
-        chain_measurements(fit_problem, chain),
-    )
-
-    def solve_with_spec(free_spec):
-        return impact_chain_fit.fit_chain_parameters(
-            scene, fit_problem.phase, search_solution.nodes, measurements, free_spec, search_solution.parameters
-        )
-
-    solution, identifiable_directions = fit_result.solve_identifiable(search_solution, free_spec, solve_with_spec)
-    dof = len(measurements.node_indices) - 2 - int(np.sum(~identifiable_directions.is_undetermined))
-    status = (
-        fit_result.status_of_solution(free_spec, solution, identifiable_directions, dof)
-        if is_possible_motion(fit_problem, solution)
-        else FitStatus.MISFIT
-    )
-    missed_impacts = tuple(
-        (float(solution.nodes.time_or_x[node_index]), int(solution.nodes.sides[node_index]))
-        for node_index in np.flatnonzero(chain.record_indices < 0)
-    )
-    return _build_fit(
-        scene_and_start_phase(fit_problem, solution.parameters)[0],
-        free_spec,
-        solution,
-        identifiable_directions,
-        dof,
-        status,
-        missed_impacts,
-        tuple(sorted(chain.spurious_indices)),
+        n_independent_values,
+        solve_with_spec,
+        lambda solution: is_possible_motion(free_spec, solution),
+        missed_and_spurious,
     )
 
 
 def _fit_samples(scene, data, parameter_units, change_bounds):
-    n_measured_values = data.measured[0].size
-    _require_enough_data(n_measured_values, "values", parameter_units, data.phase)
+    _require_enough_data(data.measured[0].size, "values", parameter_units, data.phase)
     free_spec = _make_free_spec(scene, data.phase, parameter_units, change_bounds)
-    fit_problem = sample_fit.make_sample_problem(scene, data, free_spec)
+    fit_problem = sample_fit.make_sample_problem(data, free_spec)
     search_solution = sample_fit.follow_sample_record(fit_problem)
-    _refuse_underdetermined(
+
+    def solve_with_spec(free_spec):
+        return sample_fit.solve_first_shots(fit_problem, search_solution.nodes, free_spec, search_solution.parameters)
+
+    return _fit_identifiable(
         data,
         free_spec,
         search_solution,
         None if "frequency" in parameter_units else count_sample_information(data, float(scene.frequency)),
+        solve_with_spec,
+        lambda solution: solution.converged,
     )
+
+
+def _fit_identifiable(
+    data,
+    free_spec,
+    search_solution,
+    n_independent_values,
+    solve_with_spec,
+    is_motion,
+    missed_and_spurious=lambda solution: ((), ()),
+):
+    """Return the `Fit` of the identifiable parameters to a record of a motion.
+
+    Parameters
+    ----------
+    data : ImpactRecord or SampleRecord
+        The record.
+    free_spec : FreeParameterSpec
+        Free parameters.
+    search_solution : LeastSquaresSolution or None
+        Solution for the whole record with a prior on all parameters. None if no motion follows the record.
+    n_independent_values : int or None
+        Number of independent values of a settled record. None for other records.
+    solve_with_spec : callable
+        Function of a `FreeParameterSpec` that solves the least-squares problem from `search_solution`.
+    is_motion : callable
+        Function of a solution that returns True if the solution is a motion of its scene.
+    missed_and_spurious : callable, optional
+        Function of a solution that returns the fields `missed` and `spurious` of the `Fit`.
+
+    Returns
+    -------
+    Fit
+        The fit.
+
+    Raises
+    ------
+    ArgumentError
+        If the record is settled and has fewer independent values than there are free parameters.
+    """
+    _refuse_underdetermined(data, free_spec, search_solution, n_independent_values)
     if search_solution is None:
-        return fit_result.build_empty_fit(scene, free_spec.names, free_spec.start_values)
+        return fit_result.build_empty_fit(free_spec.scene, free_spec.names, free_spec.start_values)
     free_spec = free_spec.with_start_phase(search_solution.parameters)
-
-    def solve_with_spec(free_spec):
-        return sample_fit.solve_whole_record(fit_problem, search_solution, free_spec)
-
     solution, identifiable_directions = fit_result.solve_identifiable(search_solution, free_spec, solve_with_spec)
-    dof = n_measured_values - 2 - int(np.sum(~identifiable_directions.is_undetermined))
-    status = (
-        fit_result.status_of_solution(free_spec, solution, identifiable_directions, dof)
-        if solution.converged
-        else FitStatus.MISFIT
-    )
-    return _build_fit(
-        fit_problem.scene_and_start_phase(solution.parameters)[0],
-        free_spec,
-        solution,
+    dof = len(solution.residuals) - 2 - int(np.sum(~identifiable_directions.is_undetermined))
+    status = FitStatus.MISFIT
+    if is_motion(solution):
+        status = fit_result.status_of_solution(free_spec, solution, identifiable_directions, dof)
+    return fit_result.build_fit(
+        free_spec.scene_and_start_phase(solution.parameters)[0],
+        free_spec.names,
+        free_spec.scales,
+        solution.parameters,
         identifiable_directions,
+        solution.covariance,
+        solution.residuals,
         dof,
         status,
+        *missed_and_spurious(solution),
     )
 
 
@@ -218,7 +230,9 @@ def _make_free_spec(scene, start_phase, parameter_units, change_bounds):
     if start_phase is None:
         names, scales, start_values = (*names, "phase"), np.append(scales, PHASE_SCALE), np.append(start_values, 0.0)
         lower_change, upper_change = np.append(lower_change, -np.inf), np.append(upper_change, np.inf)
-    return FreeParameterSpec(names, scales, start_values, lower_change, upper_change, np.eye(len(names)))
+    return FreeParameterSpec(
+        scene, start_phase or 0.0, names, scales, start_values, lower_change, upper_change, np.eye(len(names))
+    )
 
 
 def _match_impact_record(fit_problem, data):
@@ -227,26 +241,18 @@ def _match_impact_record(fit_problem, data):
         return match_impact_record(fit_problem, data.flawed)
     head_fit_trials = []
     for start_phase in 2.0 * np.pi * np.arange(N_PHASES) / N_PHASES:
-        problem_or_chain = fit_problem._replace(
-            free_spec=fit_problem.free_spec.with_start_phase(np.array([start_phase]))
-        )
-        head_problem = problem_or_chain._replace(
-            times=problem_or_chain.times[:HEAD_IMPACTS],
-            sides=problem_or_chain.sides[:HEAD_IMPACTS],
-            sigma=problem_or_chain.sigma[:HEAD_IMPACTS],
+        phase_problem = fit_problem._replace(free_spec=fit_problem.free_spec.with_start_phase(np.array([start_phase])))
+        head_problem = phase_problem._replace(
+            times=phase_problem.times[:HEAD_IMPACTS],
+            sides=phase_problem.sides[:HEAD_IMPACTS],
+            sigma=phase_problem.sigma[:HEAD_IMPACTS],
         )
         chain = match_impact_record(head_problem, False)
         if chain is not None:
-            head_fit_trials.append((chain.cost, start_phase, problem_or_chain))
+            head_fit_trials.append((chain.cost, start_phase, phase_problem))
     head_fit_trials.sort(key=lambda trial: trial[:2])
-    chains = [
-        match_impact_record(problem_or_chain, data.flawed) for _, _, problem_or_chain in head_fit_trials[:MAX_CHAINS]
-    ]
-    return min(
-        (problem_or_chain for problem_or_chain in chains if problem_or_chain is not None),
-        key=lambda chain: chain.cost,
-        default=None,
-    )
+    chains = [match_impact_record(phase_problem, data.flawed) for _, _, phase_problem in head_fit_trials[:MAX_CHAINS]]
+    return min((chain for chain in chains if chain is not None), key=lambda chain: chain.cost, default=None)
 
 
 def _refuse_underdetermined(data, free_spec, solution, n_independent_values):
@@ -268,19 +274,6 @@ def _refuse_underdetermined(data, free_spec, solution, n_independent_values):
     raise check.ArgumentError("data", rule, f"{len(data.times)} times")
 
 
-def _build_fit(scene, free_spec, solution, identifiable_directions, *remaining_fields):
-    return fit_result.build_fit(
-        scene,
-        free_spec.names,
-        free_spec.scales,
-        solution.parameters,
-        identifiable_directions,
-        solution.covariance,
-        solution.residuals,
-        *remaining_fields,
-    )
-
-
 def _fit_special_points(scene, data, unit_by_group, bounds):
     name_groups = [(key,) if isinstance(key, str) else tuple(key) for key in unit_by_group]
     if len(data.values) < len(name_groups):
@@ -296,15 +289,11 @@ def _fit_special_points(scene, data, unit_by_group, bounds):
     )
     if solution is None or not solution.converged:
         return fit_result.build_empty_fit(scene, parameter_group_labels, start_values)
-    identifiable_directions, dof = (
-        fit_result.identify_directions(solution.jacobian.T @ solution.jacobian),
-        len(solution.residuals),
-    )
-    dof -= int(np.sum(~identifiable_directions.is_undetermined))
-    covariance = (
-        identifiable_directions.combination_vectors[:, ~identifiable_directions.is_undetermined]
-        * identifiable_directions.errors[~identifiable_directions.is_undetermined] ** 2
-    ) @ identifiable_directions.combination_vectors[:, ~identifiable_directions.is_undetermined].T
+    identifiable_directions = fit_result.identify_directions(solution.jacobian.T @ solution.jacobian)
+    is_determined = ~identifiable_directions.is_undetermined
+    dof = len(solution.residuals) - int(np.sum(is_determined))
+    determined_vectors = identifiable_directions.combination_vectors[:, is_determined]
+    covariance = (determined_vectors * identifiable_directions.errors[is_determined] ** 2) @ determined_vectors.T
     status = fit_result.status_if_misfit(float(solution.residuals @ solution.residuals), dof)
     status = status or (FitStatus.UNIDENTIFIABLE if identifiable_directions.is_undetermined.any() else FitStatus.OK)
     values = {
@@ -312,9 +301,8 @@ def _fit_special_points(scene, data, unit_by_group, bounds):
         for name_group, parameter_value in zip(name_groups, solution.parameters, strict=True)
         for name in name_group
     }
-    changed_scene = scene.replace(**values)
     return fit_result.build_fit(
-        changed_scene,
+        scene.replace(**values),
         parameter_group_labels,
         scales,
         solution.parameters,

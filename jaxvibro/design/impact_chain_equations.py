@@ -1,10 +1,10 @@
 """Define the equations of a chain of flights from impact to impact, and their derivatives.
 
-The chain is not closed to a periodic orbit. A node is an impact (unknowns: the time and the speed before the impact) or
-a free state at a given time (unknowns: x, v). The flight from a node must end at the next node: on the wall of the next
-impact, at its time and with its speed, or in the next state. The equations ignore the walls during a flight. They are
-therefore smooth in the unknowns and in every number of the scene, and a grazing is not a singularity. Chaos does not
-amplify errors, whatever the length of the chain. `impact_prediction` checks whether a flight passes through a wall.
+The chain is not closed to a periodic orbit. A node is an impact. Its unknowns are the time and the speed before the
+impact. The flight from a node must end on the wall of the next impact, at its time and with its speed. The equations
+ignore the walls during a flight. They are therefore smooth in the unknowns and in every number of the scene, and a
+grazing is not a singularity. Chaos does not amplify errors, whatever the length of the chain. `impact_prediction`
+checks whether a flight passes through a wall.
 """
 
 from typing import NamedTuple
@@ -14,13 +14,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from continuation.persistent_jit import persistent_jit
+from continuation.hostcall import persistent_jit
 
+from ..contact.kinds import flow_coefficients
+from ..contact.wall_at_contact import wall_derivatives
 from ..flight import flow, further_drive_terms
-from ..flight.flight_coefficients import flow_coefficients
-from ..flight.flow_dispatch import flow_of
 from ..orbits.contact_maps import evaluate_contact_map
-from ..orbits.wall_at_contact import wall_derivatives
 from ..scene.scene import SIDES
 from .shape_padding import pad_to_power_of_two, scene_with_tangents
 
@@ -31,72 +30,57 @@ class ChainNodes(NamedTuple):
     Attributes
     ----------
     sides : numpy.ndarray
-        -1 or 1 for an impact, 0 for a free state. Array of shape (nodes,).
-    free_state_times : numpy.ndarray
-        Times of the free states. Array of shape (nodes,).
-    time_or_x : numpy.ndarray
-        Time of an impact, or x of a free state. Array of shape (nodes,).
-    speed_or_v : numpy.ndarray
-        Speed before an impact, or v of a free state. Array of shape (nodes,).
+        Sides of the impacts, -1 left, 1 right. Array of shape (nodes,).
+    times : numpy.ndarray
+        Times of the impacts. Array of shape (nodes,).
+    speeds : numpy.ndarray
+        Speeds before the impacts. Array of shape (nodes,).
     """
 
     sides: Float[np.ndarray, " nodes"]
-    free_state_times: Float[np.ndarray, " nodes"]
-    time_or_x: Float[np.ndarray, " nodes"]
-    speed_or_v: Float[np.ndarray, " nodes"]
-
-    @property
-    def times(self) -> Float[np.ndarray, " nodes"]:
-        """Times of all nodes."""
-        return np.where(self.sides == 0, self.free_state_times, self.time_or_x)
+    times: Float[np.ndarray, " nodes"]
+    speeds: Float[np.ndarray, " nodes"]
 
 
-class FlightResiduals(NamedTuple):
-    """Residuals of the flights of a chain.
+def flight_residuals(free_spec, nodes, parameters):
+    """Return the residuals of the flights between nodes, and their derivatives, for values of the free parameters.
 
-    Attributes
-    ----------
-    values : numpy.ndarray
+    Returns
+    -------
+    residuals : numpy.ndarray
         Residuals of position and velocity at the end of each flight. Array of shape (flights, 2).
     derivatives : numpy.ndarray
-        Derivatives of the residuals with respect to the two unknowns of the node, the two unknowns of the next node,
-        the free parameters, and the phase. Array of shape (flights, 2, 4 + free + 1).
+        Derivatives of the residuals with respect to the time and the speed of the node, those of the next node, and the
+        free parameters in units of their scales. Array of shape (flights, 2, 4 + free).
     """
-
-    values: Float[np.ndarray, "flights 2"]
-    derivatives: Float[np.ndarray, "flights 2 columns"]
-
-
-def flight_residuals(scene, parameter_names, nodes, parameters, start_phase):
-    """Return the `FlightResiduals` of nodes in a scene with the values `parameters` of the named parameters.
-
-    `start_phase` is the phase of the drive at time 0.
-    """
-    n_nodes = len(nodes.sides)
-    if n_nodes < 2:
-        return FlightResiduals(np.zeros((0, 2)), np.zeros((0, 2, 5 + len(parameter_names))))
-    changed_scene, scene_tangents = scene_with_tangents(scene, parameter_names, parameters)
+    n_flights, n_params = len(nodes.sides) - 1, len(parameters)
+    if n_flights < 1:
+        return np.zeros((0, 2)), np.zeros((0, 2, 4 + n_params))
+    parameter_names, start_phase = free_spec.separate_start_phase(parameters)
+    changed_scene, scene_tangents = scene_with_tangents(
+        free_spec.scene, parameter_names, parameters[: len(parameter_names)]
+    )
     residuals, derivatives = (
         np.asarray(padded_result)
         for padded_result in _differentiate_flights(
             changed_scene, scene_tangents, *map(pad_to_power_of_two, nodes), np.asarray(float(start_phase))
         )
     )
-    derivatives = np.concatenate([derivatives[: 4 + len(parameter_names)], derivatives[-1:]])
-    return FlightResiduals(
-        residuals[:, : n_nodes - 1].T, np.moveaxis(derivatives[:, :, : n_nodes - 1], (0, 1, 2), (2, 1, 0))
-    )
+    # The rows of the tangents that pad those of the parameters lie before the row of the phase.
+    derivatives = np.concatenate([derivatives[: 4 + len(parameter_names)], derivatives[-1:]])[: 4 + n_params]
+    derivatives = np.moveaxis(derivatives[:, :, :n_flights], (0, 1, 2), (2, 1, 0))
+    return residuals[:, :n_flights].T, derivatives * np.concatenate([np.ones(4), free_spec.scales])
 
 
-def speeds_between_impacts(scene, nodes, start_phase):
-    """Return the speeds at both ends of the flights that connect consecutive impacts.
+def speeds_between_impacts(scene, sides, times, start_phase):
+    """Return the speeds at both ends of the flights that connect consecutive impacts at given times.
 
     Returns two arrays of shape (flights,). The first holds the speed after the impact at the start of each flight,
     positive away from its wall. The second holds the speed before the impact at the end, positive into its wall. At an
     inner impact the two speeds violate the impact law if the times are not those of a motion of the scene. A contact
     phase of a soft wall is assumed to last half a free oscillation.
     """
-    n_nodes, sides = len(nodes.sides), np.asarray(nodes.sides)
+    n_flights, sides = len(sides) - 1, np.asarray(sides)
     contact_durations = sum(
         (
             np.where(sides == side_code, contact_duration, 0.0)
@@ -104,38 +88,32 @@ def speeds_between_impacts(scene, nodes, start_phase):
         ),
         0.0 * sides,
     )
-    padded_nodes = map(pad_to_power_of_two, nodes._replace(speed_or_v=contact_durations))
-    speeds_after, speeds_before = (
-        np.asarray(padded_result) for padded_result in _speeds_at_flight_ends(scene, *padded_nodes, start_phase)
+    speeds_after, speeds_before = _speeds_at_flight_ends(
+        scene, *map(pad_to_power_of_two, (sides, times, contact_durations)), start_phase
     )
-    return speeds_after[: n_nodes - 1], speeds_before[: n_nodes - 1]
+    return np.asarray(speeds_after)[:n_flights], np.asarray(speeds_before)[:n_flights]
 
 
 def _estimate_contact_durations(scene):
     """Yield (side, estimated contact duration) of each soft wall: half a period of the free oscillation in contact."""
-    for side, wall in scene.walls.items():
-        if wall.soft:
-            squared_frequency_inside = 1.0 + float(wall.stiffness) - float(scene.parameter(f"{side}.damping")) ** 2
-            yield (1.0 if side == SIDES[1] else -1.0), np.pi / np.sqrt(max(squared_frequency_inside, 1.0))
+    for side in scene.soft_sides:
+        stiffness, damping = float(scene.parameter(f"{side}.stiffness")), float(scene.parameter(f"{side}.damping"))
+        yield (1.0 if side == SIDES[1] else -1.0), np.pi / np.sqrt(max(1.0 + stiffness - damping**2, 1.0))
 
 
-@persistent_jit
-def _differentiate_flights(scene, scene_tangents, sides, free_state_times, time_or_x, speed_or_v, start_phase):
+@persistent_jit()
+def _differentiate_flights(scene, scene_tangents, sides, times, speeds, start_phase):
     """Return the residuals, and their derivatives by the unknowns, along the scene tangents and by the phase."""
-    node_and_next_unknowns = time_or_x, speed_or_v, jnp.roll(time_or_x, -1), jnp.roll(speed_or_v, -1)
+    node_and_next_unknowns = times, speeds, jnp.roll(times, -1), jnp.roll(speeds, -1)
 
-    def stacked_residuals(time_or_x, speed_or_v, next_time_or_x, next_speed_or_v, scene, start_phase):
-        return jnp.stack(
-            _flight_end_residuals(
-                scene, sides, free_state_times, (time_or_x, speed_or_v), (next_time_or_x, next_speed_or_v), start_phase
-            )
-        )
+    def stacked_residuals(times, speeds, next_times, next_speeds, scene, start_phase):
+        return jnp.stack(_flight_end_residuals(scene, sides, (times, speeds), (next_times, next_speeds), start_phase))
 
     def residual_derivative(*tangents):
         return jax.jvp(stacked_residuals, (*node_and_next_unknowns, scene, start_phase), tangents)[1]
 
     n_tangents = len(jax.tree.leaves(scene_tangents)[0])
-    tangent_basis, node_ones = jnp.eye(4 + n_tangents + 1), jnp.ones_like(time_or_x)
+    tangent_basis, node_ones = jnp.eye(4 + n_tangents + 1), jnp.ones_like(times)
     unknown_tangents = [tangent_basis[:, unknown_index, None] * node_ones for unknown_index in range(4)]
     tangents_with_zero_rows = jax.tree.map(lambda leaf: jnp.pad(leaf, (4, 1)), scene_tangents)
     residual_derivatives = jax.vmap(residual_derivative)(
@@ -144,39 +122,21 @@ def _differentiate_flights(scene, scene_tangents, sides, free_state_times, time_
     return stacked_residuals(*node_and_next_unknowns, scene, start_phase), residual_derivatives
 
 
-def _flight_end_residuals(scene, sides, free_state_times, node_unknowns, next_unknowns, start_phase):
-    """Return the residuals of position and velocity at the ends of the flights."""
+def _flight_end_residuals(scene, sides, impacts, next_impacts, start_phase):
+    """Return the residuals of position and velocity at the ends of the flights.
+
+    `impacts` and `next_impacts` are the times and speeds of the impacts before and after the flights.
+    """
     coeffs, next_sides = flow_coefficients(scene), jnp.roll(sides, -1)
-    is_free_state, is_next_free_state = sides == 0, next_sides == 0
-    start_times, end_times = (
-        jnp.where(is_free_state, free_state_times, node_unknowns[0]),
-        jnp.where(is_next_free_state, jnp.roll(free_state_times, -1), next_unknowns[0]),
-    )
-    drive_cosine, drive_sine = _drive_phasor(coeffs, start_phase, start_times)
-    contact_map = evaluate_contact_map(
-        coeffs, sides, drive_cosine, drive_sine, jnp.where(is_free_state, 0.0, node_unknowns[1])
-    )
-    contact_duration = (
-        0.0 if contact_map.contact_time is None else jnp.where(is_free_state, 0.0, contact_map.contact_time)
-    )
-    x, v = (
-        jnp.where(is_free_state, free_state_value, value_after_impact)
-        for free_state_value, value_after_impact in zip(node_unknowns, contact_map.state, strict=True)
-    )
-    drive_cosine, drive_sine = (
-        jnp.where(is_free_state, free_state_value, value_after_impact)
-        for free_state_value, value_after_impact in zip((drive_cosine, drive_sine), contact_map.phasor, strict=True)
-    )
-    flight_time = jnp.maximum(end_times - start_times - contact_duration, 0.0)
-    end_x, end_v = flow_of(coeffs).fly(coeffs, x, v, drive_cosine, drive_sine, flight_time)[:2]
+    (times, speeds), (next_times, next_speeds) = impacts, next_impacts
+    contact_map = evaluate_contact_map(coeffs, sides, *_drive_phasor(coeffs, start_phase, times), speeds)
+    contact_duration = 0.0 if contact_map.contact_time is None else contact_map.contact_time
+    flight_time = jnp.maximum(next_times - times - contact_duration, 0.0)
+    end_x, end_v = coeffs.flow.fly(coeffs, *contact_map.state, *contact_map.phasor, flight_time)[:2]
     wall_position, wall_velocity = wall_derivatives(
-        coeffs, next_sides, *_drive_phasor(coeffs, start_phase, end_times), 1
+        coeffs, next_sides, *_drive_phasor(coeffs, start_phase, next_times), 1
     )
-    position_residual = end_x - jnp.where(is_next_free_state, next_unknowns[0], wall_position)
-    velocity_residual = jnp.where(
-        is_next_free_state, end_v - next_unknowns[1], next_sides * (end_v - wall_velocity) - next_unknowns[1]
-    )
-    return position_residual, velocity_residual
+    return end_x - wall_position, next_sides * (end_v - wall_velocity) - next_speeds
 
 
 def _drive_phasor(coeffs, start_phase, time):
@@ -185,8 +145,8 @@ def _drive_phasor(coeffs, start_phase, time):
     return jnp.cos(drive_angle), jnp.sin(drive_angle)
 
 
-@persistent_jit
-def _speeds_at_flight_ends(scene, sides, free_state_times, impact_times, contact_durations, start_phase):
+@persistent_jit()
+def _speeds_at_flight_ends(scene, sides, impact_times, contact_durations, start_phase):
     """Compute the two arrays of `speeds_between_impacts` for padded nodes."""
     coeffs, next_sides, start_times = flow_coefficients(scene), jnp.roll(sides, -1), impact_times + contact_durations
     flight_time = jnp.maximum(jnp.roll(impact_times, -1) - start_times, 0.0)

@@ -11,6 +11,7 @@ from itertools import product
 
 import numpy as np
 
+from .impact_chain_equations import ChainNodes, flight_residuals
 from .impact_chains import (
     IMPOSSIBLE_COST,
     SPURIOUS_COST,
@@ -18,19 +19,17 @@ from .impact_chains import (
     ImpactChainGuess,
     ImpactFitProblem,
     fit_chain,
-    flight_derivatives,
+    guess_from_chain,
     guess_from_record,
     insert_impacts,
     is_acceptable_chain,
     join_guesses,
     rank_insertion_times,
     remove_node,
-    scene_and_start_phase,
     squared_speed_mismatches,
     wall_side_codes,
 )
-from .impact_chains import guess_from_chain as as_found
-from .impact_prediction import Impact, MotionPredictor
+from .impact_prediction import Impact, next_impacts
 
 FIRST_IMPACTS, GROWTH_FRACTION = 6, 0.4  # impacts of the first chain; relative growth of a certain chain at once
 EASY_COST = 6.0  # a cheaper first chain is accepted without alternatives
@@ -45,7 +44,6 @@ MAX_LOOKAHEAD = 5  # impacts by which an uncertain chain is predicted
 MAX_CHAINS, MAX_EXTRA_COST = 6, 24.0  # number of chains that are kept, and their largest cost above the best
 EXPENSIVE_STEP = 10.0  # a more expensive step is compared with alternatives
 MAX_INSERTIONS = 4  # ways of inserting impacts before a new one, ranked by the mismatch of the speeds
-MAX_STRAINED_FLIGHTS = 3  # flights in which an impact is inserted where a chain breaks off
 
 
 def match_impact_record(fit_problem: ImpactFitProblem, allow_flaws: bool) -> ImpactChain | None:
@@ -153,7 +151,7 @@ def _start_chains_by_edits(fit_problem, parameters, n_start_impacts):
         double_insertion_guess
         for candidate in single_insertion_guesses
         for double_insertion_guess in _guesses_with_insertion(
-            fit_problem, candidate, range(_last_added_node_index(candidate) + 1, len(candidate.record_indices) - 1)
+            fit_problem, candidate, range(_inserted_node_index(candidate) + 1, len(candidate.record_indices) - 1)
         )
     ]
     deletion_guesses = [remove_node(chain_guess, node_index) for node_index in range(1, n_start_impacts - 1)]
@@ -170,7 +168,7 @@ def _start_chains_by_edits(fit_problem, parameters, n_start_impacts):
 
 def _guesses_with_insertion(fit_problem, chain_guess, flight_indices):
     """Return the guesses with one impact inserted in one of the given flights, for every flight and wall."""
-    flights_and_sides = product(flight_indices, wall_side_codes(fit_problem.scene))
+    flights_and_sides = product(flight_indices, wall_side_codes(fit_problem.free_spec.scene))
     return [
         longer_guess
         for flight_index, side in flights_and_sides
@@ -178,7 +176,7 @@ def _guesses_with_insertion(fit_problem, chain_guess, flight_indices):
     ]
 
 
-def _last_added_node_index(chain_guess):
+def _inserted_node_index(chain_guess):
     """Return the index of the last node whose impact is missing from the record."""
     return int(np.flatnonzero(chain_guess.record_indices < 0)[-1])
 
@@ -239,40 +237,24 @@ def _predict_impacts(fit_problem, chain, end_time, max_impacts, time_direction):
 
     The prediction ends at `end_time` or after `max_impacts` impacts.
     """
-    solution = chain.solution
-    nodes, end_node_index, n_params = (
-        solution.nodes,
-        (len(solution.nodes.sides) - 1 if time_direction > 0 else 0),
-        len(solution.parameters),
-    )
-    scene, start_phase = scene_and_start_phase(fit_problem, solution.parameters)
-    chain_end_impact = Impact(
-        nodes.sides[end_node_index], nodes.time_or_x[end_node_index], nodes.speed_or_v[end_node_index]
-    )
-    predicted_impacts = MotionPredictor(scene, start_phase, time_direction).next_impacts(
-        chain_end_impact, end_time, max_impacts
+    free_spec, solution = fit_problem.free_spec, chain.solution
+    end_node_index, n_params = len(solution.nodes.sides) - 1 if time_direction > 0 else 0, len(solution.parameters)
+    chain_end_impact = Impact(*(float(column[end_node_index]) for column in solution.nodes))
+    predicted_impacts = next_impacts(
+        *free_spec.scene_and_start_phase(solution.parameters), chain_end_impact, end_time, max_impacts, time_direction
     )
     if not predicted_impacts:
         return []
-    sides, times, speeds = (
-        np.array(impact_column)
-        for impact_column in zip(*[chain_end_impact, *predicted_impacts][::time_direction], strict=True)
-    )
-    prediction_derivatives = flight_derivatives(
-        fit_problem,
-        nodes._replace(sides=sides, free_state_times=0.0 * sides, time_or_x=times, speed_or_v=speeds),
-        solution.parameters,
-    )[::time_direction]
-    near_node_derivatives, far_node_derivatives = (prediction_derivatives[:, :, :2], prediction_derivatives[:, :, 2:4])[
-        ::time_direction
-    ]
+    predicted_nodes = ChainNodes(*np.array([chain_end_impact, *predicted_impacts][::time_direction]).T)
+    derivatives = flight_residuals(free_spec, predicted_nodes, solution.parameters)[1][::time_direction]
+    near_node_derivatives, far_node_derivatives = (derivatives[:, :, :2], derivatives[:, :, 2:4])[::time_direction]
     covariance, node_sensitivity, time_errors = (
         solution.covariance_with([2 * end_node_index, 2 * end_node_index + 1]),
         np.eye(2, 2 + n_params),
         [],
     )
     for impact_index in range(len(predicted_impacts)):
-        parameter_derivatives = np.concatenate([np.zeros((2, 2)), prediction_derivatives[impact_index, :, 4:]], 1)
+        parameter_derivatives = np.concatenate([np.zeros((2, 2)), derivatives[impact_index, :, 4:]], 1)
         node_sensitivity = -np.linalg.pinv(far_node_derivatives[impact_index]) @ (
             near_node_derivatives[impact_index] @ node_sensitivity + parameter_derivatives
         )
@@ -341,7 +323,9 @@ def _extend_by_sure_impacts(fit_problem, allow_flaws, chain, time_direction):
     longer_chain = fit_chain(
         fit_problem,
         join_guesses(
-            as_found(chain), _guess_from_predictions(record_indices, predicted_impacts, time_direction), time_direction
+            guess_from_chain(chain),
+            _guess_from_predictions(record_indices, predicted_impacts, time_direction),
+            time_direction,
         ),
     )
     return longer_chain if is_acceptable_chain(longer_chain) else None
@@ -349,7 +333,10 @@ def _extend_by_sure_impacts(fit_problem, allow_flaws, chain, time_direction):
 
 def _extensions_of_chain(fit_problem, allow_flaws, chain, time_direction):
     """Return the chains that explain the next impact of the record in any plausible way."""
-    record_index, chain_guess = int(_record_indices_ahead(fit_problem, chain, time_direction, 1)[0]), as_found(chain)
+    record_index, chain_guess = (
+        int(_record_indices_ahead(fit_problem, chain, time_direction, 1)[0]),
+        guess_from_chain(chain),
+    )
     record_time, covered_record_range = fit_problem.times[record_index], _covered_record_range(chain)
     time_gap = abs(
         record_time - fit_problem.times[covered_record_range[1] - 1 if time_direction > 0 else covered_record_range[0]]
@@ -383,7 +370,7 @@ def _extensions_of_chain(fit_problem, allow_flaws, chain, time_direction):
         side_sequences = [
             sides
             for n_insertions in (1, 2)
-            for sides in product(wall_side_codes(fit_problem.scene), repeat=n_insertions)
+            for sides in product(wall_side_codes(fit_problem.free_spec.scene), repeat=n_insertions)
         ]
         side_sequences.sort(
             key=lambda sides: rank_insertion_times(fit_problem, guess_without_insertion, flight_index, sides)[0]

@@ -10,13 +10,13 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from ..scene.scene import SIDES, Scene
+from ..scene.scene import SIDES
 from ..scene.soft_walls import effective_restitution
 from . import impact_chain_fit
 from .constrained_least_squares import FreeParameterSpec, LeastSquaresSolution, max_plausible_chi2
 from .impact_chain_equations import ChainNodes, flight_residuals, speeds_between_impacts
-from .impact_chain_fit import NodeMeasurements
-from .impact_prediction import MotionPredictor
+from .impact_chain_fit import TimeMeasurements
+from .impact_prediction import min_clearances
 
 # Penalties added to chi2: for each missing and each spurious impact, and for a chain that is not a motion.
 MISSED_COST, SPURIOUS_COST, IMPOSSIBLE_COST = 6.0, 14.0, 1e6
@@ -56,18 +56,12 @@ class ImpactFitProblem(NamedTuple):
 
     Attributes
     ----------
-    scene : Scene
-        Initial scene.
-    phase : float
-        Phase of the drive at time 0; not used if the phase is a free parameter.
     times, sides, sigma : numpy.ndarray
         Times, sides and standard errors of the impacts of the record. Arrays of shape (record,).
     free_spec : FreeParameterSpec
-        Free parameters.
+        Initial scene and its free parameters.
     """
 
-    scene: Scene
-    phase: float
     times: Float[np.ndarray, " record"]
     sides: Float[np.ndarray, " record"]
     sigma: Float[np.ndarray, " record"]
@@ -100,32 +94,15 @@ class ImpactChainGuess(NamedTuple):
 
 def fit_chain(fit_problem: ImpactFitProblem, chain_guess: ImpactChainGuess) -> ImpactChain:
     """Fit an `ImpactChainGuess`. The flights that connect the impacts give initial values of unknown speeds."""
-    scene, start_phase = scene_and_start_phase(fit_problem, chain_guess.parameters)
-    times, zero_times = (
-        _separate_times(chain_guess.times, fit_problem.sigma[0]),
-        np.zeros(len(chain_guess.record_indices)),
-    )
-    speeds_after, speeds_before = speeds_between_impacts(
-        scene, ChainNodes(chain_guess.sides, zero_times, times, zero_times), start_phase
-    )
-    approach_speeds = np.concatenate(
-        [
-            [speeds_after[0] / max(restitutions_on_sides(scene, chain_guess.sides[:1])[0], MIN_RESTITUTION)],
-            speeds_before,
-        ]
-    )
-    nodes = ChainNodes(
-        chain_guess.sides,
-        zero_times,
-        times,
-        np.where(np.isnan(chain_guess.speeds), approach_speeds, chain_guess.speeds),
-    )
-    measurements = chain_measurements(fit_problem, chain_guess)
+    scene, start_phase = fit_problem.free_spec.scene_and_start_phase(chain_guess.parameters)
+    times = _separate_times(chain_guess.times, fit_problem.sigma[0])
+    speeds_after, speeds_before = speeds_between_impacts(scene, chain_guess.sides, times, start_phase)
+    first_restitution = max(restitutions_on_sides(scene, chain_guess.sides[:1])[0], MIN_RESTITUTION)
+    approach_speeds = np.append(speeds_after[0] / first_restitution, speeds_before)
+    speeds = np.where(np.isnan(chain_guess.speeds), approach_speeds, chain_guess.speeds)
     solution = impact_chain_fit.fit_chain_parameters(
-        fit_problem.scene,
-        fit_problem.phase,
-        nodes,
-        measurements,
+        ChainNodes(chain_guess.sides, times, speeds),
+        chain_measurements(fit_problem, chain_guess),
         fit_problem.free_spec,
         chain_guess.parameters,
         MAX_ITERATIONS,
@@ -141,68 +118,52 @@ def fit_chain(fit_problem: ImpactFitProblem, chain_guess: ImpactChainGuess) -> I
         chain_guess.record_indices,
         chain_guess.spurious_indices,
         solution,
-        float(cost if is_possible_motion(fit_problem, solution) else IMPOSSIBLE_COST + cost),
+        float(cost if is_possible_motion(fit_problem.free_spec, solution) else IMPOSSIBLE_COST + cost),
     )
 
 
 def chain_measurements(fit_problem, chain):
-    """Return the `NodeMeasurements` of the nodes of a chain."""
+    """Return the `TimeMeasurements` of the nodes of a chain."""
     node_indices = np.flatnonzero(chain.record_indices >= 0)
-    return NodeMeasurements(
-        node_indices,
-        np.zeros(len(node_indices), int),
-        fit_problem.times[chain.record_indices[node_indices]],
-        fit_problem.sigma[chain.record_indices[node_indices]],
-    )
+    record_indices = chain.record_indices[node_indices]
+    return TimeMeasurements(node_indices, fit_problem.times[record_indices], fit_problem.sigma[record_indices])
 
 
-def is_possible_motion(fit_problem, solution):
+def is_possible_motion(free_spec, solution):
     """Check that a fitted chain is a motion of its scene, within the errors.
 
     The fit must have converged, each impact speed must be positive, and no flight may pass through a wall.
     """
-    if not solution.converged or np.any(solution.nodes.speed_or_v <= 0):
+    if not solution.converged or np.any(solution.nodes.speeds <= 0):
         return False
-    scene, start_phase = scene_and_start_phase(fit_problem, solution.parameters)
-    min_clearances, nearest_sides, closest_times = MotionPredictor(scene, start_phase).min_clearances(solution.nodes)
+    clearances, nearest_sides, closest_times = min_clearances(
+        *free_spec.scene_and_start_phase(solution.parameters), solution.nodes
+    )
     return all(
         _is_depth_within_error(
-            fit_problem,
+            free_spec,
             solution,
             flight_index,
             nearest_sides[flight_index],
             closest_times[flight_index],
-            -min_clearances[flight_index],
+            -clearances[flight_index],
         )
-        for flight_index in np.flatnonzero(min_clearances < 0).tolist()
+        for flight_index in np.flatnonzero(clearances < 0).tolist()
     )
 
 
-def _is_depth_within_error(fit_problem, solution, flight_index, wall_side, closest_time, depth):
+def _is_depth_within_error(free_spec, solution, flight_index, wall_side, closest_time, depth):
     """Check that the depth to which a flight penetrates a wall at a time is within the error of this depth."""
     nodes, n_params = solution.nodes, len(solution.parameters)
     node_pair = ChainNodes(
         np.array([nodes.sides[flight_index], wall_side]),
-        np.zeros(2),
-        np.array([nodes.time_or_x[flight_index], closest_time]),
-        np.array([nodes.speed_or_v[flight_index], 0.0]),
+        np.array([nodes.times[flight_index], closest_time]),
+        np.array([nodes.speeds[flight_index], 0.0]),
     )
-    depth_derivatives = flight_derivatives(fit_problem, node_pair, solution.parameters)[0, 0]
+    depth_derivatives = flight_residuals(free_spec, node_pair, solution.parameters)[1][0, 0]
     depth_derivatives = depth_derivatives[[0, 1, *range(4, 4 + n_params)]]
     covariance = solution.covariance_with([2 * flight_index, 2 * flight_index + 1])
     return bool(depth <= MAX_DEPTH_ERRORS * np.sqrt(max(depth_derivatives @ covariance @ depth_derivatives, 0.0)))
-
-
-def flight_derivatives(fit_problem, nodes, parameters):
-    """Return the derivatives of flight residuals with respect to the unknowns of their nodes and the free parameters.
-
-    The array has shape (flights, 2, 4 + free). Parameters are in units of their scales.
-    """
-    parameter_names, start_phase = fit_problem.free_spec.separate_start_phase(parameters, fit_problem.phase)
-    derivatives = flight_residuals(
-        fit_problem.scene, parameter_names, nodes, parameters[: len(parameter_names)], start_phase
-    ).derivatives[:, :, : 4 + len(parameters)]
-    return derivatives * np.concatenate([np.ones(4), fit_problem.free_spec.scales])
 
 
 def is_acceptable_chain(chain: ImpactChain) -> bool:
@@ -220,11 +181,6 @@ def _separate_times(times, sigma):
     for k in range(1, len(times)):
         times[k] = max(times[k], times[k - 1] + 0.5 * sigma)
     return times
-
-
-def scene_and_start_phase(fit_problem, parameters):
-    """Return the scene with the given parameters, and the phase of the drive at time 0."""
-    return fit_problem.free_spec.scene_and_start_phase(fit_problem.scene, fit_problem.phase, parameters)
 
 
 def restitutions_on_sides(scene, sides):
@@ -264,8 +220,8 @@ def guess_from_chain(chain: ImpactChain) -> ImpactChainGuess:
     return ImpactChainGuess(
         chain.record_indices,
         nodes.sides,
-        nodes.time_or_x,
-        nodes.speed_or_v,
+        nodes.times,
+        nodes.speeds,
         chain.spurious_indices,
         solution.parameters,
     )
@@ -324,13 +280,9 @@ def squared_speed_mismatches(
     fit_problem: ImpactFitProblem, chain_guess: ImpactChainGuess
 ) -> Float[np.ndarray, " inner"]:
     """Return the squared violation of the impact law at each inner node, plus a penalty for negative speeds."""
-    scene, start_phase = scene_and_start_phase(fit_problem, chain_guess.parameters)
-    zero_times = np.zeros(len(chain_guess.record_indices))
-    speeds_after, speeds_before = speeds_between_impacts(
-        scene,
-        ChainNodes(chain_guess.sides, zero_times, _separate_times(chain_guess.times, fit_problem.sigma[0]), zero_times),
-        start_phase,
-    )
+    scene, start_phase = fit_problem.free_spec.scene_and_start_phase(chain_guess.parameters)
+    times = _separate_times(chain_guess.times, fit_problem.sigma[0])
+    speeds_after, speeds_before = speeds_between_impacts(scene, chain_guess.sides, times, start_phase)
     speed_differences = speeds_after[1:] - restitutions_on_sides(scene, chain_guess.sides[1:-1]) * speeds_before[:-1]
     return speed_differences**2 + 10.0 * (
         np.minimum(speeds_after[1:], 0.0) ** 2 + np.minimum(speeds_before[:-1], 0.0) ** 2
@@ -343,7 +295,7 @@ def rank_insertion_times(fit_problem, chain_guess, flight_index, sides):
     The times are points of a grid, one row per choice. For one impact the rows are the smallest local minima of the
     speed mismatch, at most `MAX_GRID_MINIMA`. For several impacts the only row is the global minimum.
     """
-    scene, start_phase = scene_and_start_phase(fit_problem, chain_guess.parameters)
+    scene, start_phase = fit_problem.free_spec.scene_and_start_phase(chain_guess.parameters)
     start_time, end_time = chain_guess.times[flight_index], chain_guess.times[flight_index + 1]
     time_fractions = (np.arange(GRID_SIZE) + 0.5) / GRID_SIZE
     time_fractions = np.array(
@@ -359,11 +311,8 @@ def rank_insertion_times(fit_problem, chain_guess, flight_index, sides):
         [np.full(len(trial_times), start_time), trial_times, np.full(len(trial_times), end_time)]
     )
     n_nodes = trial_node_times.shape[1]
-    zero_times = np.zeros(trial_node_times.size)
     speeds_after, speeds_before = speeds_between_impacts(
-        scene,
-        ChainNodes(np.tile(trial_node_sides, len(trial_node_times)), zero_times, trial_node_times.ravel(), zero_times),
-        start_phase,
+        scene, np.tile(trial_node_sides, len(trial_node_times)), trial_node_times.ravel(), start_phase
     )
     speeds_after, speeds_before = (
         np.append(flight_speeds, 0.0).reshape(len(trial_node_times), n_nodes)[:, :-1]

@@ -14,7 +14,7 @@ from continuation.implicit_function import FAILED, JUMPED, continue_root, force_
 
 from ..branches.largest_position import peak_of_flight, peak_of_sequence
 from ..compiled.kernel_calls import call_as_kernel
-from ..flight.flight_coefficients import flow_coefficients
+from ..contact.kinds import flow_coefficients
 from ..orbits import solve
 from ..orbits.flight_clearance import impact_free_flight
 from ..orbits.orbit import Orbit, OrbitError

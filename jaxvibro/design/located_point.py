@@ -13,7 +13,7 @@ from continuation.implicit_function import FAILED, JUMPED, continue_root, make_i
 
 from ..branches.branch import Special
 from ..compiled.kernel_calls import call_as_kernel
-from ..flight.flight_coefficients import flow_coefficients
+from ..contact.kinds import flow_coefficients
 from ..loci.locus_start import make_locus_start, problems_at_locus_start
 from ..orbits import impact_equations
 from ..orbits.flight_clearance import is_admissible

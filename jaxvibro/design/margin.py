@@ -1,7 +1,6 @@
 """Find the nearest bifurcations of an orbit in the space of several parameters of its scene: `margin`."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from itertools import takewhile
 from typing import NamedTuple
 
@@ -12,22 +11,20 @@ from jaxtyping import Float
 
 from continuation.computation_limits import EXPIRED_REASON, make_limits
 
+from ..orbits.impact_equations import ImpactSequence
 from ..orbits.orbit import Orbit, OrbitError
-from ..output.table_text import align_columns, column_header
-from ..output.units import unit_in_system, unit_of
 from ..scene import check
 from ..scene.codes import SolutionStatus
-from ..scene.scene import Scene
 from ..scene.scene_parameters import parameter_domain
 from ..scene.symmetry import stays_symmetric
 from .boundary_edge import CUSP, BoundaryEdge, find_crossed_edges, make_cusp_edge
-from .free_parameter_checks import bounds_of_changes, check_free_parameters
+from .free_parameters import FreeParameters, SceneSpace, bounds_of_changes, check_free_parameters
 from .located_point import solve_points
+from .margin_result import BEHIND, REACHED, Margin, NearPoint
 from .nearest_boundary_edge import find_nearest_edge_point
 from .nearest_boundary_point import find_nearest_point
-from .parameter_rays import RayEnd, follow_rays, impact_sequence_of, sample_unit_directions
+from .parameter_rays import RayEnd, RayResult, follow_rays, impact_sequence_of, sample_unit_directions
 from .ray_end_equations import equations_at_ray_end
-from .special_point_equations import complete_scene, parameter_mask
 
 KINDS = ("SN", "PD", "SB", "GR")
 SEARCH_RADII = 1.0, 4.0, 16.0, 64.0, 256.0  # in units, tried in turn until a boundary is found
@@ -39,173 +36,30 @@ EDGE_TOLERANCE = 1e-3  # in units: starts of the same edge closer than this coin
 # Relative to 1 + the largest unknown: largest change of an orbit that has just passed a cusp. The change is of order
 # `RAY_TOLERANCE` to the power 1/3.
 MAX_TIP_CHANGE = 0.3
-REACHED, BEHIND = "reached", "behind another"
 
 
-@dataclass(frozen=True, eq=False)
-class NearPoint:
-    """Bifurcation near a scene.
+class _MarginProblem(NamedTuple):
+    """Orbit and the scenes that the free parameters of its scene span.
 
     Attributes
     ----------
-    kind : {"SN", "PD", "SB", "GR"}
-        Kind of the bifurcation.
-    distance : float
-        Distance from the scene, in units of the free parameters.
-    change : dict of str to float
-        Change of each free parameter.
-    direction : dict of str to float
-        Unit vector that points to the bifurcation, in units of the free parameters.
-    scene : Scene
-        Scene at the bifurcation.
-    times : numpy.ndarray
-        Times of the impacts of the orbit; at an SB, of the impacts of one half of the orbit. Array of shape (impacts,).
-    speeds : numpy.ndarray
-        Speeds before these impacts. Array of shape (impacts,).
-    sides : tuple of int
-        Side of each of these impacts, -1 left, 1 right.
-    residual : float
-        Largest residual of the equations.
-    slope : float
-        Largest derivative of the distance perpendicular to the direction, or at an edge the residual of the optimality
-        condition; 0 at a minimum.
-    status : {"reached", "behind another"}
-        ``"reached"`` if the orbit was continued along the straight path to the point without another bifurcation.
-        ``"behind another"`` if another bifurcation lies on this path.
-    at_bound : tuple of str
-        Names of the free parameters that are at a bound.
-    edge : {"", "a touch", "an impact without speed", "a cusp"}
-        Condition that ends the boundary at the point, or an empty string if the boundary does not end there.
-
-    Examples
-    --------
-    >>> near = jv.margin(orbit, {"amplitude": 0.1, "frequency": 0.1}, directions=8).points[0]
-    >>> near.kind, round(near.distance, 4), near.status
-    ('SB', 5.6116, 'reached')
+    sequence : ImpactSequence
+        Impacts of the orbit.
+    parameters : FreeParameters
+        Free parameters of the scene.
+    space : SceneSpace
+        Scenes that they span.
     """
 
-    kind: str
-    distance: float
-    change: dict[str, float]
-    direction: dict[str, float]
-    scene: Scene = field(repr=False)
-    times: Float[np.ndarray, " impacts"]
-    speeds: Float[np.ndarray, " impacts"]
-    sides: tuple[int, ...]
-    residual: float
-    slope: float
-    status: str
-    at_bound: tuple[str, ...]
-    edge: str = ""
+    sequence: ImpactSequence
+    parameters: FreeParameters
+    space: SceneSpace
 
-
-@dataclass(frozen=True, eq=False)
-class Margin:
-    """Bifurcations near an orbit.
-
-    Made by `margin`.
-
-    Attributes
-    ----------
-    orbit : Orbit
-        Orbit at the centre.
-    free : dict of str to float
-        Unit of each free parameter.
-    points : tuple of NearPoint
-        Nearest bifurcation of each kind with the status ``"reached"``, sorted by distance. If a kind has no such
-        bifurcation, the nearest one behind another.
-    others : tuple of NearPoint
-        Further bifurcations, including those behind another.
-    searched : tuple
-        Distance in units up to which the orbit was continued, and the number of directions.
-    stopped : str
-        Reason why the search is incomplete, or an empty string. A nearer bifurcation may then be missing.
-
-    Examples
-    --------
-    >>> near = jv.margin(orbit, {"amplitude": 0.1, "frequency": 0.1}, directions=8)
-    >>> round(near.distance, 4), near.searched
-    (5.6116, (16.0, 8))
-    """
-
-    orbit: Orbit
-    free: dict[str, float]
-    points: tuple[NearPoint, ...]
-    others: tuple[NearPoint, ...]
-    searched: tuple[float, int]
-    stopped: str = ""
-
-    @property
-    def distance(self) -> float:
-        """Distance to the nearest bifurcation, in units of the free parameters; infinite if there is none."""
-        return self.points[0].distance if self.points else np.inf
-
-    def table(self, units: str = "scene") -> str:
-        """Format the nearest bifurcations as text.
-
-        Parameters
-        ----------
-        units : {"scene", "physical"}, optional
-            Units of the values. Physical units (Hz, N, mm) require a scene with scales.
-
-        Returns
-        -------
-        str
-            Table with one line per bifurcation, followed by the units and the extent of the search.
-
-        Raises
-        ------
-        ArgumentError
-            If `units` is unknown, or if physical units are requested of a scene without scales.
-        """
-        column_units = {name: unit_in_system(self.orbit.scene, unit_of(name), units) for name in self.free}
-
-        def format_parameters(scene):
-            return (f"{unit_size * float(scene.parameter(name)):.9g}" for name, (_, unit_size) in column_units.items())
-
-        rows = [
-            (
-                "kind",
-                "distance",
-                *(column_header(name, unit, units) for name, (unit, _) in column_units.items()),
-                "status",
-            )
-        ]
-        for near_point in self.points:
-            status = near_point.status + (
-                f", at a bound of {', '.join(near_point.at_bound)}" if near_point.at_bound else ""
-            )
-            status += f", ends there in {near_point.edge}" if near_point.edge else ""
-            rows.append((near_point.kind, f"{near_point.distance:.9g}", *format_parameters(near_point.scene), status))
-        rows.append((self.orbit.label, "0", *format_parameters(self.orbit.scene), "the orbit itself"))
-        units_text = ", ".join(f"{name} {column_units[name][1] * unit_step:g}" for name, unit_step in self.free.items())
-        radius, n_directions = self.searched
-        search_text = f"followed to a distance of {radius:g} in {n_directions} directions"
-        return "\n".join(
-            [align_columns(rows), f"units: {units_text}", search_text, *([self.stopped] if self.stopped else [])]
+    def follow_rays(self, offsets: Float[np.ndarray, "rays free"]) -> RayResult:
+        """Continue the orbit along rays to scenes at offsets, in units."""
+        return jax.device_get(
+            follow_rays(self.space.treedef, self.sequence, self.space.scene_vector, offsets @ self.space.unit_changes)
         )
-
-
-class _FreeParameterSpace(NamedTuple):
-    """Space of the free parameters.
-
-    Attributes
-    ----------
-    names : tuple of str
-        Names of the free parameters.
-    unit_changes : numpy.ndarray
-        Change of the numbers of the scene for one unit of each free parameter. Array of shape (free, numbers).
-    lower, upper : numpy.ndarray
-        Bounds of the change in units. Arrays of shape (free,).
-    keeps_symmetry : numpy.ndarray
-        1 for free parameters that keep a symmetric scene symmetric, else 0. Array of shape (free,).
-    """
-
-    names: tuple[str, ...]
-    unit_changes: Float[np.ndarray, "free numbers"]
-    lower: Float[np.ndarray, " free"]
-    upper: Float[np.ndarray, " free"]
-    keeps_symmetry: Float[np.ndarray, " free"]
 
 
 @check.host_only("use the function that located gives")
@@ -274,8 +128,6 @@ def margin(
     ['SB', 'SN']
     """
     limits = make_limits(None, max_seconds, None, check.ArgumentError)
-    if not isinstance(orbit, Orbit):
-        raise check.ArgumentError("orbit", "must be an Orbit, as find_orbit gives it", orbit)
     if not orbit.impacts.count:
         check.require_spring(orbit.scene, "margin of an orbit without impacts")
     if orbit.unknowns == "state" and orbit.impacts.count:
@@ -284,49 +136,15 @@ def margin(
     if not set(kinds) <= set(KINDS) or not kinds:
         raise check.ArgumentError("kinds", f"must be one or more of {', '.join(KINDS)}", kinds)
     n_directions = check.check_whole_number("directions", directions, 2 * len(parameter_units))
-    parameter_space, sequence = (
-        _make_parameter_space(orbit.scene, parameter_units, bounds or {}),
-        impact_sequence_of(orbit),
-    )
-    scene = complete_scene(orbit.scene)
-    scene_vector, scene_treedef = (
-        np.stack([np.asarray(leaf) for leaf in jax.tree.leaves(scene)]),
-        jax.tree.structure(scene),
-    )
+    change_bounds = bounds_of_changes(orbit.scene, parameter_units, bounds or {})
+    parameters = FreeParameters(orbit.scene, parameter_units, *change_bounds)
+    problem = _MarginProblem(impact_sequence_of(orbit), parameters, parameters.scene_space())
     unit_directions = sample_unit_directions(len(parameter_units), n_directions, seed)
     for radius in SEARCH_RADII:
-        rays, ray_limits = _follow_rays_to_limit(
-            scene_treedef, sequence, scene_vector, parameter_space, unit_directions, radius
-        )
-        search_starts = _select_search_starts(
-            scene_treedef, sequence, scene_vector, parameter_space, unit_directions, ray_limits, rays, kinds
-        )
+        search_starts = _find_search_starts(problem, unit_directions, radius, kinds)
         if search_starts or limits.expired:
             break
-    nearest_results = [
-        _find_nearest_in_bounds(scene_vector, parameter_space, *search_start)
-        for search_start in takewhile(lambda start: not limits.expired, search_starts)
-    ]
-    is_incomplete = len(nearest_results) < len(search_starts) or limits.expired
-    stop_reason = (
-        f"{EXPIRED_REASON}: {len(nearest_results)} of {len(search_starts)} nearest points computed"
-        if is_incomplete
-        else ""
-    )
-    nearest_results += (
-        [] if is_incomplete else _find_nearest_on_edges(scene_vector, parameter_space, search_starts, nearest_results)
-    )
-    near_points = [
-        _make_near_point(orbit, scene_treedef, sequence, scene_vector, parameter_space, *nearest_result)
-        for nearest_result in nearest_results
-        if nearest_result is not None
-    ]
-    near_points = _drop_duplicate_points(
-        sorted(
-            (near_point for near_point in near_points if near_point),
-            key=lambda near_point: (near_point.status == BEHIND, near_point.distance),
-        )
-    )
+    near_points, stop_reason = _find_near_points(problem, search_starts, limits)
     nearest_by_kind = [
         next((near_point for near_point in near_points if near_point.kind == kind), None) for kind in kinds
     ]
@@ -337,33 +155,41 @@ def margin(
     return Margin(orbit, parameter_units, tuple(points), further_points, (radius, n_directions), stop_reason)
 
 
-def _make_parameter_space(scene, parameter_units, bounds):
-    unit_changes = np.stack([parameter_mask(scene, name) * unit for name, unit in parameter_units.items()])
-    keeps_symmetry = np.array([float(stays_symmetric(scene, name)) for name in parameter_units])
-    return _FreeParameterSpace(
-        tuple(parameter_units), unit_changes, *bounds_of_changes(scene, parameter_units, bounds), keeps_symmetry
-    )
+def _find_near_points(problem, search_starts, limits):
+    """Find the nearest points from all starts within the time limit.
+
+    Returns the distinct `NearPoint` records, those that the orbit reaches first and the others after them, each group
+    by distance, and the reason why the search is incomplete, or an empty string.
+    """
+    nearest_results = [
+        _find_nearest_in_bounds(problem, *search_start)
+        for search_start in takewhile(lambda start: not limits.expired, search_starts)
+    ]
+    stop_reason = ""
+    if len(nearest_results) < len(search_starts) or limits.expired:
+        stop_reason = f"{EXPIRED_REASON}: {len(nearest_results)} of {len(search_starts)} nearest points computed"
+    else:
+        nearest_results += _find_nearest_on_edges(problem, search_starts, nearest_results)
+    near_points = [_make_near_point(problem, *result) for result in nearest_results if result is not None]
+    near_points = [near_point for near_point in near_points if near_point is not None]
+    near_points.sort(key=lambda near_point: (near_point.status == BEHIND, near_point.distance))
+    return _drop_duplicate_points(near_points), stop_reason
 
 
-def _follow_rays_to_limit(scene_treedef, sequence, scene_vector, parameter_space, unit_directions, radius):
-    """Continue the orbit along rays up to the radius or a bound; return the `RayResult` records and the ray lengths."""
+def _find_search_starts(problem, unit_directions, radius, kinds):
+    """Continue the orbit along rays up to the radius or a bound.
+
+    Returns (`SpecialPointEquations`, unknowns, offset) of the nearest ray ends of each kind and grazed wall.
+    """
+    lower, upper = problem.parameters.lower, problem.parameters.upper
     with np.errstate(divide="ignore", invalid="ignore"):
         distances_to_bounds = np.where(
             unit_directions > 0,
-            parameter_space.upper / unit_directions,
-            np.where(unit_directions < 0, parameter_space.lower / unit_directions, np.inf),
+            upper / unit_directions,
+            np.where(unit_directions < 0, lower / unit_directions, np.inf),
         )
     ray_limits = np.minimum(radius, np.nan_to_num(distances_to_bounds, nan=0.0, posinf=np.inf).min(axis=1))
-    rays = follow_rays(
-        scene_treedef, sequence, scene_vector, (ray_limits[:, None] * unit_directions) @ parameter_space.unit_changes
-    )
-    return jax.device_get(rays), ray_limits
-
-
-def _select_search_starts(
-    scene_treedef, sequence, scene_vector, parameter_space, unit_directions, ray_limits, rays, kinds
-):
-    """Return (`SpecialPointEquations`, unknowns, offset) of the nearest ray ends of each kind and grazed wall."""
+    rays = problem.follow_rays(ray_limits[:, None] * unit_directions)
     search_starts, n_starts_by_key = [], {}
     for ray_index in np.argsort(rays.fraction * ray_limits):
         if rays.end[ray_index] == RayEnd.NONE or ray_limits[ray_index] == 0:
@@ -371,7 +197,7 @@ def _select_search_starts(
         offset = rays.fraction[ray_index] * ray_limits[ray_index] * unit_directions[ray_index]
         ray = type(rays)(*(field_values[ray_index] for field_values in rays))
         kind, equations, unknowns = equations_at_ray_end(
-            scene_treedef, sequence, scene_vector + offset @ parameter_space.unit_changes, ray
+            problem.space.treedef, problem.sequence, problem.space.vector_after(offset), ray
         )
         start_key = kind, equations.is_grazing and int(equations.sequence.sides[0])
         if kind not in kinds or n_starts_by_key.get(start_key, 0) == MAX_STARTS or not offset.any():
@@ -382,55 +208,46 @@ def _select_search_starts(
     return search_starts
 
 
-def _find_nearest_in_bounds(scene_vector, parameter_space, equations, unknowns, offset):
+def _find_nearest_in_bounds(problem, equations, unknowns, offset):
     """Find the nearest point of a boundary or edge within the bounds of the free parameters.
 
     Returns (`NearestBoundaryPoint`, mask of the parameters at a bound), or None if Newton's method fails.
     """
-    is_fixed = np.zeros(len(offset), bool)
+    lower, upper = problem.parameters.lower, problem.parameters.upper
+    is_fixed, is_at_bound = np.zeros(len(offset), bool), np.zeros(len(offset), bool)
     if equations.kind == "SB":
-        is_fixed = parameter_space.keeps_symmetry == 0
+        scene = problem.parameters.scene
+        is_fixed = np.array([not stays_symmetric(scene, name) for name in problem.parameters.names])
     find_unbounded_nearest = find_nearest_edge_point if isinstance(equations, BoundaryEdge) else find_nearest_point
-    fixed_offset, is_at_bound = np.where(is_fixed, 0.0, np.nan), np.zeros(len(offset), bool)
+    fixed_offset = np.where(is_fixed, 0.0, np.nan)
     while not is_fixed.all():
-        fixed_scene_vector = scene_vector + np.where(is_fixed, fixed_offset, 0.0) @ parameter_space.unit_changes
         nearest_point = find_unbounded_nearest(
-            equations, unknowns, fixed_scene_vector, parameter_space.unit_changes[~is_fixed], offset[~is_fixed]
+            equations,
+            unknowns,
+            problem.space.vector_after(np.where(is_fixed, fixed_offset, 0.0)),
+            problem.space.unit_changes[~is_fixed],
+            offset[~is_fixed],
         )
         if nearest_point is None or nearest_point.status == SolutionStatus.NONE:
             return None
         offset = np.where(is_fixed, fixed_offset, 0.0)
         offset[~is_fixed] = nearest_point.offset
-        bound_excess = np.where(
-            is_fixed, 0.0, np.maximum(offset - parameter_space.upper, parameter_space.lower - offset)
-        )
-        most_exceeded_index = int(np.argmax(bound_excess))
-        if bound_excess[most_exceeded_index] <= BOUND_TOLERANCE * (1.0 + abs(offset[most_exceeded_index])):
-            return nearest_point._replace(
-                offset=np.clip(offset, parameter_space.lower, parameter_space.upper)
-            ), is_at_bound
-        bound_value = (
-            parameter_space.upper[most_exceeded_index]
-            if offset[most_exceeded_index] > parameter_space.upper[most_exceeded_index]
-            else parameter_space.lower[most_exceeded_index]
-        )
-        is_fixed[most_exceeded_index], fixed_offset[most_exceeded_index], is_at_bound[most_exceeded_index] = (
-            True,
-            bound_value,
-            True,
-        )
+        bound_excess = np.where(is_fixed, 0.0, np.maximum(offset - upper, lower - offset))
+        worst_index = int(np.argmax(bound_excess))
+        if bound_excess[worst_index] <= BOUND_TOLERANCE * (1.0 + abs(offset[worst_index])):
+            return nearest_point._replace(offset=np.clip(offset, lower, upper)), is_at_bound
+        bound_value = np.clip(offset, lower, upper)[worst_index]
+        is_fixed[worst_index], fixed_offset[worst_index], is_at_bound[worst_index] = True, bound_value, True
         if isinstance(equations, BoundaryEdge):
-            unknowns, offset[most_exceeded_index] = nearest_point.unknowns, bound_value
+            unknowns, offset[worst_index] = nearest_point.unknowns, bound_value
             continue
-        unknowns, offset = _move_to_bound(
-            nearest_point, scene_vector, parameter_space, offset, most_exceeded_index, bound_value, is_fixed
-        )
+        unknowns, offset = _move_to_bound(problem.space, nearest_point, offset, worst_index, bound_value, is_fixed)
         if unknowns is None:
             return None
     return None
 
 
-def _find_nearest_on_edges(scene_vector, parameter_space, search_starts, nearest_results):
+def _find_nearest_on_edges(problem, search_starts, nearest_results):
     """Find the nearest points on edges, for starts whose nearest point on the boundary is unsuitable.
 
     The nearest point is unsuitable if its orbit is inadmissible. At an SN it is also unsuitable if Newton's method
@@ -440,18 +257,12 @@ def _find_nearest_on_edges(scene_vector, parameter_space, search_starts, nearest
     for (equations, unknowns, offset), nearest_result in zip(search_starts, nearest_results, strict=True):
         nearest_point = None if nearest_result is None else nearest_result[0]
         if nearest_point is not None and nearest_point.status == SolutionStatus.VIRTUAL:
-            edge_guesses, offset = (
-                find_crossed_edges(
-                    equations,
-                    nearest_point.unknowns,
-                    scene_vector + nearest_point.offset @ parameter_space.unit_changes,
-                ),
-                nearest_point.offset,
-            )
+            offset = nearest_point.offset
+            edge_guesses = find_crossed_edges(equations, nearest_point.unknowns, problem.space.vector_after(offset))
         elif equations.kind == "SN" and (
             nearest_point is None or nearest_point.distance > (1.0 + RAY_TOLERANCE) * np.linalg.norm(offset)
         ):
-            edge_guesses = [make_cusp_edge(equations, unknowns, scene_vector + offset @ parameter_space.unit_changes)]
+            edge_guesses = [make_cusp_edge(equations, unknowns, problem.space.vector_after(offset))]
         else:
             continue
         for edge, edge_unknowns in edge_guesses:
@@ -462,23 +273,23 @@ def _find_nearest_on_edges(scene_vector, parameter_space, search_starts, nearest
             ):
                 continue
             earlier_attempts.append((edge_key, offset))
-            edge_results.append(_find_nearest_in_bounds(scene_vector, parameter_space, edge, edge_unknowns, offset))
+            edge_results.append(_find_nearest_in_bounds(problem, edge, edge_unknowns, offset))
     return edge_results
 
 
-def _move_to_bound(nearest_point, scene_vector, parameter_space, offset, bound_index, bound_value, is_fixed):
+def _move_to_bound(space, nearest_point, offset, bound_index, bound_value, is_fixed):
     """Return (unknowns, offset) on the boundary with one parameter at its bound; unknowns are None on failure."""
     free_offset = np.where(is_fixed, 0.0, offset)
     free_distance = np.linalg.norm(free_offset)
     if free_distance == 0:
         return None, offset
-    scene_direction = free_offset / free_distance @ parameter_space.unit_changes
+    scene_direction = free_offset / free_distance @ space.unit_changes
     start_unknowns = np.array(nearest_point.unknowns)
     start_unknowns[nearest_point.equations.n_orbit_unknowns] = free_distance
-    start_scene_vector = scene_vector + np.where(is_fixed, offset, 0.0) @ parameter_space.unit_changes
+    start_scene_vector = space.vector_after(np.where(is_fixed, offset, 0.0))
     offset = np.array(offset)
     offset[bound_index] = bound_value
-    end_scene_vector = scene_vector + np.where(is_fixed, offset, 0.0) @ parameter_space.unit_changes
+    end_scene_vector = space.vector_after(np.where(is_fixed, offset, 0.0))
     located_points, solution_unknowns = jax.device_get(
         solve_points(
             nearest_point.equations, start_unknowns, start_scene_vector, end_scene_vector[None], scene_direction
@@ -489,7 +300,7 @@ def _move_to_bound(nearest_point, scene_vector, parameter_space, offset, bound_i
     return solution_unknowns[0], np.where(is_fixed, offset, free_offset / free_distance * located_points.value[0])
 
 
-def _make_near_point(orbit, scene_treedef, sequence, scene_vector, parameter_space, nearest_point, is_at_bound):
+def _make_near_point(problem, nearest_point, is_at_bound):
     """Make the `NearPoint` of a `NearestBoundaryPoint`.
 
     Returns None if the orbit at the point is inadmissible, if the distance has no minimum there, or if the boundary is
@@ -497,43 +308,31 @@ def _make_near_point(orbit, scene_treedef, sequence, scene_vector, parameter_spa
     """
     if nearest_point.status == SolutionStatus.VIRTUAL or (nearest_point.curvatures <= 0).any():
         return None
-    ray = jax.device_get(
-        follow_rays(
-            scene_treedef,
-            sequence,
-            scene_vector,
-            (1.0 + RAY_TOLERANCE) * (nearest_point.offset @ parameter_space.unit_changes)[None],
-        )
-    )
+    parameters, offset = problem.parameters, nearest_point.offset
+    ray = problem.follow_rays((1.0 + RAY_TOLERANCE) * offset[None])
     status = REACHED if ray.fraction[0] * (1.0 + RAY_TOLERANCE) >= 1.0 - RAY_TOLERANCE else BEHIND
     if status == REACHED and ray.end[0] == RayEnd.NONE and not _is_ray_near_cusp(nearest_point, ray):
         return None  # a boundary of another orbit: no event ends the ray
-    names, scene, parameter_changes = (
-        parameter_space.names,
-        orbit.scene,
-        nearest_point.offset * abs(parameter_space.unit_changes).max(axis=1),
-    )
-    values = [float(scene.parameter(name)) + change for name, change in zip(names, parameter_changes, strict=True)]
-    domains = (parameter_domain(scene, name) for name in names)
+    domains = {name: parameter_domain(parameters.scene, name) for name in parameters.names}
     # Rounding may exceed a domain.
-    values = [min(max(value, lower), upper) for value, (lower, upper) in zip(values, domains, strict=True)]
-    scene = scene.replace(**dict(zip(names, values, strict=True)))
+    values = {
+        name: min(max(value, domains[name][0]), domains[name][1])
+        for name, value in parameters.values_after(offset).items()
+    }
     point_sequence = nearest_point.equations.sequence_at(jnp.asarray(nearest_point.unknowns))
     return NearPoint(
         kind=nearest_point.equations.kind,
         distance=nearest_point.distance,
-        change=dict(zip(names, map(float, parameter_changes), strict=True)),
-        direction=dict(zip(names, map(float, nearest_point.offset / nearest_point.distance), strict=True)),
-        scene=scene,
+        change=parameters.changes_by_name(offset),
+        direction=dict(zip(parameters.names, map(float, offset / nearest_point.distance), strict=True)),
+        scene=parameters.scene.replace(**values),
         times=np.asarray(point_sequence.times),
         speeds=np.asarray(point_sequence.speeds),
         sides=tuple(int(side) for side in np.asarray(point_sequence.sides)),
         residual=nearest_point.residual,
         slope=nearest_point.slope,
         status=status,
-        at_bound=tuple(
-            name for name, is_parameter_at_bound in zip(names, is_at_bound, strict=True) if is_parameter_at_bound
-        ),
+        at_bound=parameters.select_names(is_at_bound),
         edge=nearest_point.equations.edge_kind if isinstance(nearest_point.equations, BoundaryEdge) else "",
     )
 

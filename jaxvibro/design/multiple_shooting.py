@@ -12,11 +12,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from continuation.persistent_jit import FAST_COMPILE, persistent_jit
+from continuation.hostcall import FAST_COMPILE, persistent_jit
 
 from ..maps.sample import sample
+from ..scene.scene import rigid_wall_positions
 from ..scene.state import State
-from .impact_prediction import make_wall_properties, wall_position_velocity
 from .shape_padding import pad_to_power_of_two, scene_with_tangents
 
 MIN_TIMES = 8  # smallest number of samples of a shot; more are padded to a power of two times this number
@@ -59,22 +59,6 @@ class Shots(NamedTuple):
         return self.start_indices[:, None] + np.minimum(sample_offsets, self.n_samples[:, None])
 
 
-class ShotResults(NamedTuple):
-    """States (x, v) at the samples of shots, and their derivatives.
-
-    Attributes
-    ----------
-    values : numpy.ndarray
-        States (x, v) at the samples. Array of shape (shots, times, 2).
-    derivatives : numpy.ndarray
-        Derivatives of the states with respect to the state of the node, the free parameters and the phase. Array of
-        shape (shots, times, 2, 2 + free + 1).
-    """
-
-    values: Float[np.ndarray, "shots times 2"]
-    derivatives: Float[np.ndarray, "shots times 2 columns"]
-
-
 def divide_into_shots(scene, start_phase, times, x) -> Shots:
     """Divide a record into `Shots`.
 
@@ -109,19 +93,25 @@ def divide_into_shots(scene, start_phase, times, x) -> Shots:
 
 def rigid_wall_clearances(scene, start_phase, times, x):
     """Return the distance of the mass from the nearest rigid wall at each time, inf if there is no rigid wall."""
-    min_clearance = np.full(np.shape(x), np.inf)
-    for side, wall in scene.walls.items():
-        if not wall.soft:
-            wall_properties = make_wall_properties(scene, side, start_phase)
-            min_clearance = np.minimum(
-                min_clearance, wall_properties.sign * (wall_position_velocity(wall_properties, times)[0] - x)
-            )
-    return min_clearance
+    left_wall, right_wall = rigid_wall_positions(scene, start_phase + float(scene.frequency) * times)
+    return np.minimum(x - left_wall, right_wall - x)
 
 
-def simulate_shots(scene, parameter_names, shots, node_states, parameters, start_phase) -> ShotResults:
-    """Compute the `ShotResults` of shots from states (shots, 2), in a scene with other values of the parameters."""
-    changed_scene, scene_tangents = scene_with_tangents(scene, parameter_names, parameters)
+def simulate_shots(free_spec, shots, node_states, parameters):
+    """Compute shots from states of shape (shots, 2), for values of the free parameters.
+
+    Returns
+    -------
+    values : numpy.ndarray
+        States (x, v) at the samples. Array of shape (shots, times, 2).
+    derivatives : numpy.ndarray
+        Derivatives of the states with respect to the state of the node and the free parameters in units of their
+        scales. Array of shape (shots, times, 2, 2 + free).
+    """
+    parameter_names, start_phase = free_spec.separate_start_phase(parameters)
+    changed_scene, scene_tangents = scene_with_tangents(
+        free_spec.scene, parameter_names, parameters[: len(parameter_names)]
+    )
     start_times, elapsed_times = _pad_start_times(shots.times[shots.start_indices], shots.times[shots.sample_indices])
     values, derivatives = (
         np.asarray(padded_result)
@@ -134,9 +124,11 @@ def simulate_shots(scene, parameter_names, shots, node_states, parameters, start
             float(start_phase),
         )
     )
+    # The rows of the tangents that pad those of the parameters lie before the row of the phase.
     derivatives = np.concatenate([derivatives[:, : 2 + len(parameter_names)], derivatives[:, -1:]], 1)
     n_shots, n_times = shots.sample_indices.shape
-    return ShotResults(values[:n_shots, :n_times], np.moveaxis(derivatives[:n_shots, :, :n_times], 1, -1))
+    derivatives = np.moveaxis(derivatives[:n_shots, : 2 + len(parameters), :n_times], 1, -1)
+    return values[:n_shots, :n_times], derivatives * np.append([1.0, 1.0], free_spec.scales)
 
 
 def sample_motions(scenes, start_phases, start_states, start_times, times) -> Float[np.ndarray, "lanes times 2"]:

@@ -102,75 +102,94 @@ def find_nearest_point(equations, unknowns, scene_vector, unit_changes, offset):
     for _ in range(MAX_ITERATIONS):
         distance = np.linalg.norm(offset)
         unit_direction = offset / distance
-        transverse_basis, difference_step = _transverse_basis(unit_direction), DIFFERENCE_STEP * (1.0 + distance)
+        transverse_basis = _transverse_basis(unit_direction)
         start_unknowns = np.array(unknowns)
         start_unknowns[equations.n_orbit_unknowns] = distance
-        locate_in_scenes = partial(
-            _locate_with_gradients,
-            equations,
-            start_unknowns,
-            scene_vector,
-            scene_direction=unit_direction @ unit_changes,
+        locate_after_shifts = partial(
+            _locate_after_shifts, equations, start_unknowns, scene_vector, unit_changes, unit_direction
         )
-        n_padded_rows = -(-(2 * len(transverse_basis) + 1) // BLOCK_SIZE) * BLOCK_SIZE
-        zero_shift_rows = np.zeros((n_padded_rows - 2 * len(transverse_basis), len(unit_direction)))
-        shifts = difference_step * np.concatenate([transverse_basis, -transverse_basis, zero_shift_rows])
-        located_points, solution_unknowns, distance_gradients = jax.device_get(
-            locate_in_scenes(scene_vectors=scene_vector + shifts @ unit_changes)
+        located_points, solution_unknowns, distance_gradient, distance_hessian = _differentiate_distance(
+            locate_after_shifts, transverse_basis, distance
         )
-        distance_gradients = distance_gradients @ unit_changes.T @ transverse_basis.T
-        distance_gradient, n_transverse = distance_gradients[-1], len(transverse_basis)
-        distance_hessian = (distance_gradients[:n_transverse] - distance_gradients[n_transverse : 2 * n_transverse]) / (
-            2.0 * difference_step
-        )
+        n_transverse = len(transverse_basis)
         objective_hessian = (
-            np.eye(n_transverse)
-            + np.outer(distance_gradient, distance_gradient)
-            + 0.5 * distance * (distance_hessian + distance_hessian.T)
+            np.eye(n_transverse) + np.outer(distance_gradient, distance_gradient) + 0.5 * distance * distance_hessian
         )
         if not np.isfinite(objective_hessian).all():
             break
         curvatures = np.linalg.eigvalsh(objective_hessian) if n_transverse else np.zeros(0)
-        diagnostic_fields = (
-            float(abs(distance_gradient).max(initial=0.0)),
-            curvatures,
-            float(located_points.residual[-1]),
-            int(located_points.status[-1]),
-        )
-        nearest_point = NearestBoundaryPoint(
-            equations, solution_unknowns[-1], located_points.value[-1] * unit_direction, *diagnostic_fields
-        )
         if step_length <= STEP_TOLERANCE * distance or not n_transverse:
-            return nearest_point
+            return NearestBoundaryPoint(
+                equations,
+                solution_unknowns[-1],
+                located_points.value[-1] * unit_direction,
+                float(abs(distance_gradient).max(initial=0.0)),
+                curvatures,
+                float(located_points.residual[-1]),
+                int(located_points.status[-1]),
+            )
+        is_minimum = curvatures.min() > 0
         newton_step = -distance * np.linalg.solve(
-            objective_hessian if curvatures.min() > 0 else np.eye(n_transverse), distance_gradient
+            objective_hessian if is_minimum else np.eye(n_transverse), distance_gradient
         )
         newton_step *= min(1.0, MAX_STEP_FRACTION * distance / max(np.linalg.norm(newton_step), TINY))
-        trial_steps = (
-            newton_step * 0.5 ** np.arange(n_padded_rows)[:, None]
-        )  # the same number of rows: one compiled shape
-        located_points, solution_unknowns, _ = jax.device_get(
-            locate_in_scenes(scene_vectors=scene_vector + trial_steps @ transverse_basis @ unit_changes)
+        newton_step_length = np.linalg.norm(newton_step)
+        # Near convergence the distances differ by rounding only.
+        is_near_solution = is_minimum and newton_step_length < min(step_length, NEWTON_STEP_FRACTION * distance)
+        step_result = _search_along_step(
+            locate_after_shifts, transverse_basis, unit_direction, newton_step, is_near_solution
         )
-        trial_offsets = trial_steps @ transverse_basis + located_points.value[:, None] * unit_direction
-        best_trial_index = int(
-            np.argmin(np.where(np.isnan(located_points.value), np.inf, np.linalg.norm(trial_offsets, axis=1)))
-        )
-        if (
-            step_length > np.linalg.norm(newton_step)
-            and np.isfinite(located_points.value[0])
-            and curvatures.min() > 0
-            and np.linalg.norm(newton_step) < NEWTON_STEP_FRACTION * distance
-        ):
-            best_trial_index = 0  # near convergence the distances differ by rounding only
-        if not np.isfinite(located_points.value[best_trial_index]):
+        if step_result is None:
             break
-        offset, unknowns, step_length = (
-            trial_offsets[best_trial_index],
-            solution_unknowns[best_trial_index],
-            np.linalg.norm(trial_steps[best_trial_index]),
-        )
+        offset, unknowns, step_length = step_result
     return NearestBoundaryPoint(equations, unknowns, offset, np.inf, np.zeros(0), np.nan, SolutionStatus.NONE)
+
+
+def _locate_after_shifts(equations, start_unknowns, scene_vector, unit_changes, unit_direction, shifts):
+    """Return the `LocatedPoint`, the unknowns and the gradient of the distance, in units, for each shift."""
+    located_points, unknowns, gradients = jax.device_get(
+        _locate_with_gradients(
+            equations,
+            start_unknowns,
+            scene_vector,
+            scene_vector + shifts @ unit_changes,
+            unit_direction @ unit_changes,
+        )
+    )
+    return located_points, unknowns, gradients @ unit_changes.T
+
+
+def _n_padded_rows(transverse_basis):
+    """Return the number of scenes of each call; the number is the same, so that one shape is compiled."""
+    return -(-(2 * len(transverse_basis) + 1) // BLOCK_SIZE) * BLOCK_SIZE
+
+
+def _differentiate_distance(locate_after_shifts, transverse_basis, distance):
+    """Return the `LocatedPoint` and the unknowns for shifts, the last of them zero, with tau' and twice tau''."""
+    n_transverse, difference_step = len(transverse_basis), DIFFERENCE_STEP * (1.0 + distance)
+    zero_shifts = np.zeros((_n_padded_rows(transverse_basis) - 2 * n_transverse, transverse_basis.shape[1]))
+    located_points, unknowns, gradients = locate_after_shifts(
+        difference_step * np.concatenate([transverse_basis, -transverse_basis, zero_shifts])
+    )
+    gradients = gradients @ transverse_basis.T
+    hessian = (gradients[:n_transverse] - gradients[n_transverse : 2 * n_transverse]) / (2.0 * difference_step)
+    return located_points, unknowns, gradients[-1], hessian + hessian.T
+
+
+def _search_along_step(locate_after_shifts, transverse_basis, unit_direction, newton_step, is_near_solution):
+    """Return (offset, unknowns, step length) of the nearest point after a step and its halves, or None without a point.
+
+    If `is_near_solution`, the full step is taken.
+    """
+    trial_steps = newton_step * 0.5 ** np.arange(_n_padded_rows(transverse_basis))[:, None]
+    located_points, unknowns, _ = locate_after_shifts(trial_steps @ transverse_basis)
+    offsets = trial_steps @ transverse_basis + located_points.value[:, None] * unit_direction
+    distances = np.where(np.isnan(located_points.value), np.inf, np.linalg.norm(offsets, axis=1))
+    takes_full_step = is_near_solution and np.isfinite(located_points.value[0])
+    index = 0 if takes_full_step else int(np.argmin(distances))
+    if not np.isfinite(located_points.value[index]):
+        return None
+    return offsets[index], unknowns[index], np.linalg.norm(trial_steps[index])
 
 
 def _transverse_basis(unit_direction):

@@ -22,8 +22,8 @@ from continuation.linear_solver import solve
 from continuation.newton import OK, SINGULAR, NewtonSolution, newton
 
 from ..compiled.kernel_calls import call_as_kernel
+from ..contact.kinds import flow_coefficients
 from ..flight import flow, further_drive_terms
-from ..flight.flight_coefficients import flow_coefficients
 from ..orbits import cyclic_system, flight_clearance, impact_equations
 from ..orbits.impact_equations import MAX_TIME_CHANGE, ImpactSequence
 

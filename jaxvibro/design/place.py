@@ -9,14 +9,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from continuation.computation_limits import EXPIRED_REASON, UNLIMITED, make_limits
+from continuation.computation_limits import EXPIRED_REASON, make_limits
 
 from ..branches.branch import Special
 from ..output.table_text import align_columns
 from ..scene import check
 from ..scene.codes import SolutionStatus
 from ..scene.scene import Scene
-from .free_parameter_checks import bounds_of_changes, check_free_parameters
+from .free_parameters import FreeParameters, bounds_of_changes, check_free_parameters
 from .located import located
 from .located_point import Located
 
@@ -97,25 +97,15 @@ class _PlacementProblem(NamedTuple):
 
     Attributes
     ----------
-    names : tuple of str
-        Names of the free parameters.
-    parameter_units : numpy.ndarray
-        Unit of each free parameter.
-    start_values : numpy.ndarray
-        Initial values of the free parameters.
-    lower, upper : numpy.ndarray
-        Bounds of the change, in units.
+    parameters : FreeParameters
+        Free parameters of the initial scene.
     evaluate : callable
         Function of changes of shape (points, free) that returns values and Jacobians.
     inadmissible_kinds : callable
         Function of a change of shape (free,) that returns the kinds of the points whose orbit is inadmissible.
     """
 
-    names: tuple[str, ...]
-    parameter_units: Float[np.ndarray, " free"]
-    start_values: Float[np.ndarray, " free"]
-    lower: Float[np.ndarray, " free"]
-    upper: Float[np.ndarray, " free"]
+    parameters: FreeParameters
     evaluate: Callable[
         [Float[np.ndarray, "places free"]],
         tuple[Float[np.ndarray, "places targets"], Float[np.ndarray, "places targets free"]],
@@ -224,34 +214,28 @@ def place(
         raise check.ArgumentError("scene", "must be a Scene if no Special is given", scene)
     if not all(callable(value_function) for value_function in value_functions):
         raise check.ArgumentError("what", "must be a Special or a function of a scene", what)
-    free = check_free_parameters(start_scene, free)
+    units = check_free_parameters(start_scene, free)
     placed_names = {value_function.name for value_function in value_functions if isinstance(value_function, Located)}
-    for key in placed_names & set(free):
-        raise check.ArgumentError(f"free.{key}", "must not be a parameter that is placed", free[key])
+    for key in placed_names & set(units):
+        raise check.ArgumentError(f"free.{key}", "must not be a parameter that is placed", units[key])
     if (
         target_values.shape != (len(value_functions),)
         or not np.isfinite(target_values).all()
-        or len(target_values) > len(free)
+        or len(target_values) > len(units)
     ):
         rule = (
             f"must be a finite number for each of {len(value_functions)} values, and at most as many as free"
-            f" parameters, {len(free)}"
+            f" parameters, {len(units)}"
         )
         raise check.ArgumentError("target", rule, target)
-    problem = _make_placement_problem(start_scene, free, bounds or {}, value_functions)
-    return _make_placement(
-        start_scene, problem, target_values, *_follow_path_to_targets(problem, target_values, limits)
-    )
+    parameters = FreeParameters(start_scene, units, *bounds_of_changes(start_scene, units, bounds or {}))
+    problem = _make_placement_problem(parameters, value_functions)
+    return _make_placement(problem, target_values, *_follow_path_to_targets(problem, target_values, limits))
 
 
-def _make_placement_problem(scene, unit_by_name, bounds, value_functions):
-    names, parameter_units = tuple(unit_by_name), np.array(list(unit_by_name.values()))
-    start_values = np.array([float(scene.parameter(name)) for name in names])
-
+def _make_placement_problem(parameters, value_functions):
     def evaluate_values(change):
-        changed_scene = scene.replace(
-            **dict(zip(names, jnp.asarray(start_values) + change * parameter_units, strict=True))
-        )
+        changed_scene = parameters.scene_after(change)
         values = jnp.stack([function(changed_scene) for function in value_functions])
         return values, values
 
@@ -265,7 +249,7 @@ def _make_placement_problem(scene, unit_by_name, bounds, value_functions):
         return values, jacobians
 
     def inadmissible_kinds(change):
-        changed_scene = scene.replace(**dict(zip(names, start_values + change * parameter_units, strict=True)))
+        changed_scene = parameters.scene_after(change)
         located_functions = [function for function in value_functions if isinstance(function, Located)]
         return [
             function.special.kind
@@ -273,22 +257,15 @@ def _make_placement_problem(scene, unit_by_name, bounds, value_functions):
             if function.solve(changed_scene).status == SolutionStatus.VIRTUAL
         ]
 
-    return _PlacementProblem(
-        names,
-        parameter_units,
-        start_values,
-        *bounds_of_changes(scene, unit_by_name, bounds),
-        values_and_jacobians,
-        inadmissible_kinds,
-    )
+    return _PlacementProblem(parameters, values_and_jacobians, inadmissible_kinds)
 
 
-def _follow_path_to_targets(problem, target_values, limits=UNLIMITED):
+def _follow_path_to_targets(problem, target_values, limits):
     """Follow the path to the targets within the time limit.
 
     Returns the last admissible `_TargetPathPoint`, a mask of the parameters that are at a bound at this point or block
     the path beyond it, and the kinds of the special points whose orbits are inadmissible beyond it."""
-    n_params = len(problem.names)
+    n_params = len(problem.parameters.names)
     path_point = last_admissible_point = _TargetPathPoint(
         0.0, np.zeros(n_params), np.zeros(len(target_values)), np.zeros(n_params, bool), 0.0
     )
@@ -345,22 +322,21 @@ def _solve_within_bounds(problem, change_iterate, multipliers, is_at_bound, targ
     Returns the solution and the last mask of the parameters at a bound. The solution is (change, multipliers, mask,
     slope), or None if Newton's method fails.
     """
+    lower, upper = problem.parameters.lower, problem.parameters.upper
     for _ in range(2 * len(change_iterate) + 1):
         solution = _solve_kkt(problem, change_iterate, multipliers, is_at_bound, target_values)
         if solution is None:
             return None, is_at_bound
         change_iterate, multipliers, lagrangian_descent, slope = solution
-        bound_excess = np.where(
-            is_at_bound, 0.0, np.maximum(change_iterate - problem.upper, problem.lower - change_iterate)
-        )
-        inward_descent_rates = np.where(change_iterate >= problem.upper, -lagrangian_descent, lagrangian_descent)
+        bound_excess = np.where(is_at_bound, 0.0, np.maximum(change_iterate - upper, lower - change_iterate))
+        inward_descent_rates = np.where(change_iterate >= upper, -lagrangian_descent, lagrangian_descent)
         descent_rates_at_bounds = np.where(
             is_at_bound, inward_descent_rates, 0.0
         )  # positive if a parameter would leave its bound inwards
         if bound_excess.max() > ROUNDING_TOLERANCE:
             worst_index = int(np.argmax(bound_excess))
             is_at_bound = is_at_bound | (np.arange(len(is_at_bound)) == worst_index)
-            change_iterate = np.clip(change_iterate, problem.lower, problem.upper)
+            change_iterate = np.clip(change_iterate, lower, upper)
         elif descent_rates_at_bounds.max() > ROUNDING_TOLERANCE * (1.0 + abs(lagrangian_descent).max()):
             is_at_bound = is_at_bound & (np.arange(len(is_at_bound)) != int(np.argmax(descent_rates_at_bounds)))
         else:
@@ -421,21 +397,15 @@ def _solve_kkt(problem, change, multipliers, is_at_bound, target_values):
     return None
 
 
-def _make_placement(scene, problem, target_values, path_point, is_at_bound, inadmissible_kinds):
-    change = path_point.change
-    new_scene = scene.replace(
-        **dict(zip(problem.names, problem.start_values + change * problem.parameter_units, strict=True))
-    )
-    values = problem.evaluate(_difference_stencil(change))[0][0]
-    bound_names = tuple(
-        name for name, is_parameter_at_bound in zip(problem.names, is_at_bound, strict=True) if is_parameter_at_bound
-    )
+def _make_placement(problem, target_values, path_point, is_at_bound, inadmissible_kinds):
+    parameters, change = problem.parameters, path_point.change
+    bound_names = parameters.select_names(is_at_bound)
     reason = _failure_reason(path_point.fraction, inadmissible_kinds, bound_names, path_point.is_time_expired)
     return Placement(
-        scene=new_scene,
-        change=dict(zip(problem.names, map(float, change * problem.parameter_units), strict=True)),
+        scene=parameters.scene_after(change),
+        change=parameters.changes_by_name(change),
         distance=float(np.linalg.norm(change)),
-        values=values,
+        values=problem.evaluate(_difference_stencil(change))[0][0],
         targets=target_values,
         met=not reason,
         why=reason,
@@ -444,7 +414,7 @@ def _make_placement(scene, problem, target_values, path_point, is_at_bound, inad
     )
 
 
-def _failure_reason(fraction, inadmissible_kinds, bound_names, is_time_expired=False):
+def _failure_reason(fraction, inadmissible_kinds, bound_names, is_time_expired):
     """Return the reason why the path to the targets ends, or an empty string if the targets are attained.
 
     `inadmissible_kinds` are the kinds of special points whose orbits are inadmissible beyond the end of the path.

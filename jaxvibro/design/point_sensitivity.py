@@ -10,7 +10,7 @@ import jax
 import numpy as np
 import xarray as xr
 
-from continuation.persistent_jit import persistent_jit
+from continuation.hostcall import persistent_jit
 
 from ..branches.branch import Special
 from ..loci.locus_start import make_locus_start, problems_at_locus_start

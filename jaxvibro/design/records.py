@@ -57,10 +57,8 @@ class ImpactRecord:
         if not np.all(np.isin(sides, (-1.0, 1.0))):
             raise check.ArgumentError("sides", "must be -1 (left) or 1 (right)", float(sides[abs(sides) != 1.0][0]))
         _require_time_order(times, np.diff(times) < 0)
-        object.__setattr__(self, "times", times)
-        object.__setattr__(self, "sides", sides.astype(int))
-        object.__setattr__(self, "sigma", require_positive_number("sigma", self.sigma))
-        object.__setattr__(self, "phase", _parse_phase(self.phase))
+        sigma, phase = require_positive_number("sigma", self.sigma), _parse_phase(self.phase)
+        check.set_fields(self, times=times, sides=sides.astype(int), sigma=sigma, phase=phase)
         if not isinstance(self.flawed, bool):
             raise check.ArgumentError("flawed", "must be True or False", self.flawed)
 
@@ -113,17 +111,13 @@ class SampleRecord:
     def __post_init__(self) -> None:
         times = _parse_vector("times", self.times)
         _require_time_order(times, np.diff(times) <= 0)
-        object.__setattr__(self, "times", times)
-        for key in ("x", "v"):
-            column = getattr(self, key)
-            if column is not None:
-                object.__setattr__(self, key, _parse_vector_per_time(key, column, times))
+        columns = {key: getattr(self, key) for key in ("x", "v") if getattr(self, key) is not None}
+        columns = {key: _parse_vector_per_time(key, column, times) for key, column in columns.items()}
         if self.v is None and self.sigma_v is not None:
             raise check.ArgumentError("sigma_v", "must be omitted if v is not given", self.sigma_v)
-        object.__setattr__(self, "sigma", require_positive_number("sigma", self.sigma))
-        if self.sigma_v is not None:
-            object.__setattr__(self, "sigma_v", require_positive_number("sigma_v", self.sigma_v))
-        object.__setattr__(self, "phase", _parse_phase(self.phase))
+        sigma = require_positive_number("sigma", self.sigma)
+        sigma_v = None if self.sigma_v is None else require_positive_number("sigma_v", self.sigma_v)
+        check.set_fields(self, times=times, **columns, sigma=sigma, sigma_v=sigma_v, phase=_parse_phase(self.phase))
 
     @property
     def measured(self) -> tuple[Float[np.ndarray, "samples channels"], Float[np.ndarray, " channels"]]:
@@ -171,8 +165,6 @@ def record_from_physical(record: ImpactRecord | SampleRecord, scene: Scene) -> I
     >>> jv.record_from_physical(record, rig).times
     array([1. , 2.5, 4. ])
     """
-    if not isinstance(record, ImpactRecord | SampleRecord):
-        raise check.ArgumentError("record", "must be an ImpactRecord or a SampleRecord", record)
     scales = require_scales(scene)
     natural_frequency, length_scale = scales.natural_frequency, scales.length
     times = natural_frequency * np.asarray(record.times)
@@ -290,7 +282,5 @@ class PointRecord:
         walls = tuple(self.walls) or (None,) * len(points)
         if len(walls) != len(points) or not set(walls) <= {None, *SIDES}:
             raise check.ArgumentError("walls", 'must be "left", "right" or None for each point', self.walls)
-        object.__setattr__(self, "walls", walls)
-        object.__setattr__(self, "points", points)
-        object.__setattr__(self, "values", values)
-        object.__setattr__(self, "sigma", require_positive_number("sigma", self.sigma))
+        sigma = require_positive_number("sigma", self.sigma)
+        check.set_fields(self, walls=walls, points=points, values=values, sigma=sigma)

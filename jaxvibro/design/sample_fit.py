@@ -13,7 +13,7 @@ import numpy as np
 import scipy
 from jaxtyping import Float
 
-from ..scene.scene import Scene, replace_unchecked
+from ..scene.scene import replace_unchecked, rigid_wall_positions
 from . import constrained_least_squares
 from .constrained_least_squares import (
     FreeParameterSpec,
@@ -22,7 +22,6 @@ from .constrained_least_squares import (
     Linearisation,
     max_plausible_chi2,
 )
-from .impact_prediction import make_wall_properties, wall_position_velocity
 from .multiple_shooting import Shots, divide_into_shots, rigid_wall_clearances, sample_motions, simulate_shots
 from .records import SampleRecord
 
@@ -48,10 +47,6 @@ class SampleFitProblem(NamedTuple):
 
     Attributes
     ----------
-    scene : Scene
-        Initial scene.
-    phase : float
-        Phase of the drive at time 0. If the phase is a free parameter, only the division into shots uses this value.
     shots : Shots
         Shots of the record.
     measurements : numpy.ndarray
@@ -59,32 +54,20 @@ class SampleFitProblem(NamedTuple):
     sigma : numpy.ndarray
         Standard error of each channel. Array of shape (channels,).
     free_spec : FreeParameterSpec
-        Free parameters.
+        Initial scene and its free parameters.
     """
 
-    scene: Scene
-    phase: float
     shots: Shots
     measurements: Float[np.ndarray, "record channels"]
     sigma: Float[np.ndarray, " channels"]
     free_spec: FreeParameterSpec
 
-    def scene_and_start_phase(self, parameters: Float[np.ndarray, " free"]) -> tuple[Scene, float]:
-        """Return the scene with the given parameters, and the phase of the drive at time 0."""
-        return self.free_spec.scene_and_start_phase(self.scene, self.phase, parameters)
 
-
-def make_sample_problem(scene: Scene, data: SampleRecord, free_spec: FreeParameterSpec) -> SampleFitProblem:
-    """Make the `SampleFitProblem` of a record."""
-    (measurements, sigma), start_phase = data.measured, data.phase or 0.0
-    return SampleFitProblem(
-        scene,
-        start_phase,
-        divide_into_shots(scene, start_phase, data.times, measurements[:, 0]),
-        measurements,
-        sigma,
-        free_spec,
-    )
+def make_sample_problem(data: SampleRecord, free_spec: FreeParameterSpec) -> SampleFitProblem:
+    """Make the `SampleFitProblem` of a record. A free phase is 0 in the division into shots."""
+    measurements, sigma = data.measured
+    shots = divide_into_shots(free_spec.scene, free_spec.phase, data.times, measurements[:, 0])
+    return SampleFitProblem(shots, measurements, sigma, free_spec)
 
 
 def follow_sample_record(fit_problem: SampleFitProblem) -> LeastSquaresSolution | None:
@@ -104,7 +87,7 @@ def _extend_to_whole_record(fit_problem, state, parameters):
     The motion is predicted from the last node as long as it agrees with the record. The fit is then repeated with the
     new nodes.
     """
-    solution = _solve_first_shots(
+    solution = solve_first_shots(
         fit_problem, state[None], fit_problem.free_spec, parameters, MAX_ITERATIONS, ROUGH_TOLERANCE
     )
     while _is_acceptable_solution(fit_problem, solution) and len(solution.nodes) < len(fit_problem.shots.start_indices):
@@ -170,7 +153,7 @@ def _total_cost(solution):
 def _refit_with_more_nodes(fit_problem, solution, new_states):
     """Fit a solution again with additional nodes; return the `LeastSquaresSolution`."""
     node_states = np.concatenate([solution.nodes, new_states])
-    return _solve_first_shots(
+    return solve_first_shots(
         fit_problem, node_states, fit_problem.free_spec, solution.parameters, MAX_ITERATIONS, ROUGH_TOLERANCE
     )
 
@@ -182,7 +165,6 @@ def _simulate_next_nodes(fit_problem, solution):
     of predicted nodes is at least 1 and at most the number of nodes of the solution.
     """
     n_nodes, n_channels, n_params = len(solution.nodes), len(fit_problem.sigma), len(solution.parameters)
-    parameter_names, start_phase = fit_problem.free_spec.separate_start_phase(solution.parameters, fit_problem.phase)
     covariance, state, state_sensitivity = (
         solution.covariance_with([2 * n_nodes - 2, 2 * n_nodes - 1]),
         solution.nodes[-1],
@@ -191,16 +173,9 @@ def _simulate_next_nodes(fit_problem, solution):
     predicted_states = []
     for shot_index in range(n_nodes - 1, min(len(fit_problem.shots.start_indices), 2 * n_nodes) - 1):
         shot = fit_problem.shots.single_shot(shot_index)
-        shot_result = simulate_shots(
-            fit_problem.scene,
-            parameter_names,
-            shot,
-            state[None],
-            solution.parameters[: len(parameter_names)],
-            start_phase,
-        )
-        sample_derivatives = shot_result.derivatives[0, ..., : 2 + n_params] * np.append(
-            [1.0, 1.0], fit_problem.free_spec.scales
+        sample_values, sample_derivatives = (
+            shot_results[0]
+            for shot_results in simulate_shots(fit_problem.free_spec, shot, state[None], solution.parameters)
         )
         sample_derivatives = sample_derivatives[..., :2] @ state_sensitivity + np.concatenate(
             [np.zeros((*sample_derivatives.shape[:2], 2)), sample_derivatives[..., 2:]], -1
@@ -209,27 +184,18 @@ def _simulate_next_nodes(fit_problem, solution):
             prediction_errors = np.sqrt(
                 np.maximum(np.einsum("tcu,uw,tcw->tc", sample_derivatives, covariance, sample_derivatives), 0.0)
             )[:, :n_channels]
-            sample_deviations = abs(
-                shot_result.values[0, :, :n_channels] - fit_problem.measurements[shot.sample_indices[0]]
-            )
+            sample_deviations = abs(sample_values[:, :n_channels] - fit_problem.measurements[shot.sample_indices[0]])
             if not np.all(
                 (sample_deviations <= MATCH_ERRORS * np.hypot(prediction_errors, fit_problem.sigma))
                 & (prediction_errors <= SURE_ERRORS * fit_problem.sigma)
             ):
                 return np.array(predicted_states[: max(1, len(predicted_states) - 1)])
-        state, state_sensitivity = shot_result.values[0, -1], sample_derivatives[-1]
+        state, state_sensitivity = sample_values[-1], sample_derivatives[-1]
         predicted_states.append(state)
     return np.array(predicted_states)
 
 
-def solve_whole_record(
-    fit_problem: SampleFitProblem, solution: LeastSquaresSolution, free_spec: FreeParameterSpec
-) -> LeastSquaresSolution:
-    """Fit the whole record with another `FreeParameterSpec`, starting from an earlier solution."""
-    return _solve_first_shots(fit_problem, solution.nodes, free_spec, solution.parameters)
-
-
-def _solve_first_shots(fit_problem, node_states, free_spec, parameters, *stop_settings):
+def solve_first_shots(fit_problem, node_states, free_spec, parameters, *stop_settings):
     """Fit the first shots from approximate states of their nodes and approximate parameters.
 
     `stop_settings` are the last arguments of `solve_least_squares`.
@@ -243,17 +209,13 @@ def _solve_first_shots(fit_problem, node_states, free_spec, parameters, *stop_se
 
 def _linearise_shots(fit_problem, shots, node_states, parameters):
     """Return the `Linearisation` of the shots at states of the nodes and parameters."""
-    parameter_names, start_phase = fit_problem.free_spec.separate_start_phase(parameters, fit_problem.phase)
-    shot_results = simulate_shots(
-        fit_problem.scene, parameter_names, shots, node_states, parameters[: len(parameter_names)], start_phase
-    )
+    values, state_jacobian = simulate_shots(fit_problem.free_spec, shots, node_states, parameters)
     n_nodes, max_samples_per_shot, n_params, n_channels = (
         len(node_states),
-        shot_results.values.shape[1],
+        values.shape[1],
         len(parameters),
         len(fit_problem.sigma),
     )
-    state_jacobian = shot_results.derivatives[..., : 2 + n_params] * np.append([1.0, 1.0], fit_problem.free_spec.scales)
     node_of_row, derivative_columns = (
         np.repeat(np.arange(n_nodes), 2 * max_samples_per_shot)[:, None],
         np.arange(2 + n_params),
@@ -267,7 +229,7 @@ def _linearise_shots(fit_problem, shots, node_states, parameters):
     node_jacobian = scipy.sparse.eye_array(2 * n_nodes, 2 * n_nodes + n_params, format="csr")
     inner_node_indices, shot_end_indices = np.arange(n_nodes - 1), shots.n_samples[:-1] - 1
     constraints, constraint_jacobian = (
-        shot_results.values[inner_node_indices, shot_end_indices] - node_states[1:],
+        values[inner_node_indices, shot_end_indices] - node_states[1:],
         state_jacobian[_rows_of_states(inner_node_indices * max_samples_per_shot + shot_end_indices)]
         - node_jacobian[2:],
     )
@@ -276,7 +238,7 @@ def _linearise_shots(fit_problem, shots, node_states, parameters):
     )
     sample_indices = np.concatenate([shots.start_indices, shots.sample_indices[is_sample_of_shot]])
     record_order = np.argsort(sample_indices)  # order of the record
-    computed_values = np.concatenate([node_states, shot_results.values[is_sample_of_shot]])[record_order, :n_channels]
+    computed_values = np.concatenate([node_states, values[is_sample_of_shot]])[record_order, :n_channels]
     sample_state_indices = np.concatenate([np.arange(n_nodes), n_nodes + np.flatnonzero(is_sample_of_shot)])[
         record_order
     ]
@@ -305,9 +267,10 @@ def _max_step_fraction(fit_problem, shots, node_states, parameters, node_change,
     The clearance of each node may decrease to `MIN_CLEARANCE_FRACTION` of its value before the step.
     """
     times, fraction = shots.times[shots.start_indices], 1.0
-    clearances_before = rigid_wall_clearances(*fit_problem.scene_and_start_phase(parameters), times, node_states[:, 0])
+    free_spec = fit_problem.free_spec
+    clearances_before = rigid_wall_clearances(*free_spec.scene_and_start_phase(parameters), times, node_states[:, 0])
     for _ in range(MAX_HALVINGS):
-        scene_and_phase = fit_problem.scene_and_start_phase(parameters + fraction * parameter_change)
+        scene_and_phase = free_spec.scene_and_start_phase(parameters + fraction * parameter_change)
         if np.all(
             rigid_wall_clearances(*scene_and_phase, times, _add_node_change(node_states, fraction * node_change)[:, 0])
             >= MIN_CLEARANCE_FRACTION * clearances_before
@@ -327,7 +290,7 @@ def _first_state_candidates(fit_problem):
     free_spec, times = fit_problem.free_spec, fit_problem.shots.times
     if free_spec.names[-1] == "phase":
         start_phases = 2.0 * np.pi * np.arange(N_PHASES) / N_PHASES
-        period = 2.0 * np.pi / float(fit_problem.scene.frequency)
+        period = 2.0 * np.pi / float(free_spec.scene.frequency)
         lookahead_indices = np.searchsorted(times, times[0] + np.arange(1, N_LOOKAHEAD + 1) * period / N_LOOKAHEAD)
         ranking_indices = np.maximum(np.minimum(lookahead_indices, len(times) - 1), np.arange(1, N_LOOKAHEAD + 1))
         yield from _rank_state_candidates(
@@ -356,10 +319,9 @@ def _rank_state_candidates(fit_problem, candidate_parameters, node_index, rankin
         fit_problem.shots.times,
         fit_problem.measurements,
     )
-    scene, start_phase = fit_problem.scene_and_start_phase(candidate_parameters[0])
-    x = _move_inside_rigid_walls(
-        scene, start_phase, times[sample_index], measurements[sample_index, 0], fit_problem.sigma[0]
-    )
+    scene, start_phase = fit_problem.free_spec.scene_and_start_phase(candidate_parameters[0])
+    left_wall, right_wall = rigid_wall_positions(scene, start_phase + float(scene.frequency) * times[sample_index])
+    x = np.clip(measurements[sample_index, 0], left_wall + fit_problem.sigma[0], right_wall - fit_problem.sigma[0])
     measurement_ranges = np.maximum(np.ptp(measurements, axis=0), fit_problem.sigma)
     force_amplitude = sum((abs(float(term.amplitude)) for term in scene.drive), abs(float(scene.amplitude)))
     max_speed = SPEED_FACTOR * max(1.0, float(scene.frequency)) * (measurement_ranges[0] + force_amplitude)
@@ -372,7 +334,7 @@ def _rank_state_candidates(fit_problem, candidate_parameters, node_index, rankin
         np.repeat(candidate_parameters, len(velocities), axis=0),
         np.tile(velocities, len(candidate_parameters)),
     )
-    parameter_names, start_phases = fit_problem.free_spec.separate_start_phase(trial_parameters.T, fit_problem.phase)
+    parameter_names, start_phases = fit_problem.free_spec.separate_start_phase(trial_parameters.T)
     scenes = replace_unchecked(scene, dict(zip(parameter_names, trial_parameters.T, strict=False)))
     ranking_indices = np.minimum(
         sample_index + np.arange(1, N_LOOKAHEAD + 1) if ranking_indices is None else ranking_indices, len(times) - 1
@@ -392,13 +354,3 @@ def _rank_state_candidates(fit_problem, candidate_parameters, node_index, rankin
     minimum_indices = np.flatnonzero((misfit_costs <= padded_costs[:, :-2]) & (misfit_costs < padded_costs[:, 2:]))
     minimum_indices = minimum_indices[np.argsort(misfit_costs.ravel()[minimum_indices], kind="stable")][:MAX_CANDIDATES]
     return [(states[candidate_index], trial_parameters[candidate_index]) for candidate_index in minimum_indices]
-
-
-def _move_inside_rigid_walls(scene, start_phase, times, x, sigma):
-    """Limit measured positions to at least one standard error before each rigid wall."""
-    for side, wall in scene.walls.items():
-        if not wall.soft:
-            wall_properties = make_wall_properties(scene, side, start_phase)
-            max_distance_to_side = wall_properties.sign * wall_position_velocity(wall_properties, times)[0] - sigma
-            x = wall_properties.sign * np.minimum(wall_properties.sign * x, max_distance_to_side)
-    return x

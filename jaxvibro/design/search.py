@@ -14,7 +14,7 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from continuation.computation_limits import EXPIRED_REASON, UNLIMITED, make_limits
+from continuation.computation_limits import EXPIRED_REASON, make_limits
 
 from ..branches.branch import Special
 from ..branches.follow import branch_through, check_follow_settings
@@ -23,13 +23,12 @@ from ..maps.initial_conditions import draw_initial_states
 from ..maps.iterate import iterate
 from ..orbits.impact_equations import ImpactSequence
 from ..output.table_text import align_columns
-from ..problem.orbit_point import OrbitPoint, set_up_equations
+from ..problem.orbit_problem import make_orbit_problem
 from ..scene import check
 from ..scene.scene import Scene
 from .bifurcation_gradients import FLIP, FOLD, TOUCH, ZERO_SPEED, evaluate_test_gradients
-from .free_parameter_checks import bounds_of_changes, check_free_parameters
+from .free_parameters import FreeParameters, bounds_of_changes, check_free_parameters
 from .parameter_rays import RayEnd, follow_rays
-from .special_point_equations import complete_scene, parameter_mask
 
 TESTS_OF_KIND = {"SN": (FOLD,), "SB": (FOLD,), "PD": (FLIP,), "GR": (TOUCH, ZERO_SPEED)}
 KINDS_OF_RAY_END = {RayEnd.FOLD: ("SN", "SB"), RayEnd.FLIP: ("PD",), RayEnd.TOUCH: ("GR",), RayEnd.ZERO_SPEED: ("GR",)}
@@ -217,26 +216,20 @@ def search(
     if not kinds or not set(kinds) <= set(TESTS_OF_KIND):
         raise check.ArgumentError("kinds", f"must be one or more of {', '.join(TESTS_OF_KIND)}", kinds)
     parameter_units = check_free_parameters(scene, free)
-    change_bounds = bounds_of_changes(scene, parameter_units, bounds)
-    for name, lower, upper in zip(parameter_units, *change_bounds, strict=True):
+    parameters = FreeParameters(scene, parameter_units, *bounds_of_changes(scene, parameter_units, bounds))
+    for name, lower, upper in zip(parameters.names, parameters.lower, parameters.upper, strict=True):
         if not np.isfinite([lower, upper]).all():
             raise check.ArgumentError(
                 f"bounds.{name}", "must be given because the domain of the parameter is unbounded", None
             )
-    starts, max_period = (
-        check.check_whole_number("starts", starts, 1),
-        check.check_whole_number("max_period", max_period, 1),
-    )
-    if max_period > check.MAX_ORBIT_PERIODS:
-        raise check.ArgumentError("max_period", f"must be at most {check.MAX_ORBIT_PERIODS}", max_period)
-    orbit_seeds = _settled_orbit_seeds(
-        scene, parameter_units, change_bounds, starts, max_period, check.check_whole_number("seed", seed, 0)
-    )
+    starts = check.check_whole_number("starts", starts, 1)
+    max_period = check.check_whole_number("max_period", max_period, 1, check.MAX_ORBIT_PERIODS)
+    orbit_seeds = _settled_orbit_seeds(parameters, starts, max_period, check.check_whole_number("seed", seed, 0))
     boundary_hits, n_rays, is_complete = _follow_rays_from_seeds(
-        scene, parameter_units, change_bounds, _limit_per_itinerary(orbit_seeds), kinds, limits
+        parameters, _limit_per_itinerary(orbit_seeds), kinds, limits
     )
     points, distances_from_scene, ray_counts_by_boundary, n_boundaries_skipped = _locate_boundaries(
-        scene, parameter_units, change_bounds, boundary_hits, kinds, limits
+        parameters, boundary_hits, kinds, limits
     )
     stop_reason = (
         ""
@@ -256,20 +249,11 @@ def search(
     )
 
 
-def _scene_at_offset(scene, parameter_units, offset):
-    """Shift the free parameters of a scene by an offset in units; several rows of offsets give a batch of scenes."""
-    offsets_by_parameter = np.asarray(offset).T
-    units_and_offsets = zip(parameter_units.items(), offsets_by_parameter, strict=True)
-    return scene.replace(
-        **{name: float(scene.parameter(name)) + unit * value for (name, unit), value in units_and_offsets}
-    )
-
-
-def _settled_orbit_seeds(scene, parameter_units, change_bounds, n_starts, max_period, random_seed):
+def _settled_orbit_seeds(parameters, n_starts, max_period, random_seed):
     """Iterate random states in random scenes; return a `_RayStartOrbit` for each motion that settles."""
-    lower, upper = change_bounds
-    offsets = lower + (upper - lower) * np.random.default_rng(random_seed).random((n_starts, len(parameter_units)))
-    scenes = _scene_at_offset(scene, parameter_units, offsets)
+    random_fractions = np.random.default_rng(random_seed).random((n_starts, len(parameters.names)))
+    offsets = parameters.lower + (parameters.upper - parameters.lower) * random_fractions
+    scenes = parameters.scene_after(offsets)
     iterates = iterate(scenes, draw_initial_states(scenes, n_starts, (random_seed, 1)), SETTLING_PERIODS)
     drive_period_durations = np.broadcast_to(2.0 * np.pi / np.asarray(scenes.frequency), n_starts)
     return [
@@ -298,7 +282,7 @@ def _itinerary_key(orbit_seed):
     return orbit_seed.periods, min((sides[rotation:] + sides[:rotation] for rotation in range(len(sides))), default=())
 
 
-def _follow_rays_from_seeds(scene, parameter_units, change_bounds, orbit_seeds, kinds, limits=UNLIMITED):
+def _follow_rays_from_seeds(parameters, orbit_seeds, kinds, limits):
     """Follow rays from orbits; return (`_BoundaryHit` records, number of rays, whether all rays were followed)."""
     test_codes = sorted({test_code for kind in kinds for test_code in TESTS_OF_KIND[kind]})
     seeds_by_n_impacts, boundary_hits, n_rays = {}, [], 0
@@ -312,9 +296,7 @@ def _follow_rays_from_seeds(scene, parameter_units, change_bounds, orbit_seeds, 
             if test_code in test_codes
         ]
         for _ in range(MAX_STEPS):
-            seeds_and_tests, new_hits, n_new_rays, is_complete = _follow_next_rays(
-                scene, parameter_units, change_bounds, seeds_and_tests, limits
-            )
+            seeds_and_tests, new_hits, n_new_rays, is_complete = _follow_next_rays(parameters, seeds_and_tests, limits)
             boundary_hits += [seed_or_hit for seed_or_hit in new_hits if set(seed_or_hit.kinds) & set(kinds)]
             n_rays += n_new_rays
             if not is_complete:
@@ -322,7 +304,7 @@ def _follow_rays_from_seeds(scene, parameter_units, change_bounds, orbit_seeds, 
     return boundary_hits, n_rays, True
 
 
-def _follow_next_rays(scene, parameter_units, change_bounds, seeds_and_tests, limits):
+def _follow_next_rays(parameters, seeds_and_tests, limits):
     """Follow one ray from each lane (`_RayStartOrbit`, test); all orbits have the same number of impacts.
 
     Returns the lanes whose rays met no boundary, the `_BoundaryHit` of each other ray, the number of rays, and whether
@@ -333,9 +315,8 @@ def _follow_next_rays(scene, parameter_units, change_bounds, seeds_and_tests, li
         if limits.expired:
             return next_seeds_and_tests, boundary_hits, n_rays, False
         lane_block = seeds_and_tests[block_start : block_start + LANES]
-        displacements, rays = _follow_rays_of_block(
-            scene, parameter_units, change_bounds, lane_block + lane_block[-1:] * (LANES - len(lane_block))
-        )
+        padded_block = lane_block + lane_block[-1:] * (LANES - len(lane_block))
+        displacements, rays = _follow_rays_of_block(parameters, padded_block)
         for lane, (orbit_seed, test_code) in enumerate(lane_block):
             if not displacements[lane].any():
                 continue
@@ -355,39 +336,25 @@ def _follow_next_rays(scene, parameter_units, change_bounds, seeds_and_tests, li
     return next_seeds_and_tests, boundary_hits, n_rays, True
 
 
-def _follow_rays_of_block(scene, parameter_units, change_bounds, seeds_and_tests):
+def _follow_rays_of_block(parameters, seeds_and_tests):
     """Follow a block of lanes; return the displacements in units and the `RayResult` records."""
-    scene_treedef, base_scene_vector, unit_changes = _flatten_scene(scene, parameter_units)
+    space = parameters.scene_space()
     scene_offsets = np.stack([orbit_seed.offset for orbit_seed, _ in seeds_and_tests])
     impact_columns = [np.stack([orbit_seed.impacts[k] for orbit_seed, _ in seeds_and_tests]) for k in range(3)]
     periods = np.array([float(orbit_seed.periods) for orbit_seed, _ in seeds_and_tests])
     sequences, scene_vectors = (
         ImpactSequence(*impact_columns, np.zeros(len(seeds_and_tests)), periods),
-        base_scene_vector + scene_offsets @ unit_changes,
+        space.vector_after(scene_offsets),
     )
     lane_test_indices = np.arange(len(seeds_and_tests)), np.array([test_code for _, test_code in seeds_and_tests])
-    test_values, test_gradients = (
-        lane_tests[lane_test_indices]
-        for lane_tests in jax.device_get(evaluate_test_gradients(scene_treedef, sequences, scene_vectors, unit_changes))
-    )
-    displacements = _newton_displacements(test_values, test_gradients, scene_offsets, change_bounds)
-    return displacements, jax.device_get(
-        follow_rays(scene_treedef, sequences, scene_vectors, displacements @ unit_changes)
-    )
+    tests_and_gradients = evaluate_test_gradients(space.treedef, sequences, scene_vectors, space.unit_changes)
+    test_values, test_gradients = (lane_tests[lane_test_indices] for lane_tests in jax.device_get(tests_and_gradients))
+    displacements = _newton_displacements(parameters, test_values, test_gradients, scene_offsets)
+    rays = follow_rays(space.treedef, sequences, scene_vectors, displacements @ space.unit_changes)
+    return displacements, jax.device_get(rays)
 
 
-def _flatten_scene(scene, parameter_units):
-    """Return the tree structure of a scene, its numbers, and their change for one unit of each free parameter."""
-    full_scene = complete_scene(scene)
-    unit_changes = np.stack([parameter_mask(scene, name) * unit for name, unit in parameter_units.items()])
-    return (
-        jax.tree.structure(full_scene),
-        np.stack([np.asarray(leaf) for leaf in jax.tree.leaves(full_scene)]),
-        unit_changes,
-    )
-
-
-def _newton_displacements(test_values, test_gradients, scene_offsets, change_bounds):
+def _newton_displacements(parameters, test_values, test_gradients, scene_offsets):
     """Return 1.5 Newton steps towards the zero of a test function, in each lane.
 
     A step is truncated at the boundary of the box. A step that is not finite is replaced by 0.
@@ -398,7 +365,7 @@ def _newton_displacements(test_values, test_gradients, scene_offsets, change_bou
         )
         displacements = np.where(np.isfinite(displacements).all(axis=1, keepdims=True), displacements, 0.0)
         bound_distances = np.where(
-            displacements > 0, change_bounds[1] - scene_offsets, change_bounds[0] - scene_offsets
+            displacements > 0, parameters.upper - scene_offsets, parameters.lower - scene_offsets
         )
         bound_fractions = np.nan_to_num(
             np.where(displacements == 0, 1.0, bound_distances / displacements), nan=1.0, posinf=1.0
@@ -406,7 +373,7 @@ def _newton_displacements(test_values, test_gradients, scene_offsets, change_bou
     return displacements * np.clip(bound_fractions.min(axis=1, keepdims=True), 0.0, 1.0)
 
 
-def _locate_boundaries(scene, parameter_units, change_bounds, boundary_hits, kinds, limits=UNLIMITED):
+def _locate_boundaries(parameters, boundary_hits, kinds, limits):
     """Locate a special point on each boundary that rays met.
 
     Returns the `Special` points sorted by distance, their distances, the number of rays that met each boundary, and the
@@ -421,12 +388,12 @@ def _locate_boundaries(scene, parameter_units, change_bounds, boundary_hits, kin
             n_boundaries_skipped += 1
             continue
         for hit in hits_of_boundary[:MAX_ATTEMPTS]:
-            special = _locate_special_point(scene, parameter_units, change_bounds, hit, kinds)
+            special = _locate_special_point(parameters, hit, kinds)
             if special is None:
                 continue
             changes_in_units = (
-                (float(special.scene.parameter(name)) - float(scene.parameter(name))) / unit
-                for name, unit in parameter_units.items()
+                (float(special.scene.parameter(name)) - float(parameters.scene.parameter(name))) / unit
+                for name, unit in parameters.units.items()
             )
             distance, boundary_orbit = float(np.linalg.norm(list(changes_in_units))), special.spot
             boundary_key = (
@@ -447,22 +414,18 @@ def _locate_boundaries(scene, parameter_units, change_bounds, boundary_hits, kin
     return *(tuple(hit[k] for hit in sorted_entries) for k in range(3)), n_boundaries_skipped
 
 
-def _locate_special_point(scene, parameter_units, change_bounds, hit, kinds):
+def _locate_special_point(parameters, hit, kinds):
     """Locate the `Special` of one of the kinds next to a `_BoundaryHit`, or return None."""
     main_parameter_index = int(np.argmax(abs(hit.displacement)))
-    name, hit_scene = (
-        tuple(parameter_units)[main_parameter_index],
-        _scene_at_offset(scene, parameter_units, hit.orbit_seed.offset),
-    )
-    value = float(hit_scene.parameter(name))
-    orbit_row = OrbitPoint(value, *hit.orbit_seed.impacts, hit.orbit_seed.periods, np.nan, np.nan, np.nan)
+    name, hit_scene = parameters.names[main_parameter_index], parameters.scene_after(hit.orbit_seed.offset)
+    template = make_orbit_problem(hit_scene, name, periods=hit.orbit_seed.periods)
+    impacts = list(zip(*hit.orbit_seed.impacts, strict=True))
+    start = template.with_impacts(np.array([0.0, 0.0, float(hit_scene.parameter(name))]), impacts)
     bounds = tuple(
-        float(scene.parameter(name)) + parameter_units[name] * float(change_limits[main_parameter_index])
-        for change_limits in change_bounds
+        float(parameters.scene.parameter(name)) + parameters.units[name] * float(change_limits[main_parameter_index])
+        for change_limits in (parameters.lower, parameters.upper)
     )
     follow_direction = "forward" if hit.displacement[main_parameter_index] > 0 else "backward"
     follow_settings = check_follow_settings(**STEP_SETTINGS, stop=kinds)
-    branch = branch_through(
-        hit_scene, name, bounds, set_up_equations(hit_scene, name, orbit_row), follow_direction, follow_settings
-    )
+    branch = branch_through(hit_scene, name, bounds, start, follow_direction, follow_settings)
     return next((special_point for special_point in branch.special if special_point.kind in kinds), None)

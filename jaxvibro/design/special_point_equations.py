@@ -22,8 +22,8 @@ import numpy as np
 from continuation import augmented_systems
 from continuation.implicit_function import Parameters, Unknowns
 
-from ..flight.flight_coefficients import flow_coefficients
-from ..loci.locus_equations import GrazingEquations
+from ..contact.kinds import flow_coefficients
+from ..loci.locus_equations import GrazingCondition
 from ..orbits import cyclic_system, impact_equations
 from ..orbits.impact_equations import ImpactSequence
 from ..problem.orbit_equations import scene_at
@@ -125,8 +125,8 @@ def equations_at_point(kind, problem, z):
     The unknowns form one vector: the times and speeds, the distance from the scene in which the parameter is zero, and
     the null vector.
     """
-    n_rows, n_impacts = len(problem.sequence.sides), int(np.sum(problem.sequence.sides != 0))
-    times, speeds, sides = z[:n_impacts], z[n_rows : n_rows + n_impacts], problem.sequence.sides[:n_impacts]
+    n_impacts = problem.n_used_rows
+    (times, speeds, _), sides = problem.impacts(z), problem.sequence.sides[:n_impacts]
     optional_columns = {
         column_name: _select_rows(getattr(problem.sequence, column_name), slice(n_impacts))
         for column_name in ("grazing", "releases")
@@ -134,11 +134,11 @@ def equations_at_point(kind, problem, z):
     sequence = problem.sequence._replace(times=times, speeds=speeds, sides=sides, **optional_columns)
     scene = complete_scene(scene_at(problem, z))
     scene_treedef = jax.tree.structure(scene)
-    if isinstance(problem, GrazingEquations):
+    if isinstance(problem.condition, GrazingCondition):
         return grazing_equations(
             scene_treedef,
             sequence,
-            int(np.argmax(problem.special_row_mask)),
+            int(np.argmax(problem.condition.row_mask)),
             z[-1],
             float(scene_at(problem, z).frequency),
         )

@@ -9,14 +9,14 @@ import xarray as xr
 
 from ..branches.branch import Branch, Special
 from ..maps.initial_conditions import initial_box
-from ..orbits.orbit import Orbit
+from ..orbits.orbit import Orbit, OrbitError
 from ..scene.check import ArgumentError
 from ..scene.scene import Scene
 from ..scene.state import State
 from ..studies.schema import ViewTable
-from .messages import RunAction
-from .page_calls import SCENE_NAME, parent_line_name, resolve_reference
-from .page_state import PageState, slider_range
+from .messages import MoveOnBranch, RunAction
+from .page_calls import SCENE_NAME, evaluate_call_line, parent_line_name, resolve_reference
+from .page_state import PageState, diagram_branches, scene_of, slider_range
 
 MOTION_PERIODS = 64  # drive periods of a motion that is not periodic
 FIRST_GRID_SIZE = 16  # cells per side of the first grid
@@ -77,6 +77,45 @@ def orbit_call_line(selection_reference: str, point_index: int | None, selection
     raise ArgumentError("choose", "must be a special point, a branch or an orbit", selection_reference)
 
 
+def moved_selection(message: MoveOnBranch, page: PageState, results: Mapping[str, Any]) -> tuple[str, int]:
+    """Return (reference, row) of the point of a branch that is selected after a move from the selected point.
+
+    Raises ArgumentError if the diagram has no branch.
+    """
+    branches = dict(diagram_branches(page, results))
+    if not branches:
+        raise ArgumentError("move", "requires a branch in the diagram. Follow an orbit first", message.by)
+    references, reference, row = list(branches), page.chosen.partition(".special")[0], page.place
+    if reference not in branches:
+        reference, row = references[0], 0
+    elif row is None:
+        row = resolve_reference(page.chosen, results).place
+    if message.branch:
+        reference, row = references[(references.index(reference) + message.branch) % len(references)], 0
+    return reference, max(0, min(len(branches[reference]) - 1, row + message.by))
+
+
+def settle_motion(
+    scene_name: str, state: State, result_names: Sequence[str], periods: int | None, results: dict[str, Any]
+) -> ViewTable:
+    """Return the line of the orbit that a state approaches, or of the motion without an orbit; add it to `results`.
+
+    `result_names` are the names of a scene, an orbit and a motion. `periods` is the number of drive periods of a motion
+    while a slider moves, else None.
+    """
+    x, v, phase = (float(np.asarray(coordinate)) for coordinate in (state.x, state.v, state.phase))
+    arguments: dict[str, Any] = {"x": x, "v": v} | ({"phase": phase} if phase else {})
+    call_name = "moved" if periods else "find_orbit"
+    motion_line = ViewTable(name=result_names[1], call=call_name, of=scene_name, arguments=arguments)
+    try:
+        results[motion_line.name] = evaluate_call_line(motion_line, results)
+    except OrbitError:
+        arguments = arguments | {"periods": periods or MOTION_PERIODS}
+        motion_line = ViewTable(name=result_names[2], call="motion", of=scene_name, arguments=arguments)
+        results[motion_line.name] = evaluate_call_line(motion_line, results)
+    return motion_line
+
+
 def action_call_lines(
     message: RunAction, page: PageState, results: Mapping[str, Any], allocate_name: AllocateName
 ) -> Iterator[list[ViewTable]]:
@@ -84,68 +123,66 @@ def action_call_lines(
 
     Raises ArgumentError if the selection does not permit the action.
     """
-    scene, (parameter_lower, parameter_upper) = results[page.scene], page.bounds
-    range_arguments = {"parameter": page.parameter, "low": parameter_lower, "high": parameter_upper}
+    receiver_reference, receiver = _action_receiver(message.call, page, results)
+    if message.call == "follow":
+        _require_new_branch(page, results)
+    for argument_sets in _argument_rounds(message, page, scene_of(receiver)):
+        yield [
+            ViewTable(
+                name=allocate_name(result_name_stem(message.call)),
+                call=message.call,
+                of=receiver_reference,
+                arguments=arguments,
+            )
+            for arguments in argument_sets
+        ]
 
-    def make_call_line(receiver_reference, **arguments):
-        return ViewTable(
-            name=allocate_name(result_name_stem(message.call)),
-            call=message.call,
-            of=receiver_reference,
-            arguments=arguments,
-        )
 
-    if message.call in ("switch", "locus"):
+def _action_receiver(call_name, page, results):
+    """Return (reference, value) of the object of an action: the selected point, the current orbit, or the scene."""
+    if call_name in ("switch", "locus"):
         selection = resolve_reference(page.chosen, results) if page.chosen else None
         if not isinstance(selection, Special):
-            raise ArgumentError(message.call, "requires a special point. Select one first", page.chosen)
-        yield [
-            make_call_line(page.chosen)
-            if message.call == "switch"
-            else make_call_line(page.chosen, bounds=_extend_bounds_to_scene(page.plane_bounds, selection.scene))
-        ]
-    elif message.call in ("follow", "margin"):
+            raise ArgumentError(call_name, "requires a special point. Select one first", page.chosen)
+        return page.chosen, selection
+    if call_name in ("follow", "margin"):
         orbit = results.get(page.current)
         if not isinstance(orbit, Orbit):
             raise ArgumentError(
-                message.call, "requires a periodic orbit; the current motion is not periodic", page.current
+                call_name, "requires a periodic orbit; the current motion is not periodic", page.current
             )
-        if message.call == "follow":
-            _require_new_branch(page, results)
-            parameter_lower, parameter_upper = _extend_bounds_to_scene({page.parameter: page.bounds}, orbit.scene)[
-                page.parameter
-            ]
-            yield [make_call_line(page.current, **range_arguments | {"low": parameter_lower, "high": parameter_upper})]
-        else:
-            yield [
-                make_call_line(
-                    page.current,
-                    free={
-                        parameter: _margin_distance_unit(orbit.scene, parameter)
-                        for parameter in (page.parameter, page.second)
-                    },
-                )
-            ]
-    elif message.call == "explore":
-        yield [make_call_line(page.scene, **range_arguments, max_period=message.max_period)]
-    elif message.call == "sweep":
-        zero_state_arguments = {"x": 0.0, "v": 0.0}
-        sweep_ranges = ((parameter_upper, parameter_lower), (parameter_lower, parameter_upper))
-        yield [
-            make_call_line(
-                page.scene,
-                parameter=page.parameter,
-                first=first_value,
-                last=last_value,
-                count=message.count,
-                **zero_state_arguments,
-            )
-            for first_value, last_value in sweep_ranges
-        ]
-    elif message.call == "attractors":
-        yield [make_call_line(page.scene)]
-    else:
-        yield from _grid_refinement_rounds(message, page, scene, make_call_line)
+        return page.current, orbit
+    return page.scene, results[page.scene]
+
+
+def _argument_rounds(message, page, scene):
+    """Return the arguments of the calls of an action in rounds, each a list of {name: value}."""
+    lower, upper = page.bounds
+    match message.call:
+        case "follow":
+            extended_bounds = _extend_bounds_to_scene({page.parameter: page.bounds}, scene)
+            low, high = extended_bounds[page.parameter]
+            return [[{"parameter": page.parameter, "low": low, "high": high}]]
+        case "explore":
+            max_period = message.max_period
+            return [[{"parameter": page.parameter, "low": lower, "high": upper, "max_period": max_period}]]
+        case "locus":
+            return [[{"bounds": _extend_bounds_to_scene(page.plane_bounds, scene)}]]
+        case "margin":
+            return [[{"free": {name: _margin_distance_unit(scene, name) for name in page.plane_bounds}}]]
+        case "sweep":
+            range_arguments = [{"first": upper, "last": lower}, {"first": lower, "last": upper}]
+            start_arguments = {"count": message.count, "x": 0.0, "v": 0.0}
+            return [[{"parameter": page.parameter, **ends, **start_arguments} for ends in range_arguments]]
+        case "map":
+            plane_bounds = {page.second: list(page.second_bounds), page.parameter: list(page.bounds)}
+            return [[{"bounds": plane_bounds, "count": grid_size}] for grid_size in _grid_sizes(message.count)]
+        case "basins":
+            x_lower, x_upper, max_speed = map(float, initial_box(scene))
+            ranges = {"x": [x_lower, x_upper], "v": [-max_speed, max_speed]}
+            return [[{**ranges, "count": grid_size}] for grid_size in _grid_sizes(message.count)]
+        case _:
+            return [[{}]]
 
 
 def _require_new_branch(page, results):
@@ -155,19 +192,13 @@ def _require_new_branch(page, results):
         raise ArgumentError("follow", "requires an orbit that is not on a branch along this parameter", page.chosen)
 
 
-def _grid_refinement_rounds(message, page, scene, make_call_line):
-    """Yield the lines of a grid in rounds, each with up to twice as many cells per side as the previous round."""
-    cells_per_side = min(FIRST_GRID_SIZE, message.count)
-    while True:
-        if message.call == "map":
-            plane_bounds = {page.second: list(page.second_bounds), page.parameter: list(page.bounds)}
-            yield [make_call_line(page.scene, bounds=plane_bounds, count=cells_per_side)]
-        else:
-            x_lower, x_upper, max_speed = (float(initial_box_limit) for initial_box_limit in initial_box(scene))
-            yield [make_call_line(page.scene, x=[x_lower, x_upper], v=[-max_speed, max_speed], count=cells_per_side)]
-        if cells_per_side >= message.count:
-            return
-        cells_per_side = min(2 * cells_per_side, message.count)
+def _grid_sizes(final_size):
+    """Yield the numbers of cells per side of a grid, each up to twice the previous one."""
+    grid_size = FIRST_GRID_SIZE
+    while grid_size < final_size:
+        yield grid_size
+        grid_size *= 2
+    yield final_size
 
 
 def _extend_bounds_to_scene(bounds, scene):

@@ -8,14 +8,13 @@ from typing import Any
 import xarray as xr
 
 from ..branches.branch import Branch
-from ..branches.diagram import Diagram
 from ..loci.locus import Locus
 from ..orbits.orbit import Orbit
 from ..output.checksums import netcdf_bytes
 from ..scene.check import ArgumentError
 from . import panels
 from .page_screen import DRAW_FUNCTIONS, Screen, draw_arguments
-from .page_state import PageState
+from .page_state import PageState, result_members
 
 PICTURE_FORMATS = ("png", "svg", "pdf")
 
@@ -49,18 +48,12 @@ def data_archive(page: PageState, results: Mapping[str, Any]) -> bytes:
 
 
 def result_data_files(result_name: str, result: Any) -> Iterator[tuple[str, bytes]]:
-    """Yield (file name, content) of the data of a result."""
-    if isinstance(result, Branch | Locus):
-        yield f"{result_name}.nc", result.content
-    elif isinstance(result, xr.Dataset):
-        yield f"{result_name}.nc", netcdf_bytes(result)
-    elif isinstance(result, Orbit):
-        yield f"{result_name}.nc", netcdf_bytes(panels.trajectory_of_motion(result))
-    elif isinstance(result, Diagram):
-        for index, member_result in enumerate(result.branches):
-            yield from result_data_files(f"{result_name}.branches_{index}", member_result)
-    elif isinstance(result, tuple):
-        for index, member_result in enumerate(result):
-            yield from result_data_files(f"{result_name}_{index}", member_result)
-    if hasattr(result, "table"):
-        yield f"{result_name}.txt", f"{result.table()}\n".encode()
+    """Yield (file name, content) of the data of a result and its members."""
+    for reference, member in result_members(result_name, result):
+        file_stem = reference.replace("[", "_").replace("]", "")
+        if isinstance(member, Branch | Locus):
+            yield f"{file_stem}.nc", member.content
+        elif isinstance(member, xr.Dataset | Orbit):
+            yield f"{file_stem}.nc", netcdf_bytes(panels.trajectory_of_motion(member))
+        if hasattr(member, "table"):
+            yield f"{file_stem}.txt", f"{member.table()}\n".encode()

@@ -29,7 +29,8 @@ class Message(Struct, tag_field="do", forbid_unknown_fields=True, kw_only=True):
     @property
     def replacement_key(self) -> tuple[Any, ...] | None:
         """Key of messages that replace each other; of consecutive messages with equal keys only the last is applied."""
-        return None
+        field_names = REPLACEMENT_FIELDS.get(type(self))
+        return None if field_names is None else (type(self), *(getattr(self, name) for name in field_names))
 
 
 class Hello(Message, tag="hello"):
@@ -64,10 +65,6 @@ class ResizePanel(Message, tag="size"):
     height: float
     ratio: float = 1.0
 
-    @property
-    def replacement_key(self) -> tuple[Any, ...]:
-        return "size", self.panel
-
 
 class ZoomPanel(Message, tag="zoom"):
     """New limits of the axes of a panel; None restores the full range."""
@@ -75,10 +72,6 @@ class ZoomPanel(Message, tag="zoom"):
     panel: PanelName
     x: Interval | None = None
     y: Interval | None = None
-
-    @property
-    def replacement_key(self) -> tuple[Any, ...]:
-        return "zoom", self.panel
 
 
 class Click(Message, tag="pick"):
@@ -88,20 +81,12 @@ class Click(Message, tag="pick"):
     x: float
     y: float
 
-    @property
-    def replacement_key(self) -> tuple[Any, ...]:
-        return "pick", self.panel
-
 
 class SetStart(Message, tag="start"):
     """New initial state: position and velocity at phase 0."""
 
     x: float
     v: float
-
-    @property
-    def replacement_key(self) -> tuple[Any, ...]:
-        return ("start",)
 
 
 class SetParameter(Message, tag="set"):
@@ -120,10 +105,6 @@ class SetParameter(Message, tag="set"):
     name: ShortText
     value: float
     last: bool = True
-
-    @property
-    def replacement_key(self) -> tuple[Any, ...]:
-        return "set", self.name
 
 
 class Select(Message, tag="choose"):
@@ -196,6 +177,14 @@ PageMessage = (
     | Undo
     | LoadSceneFile
 )
+# Fields in which consecutive messages of a type agree if the last one replaces the others.
+REPLACEMENT_FIELDS: dict[type[Message], tuple[str, ...]] = {
+    ResizePanel: ("panel",),
+    ZoomPanel: ("panel",),
+    Click: ("panel",),
+    SetStart: (),
+    SetParameter: ("name",),
+}
 _message_decoder = msgspec.json.Decoder(PageMessage)
 
 

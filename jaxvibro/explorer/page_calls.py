@@ -5,7 +5,8 @@ as `branch_1.special[2]`. References are parsed here and never evaluated as Pyth
 """
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -29,7 +30,7 @@ from ..scene.scene_table import SceneTable
 from ..scene.state import State
 from ..studies.schema import ViewTable
 from ..surveys.map import map_parameters
-from .background_tasks import ProgressCallback
+from .background_tasks import ProgressCallback, progress_text
 from .scene_code import scales_code, scene_code
 
 SCENE_NAME = "scene_1"  # scene of the file
@@ -250,6 +251,22 @@ def evaluate_call_line(
     Raises ArgumentError for a line that no page can have written, and the errors of the call.
     """
     return build_call(call_line, results).run(report_progress)
+
+
+def evaluate_rounds(
+    line_rounds: Sequence[list[ViewTable]], results: dict[str, Any], report_progress: ProgressCallback
+) -> Iterator[list[ViewTable]]:
+    """Evaluate rounds of lines, add their results to `results`, and yield the lines of each completed round."""
+    for round_number, round_lines in enumerate(line_rounds, 1):
+        prefix = f"{round_number} of {len(line_rounds)}: " if len(line_rounds) > 1 else ""
+        report_in_round = partial(_report_with_prefix, report_progress, prefix)
+        for call_line in round_lines:
+            results[call_line.name] = evaluate_call_line(call_line, results, report_in_round)
+        yield round_lines
+
+
+def _report_with_prefix(report_progress, prefix, progress):
+    report_progress(prefix + progress_text(progress))
 
 
 def resolve_reference(reference: str, results: Mapping[str, Any]) -> Any:

@@ -35,8 +35,9 @@ def display_data_on_drag(
 def display_data_when_idle(page: PageState, results: Mapping[str, Any], scene_file: SceneFile | None) -> dict[str, Any]:
     """Return the fields that do not change while a slider moves, such as sliders, special points and Python code."""
     scene = results[SCENE_NAME]
+    slider_ranges = {name: page_state.slider_range(scene, name) for name in scene.names}
     return {
-        "sliders": [_slider_record(scene, name) for name in scene.names],
+        "sliders": [{"name": name, "low": low, "high": high} for name, (low, high) in slider_ranges.items()],
         "along": {name: getattr(page, name) for name in ("parameter", "bounds", "second", "second_bounds", "variable")},
         "variables": list(VARIABLES),
         "max_period": scene_file.explore.max_period if scene_file and scene_file.explore else 2,
@@ -45,11 +46,6 @@ def display_data_when_idle(page: PageState, results: Mapping[str, Any], scene_fi
         "python": program_text(page, results, scene_file),
         "file": "" if scene_file is None else scene_file_text(page, scene_file),
     }
-
-
-def _slider_record(scene, parameter):
-    lower, upper = page_state.slider_range(scene, parameter)
-    return {"name": parameter, "low": lower, "high": upper}
 
 
 def program_text(page: PageState, results: Mapping[str, Any], scene_file: SceneFile | None) -> str:

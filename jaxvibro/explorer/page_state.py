@@ -9,7 +9,7 @@ import xarray as xr
 
 from ..branches.branch import Branch
 from ..branches.diagram import Diagram
-from ..design.margin import Margin
+from ..design.margin_result import Margin
 from ..loci.locus import Locus
 from ..scene.scene import Scene
 from ..scene.scene_parameters import parameter_domain
@@ -161,12 +161,9 @@ def diagram_branches(page: PageState, results: Mapping[str, Any]) -> Iterator[tu
 
     The branches vary the parameter of the diagram and agree with the current scene in all other parameters.
     """
-    scene = results[page.scene]
-    for call_line in page.lines:
-        result = results[call_line.name]
-        for reference, branch in _curves_of_result(call_line.name, result, Branch):
-            if branch.name == page.parameter and is_same_scene(branch.scene, scene, page.parameter):
-                yield reference, branch
+    for reference, branch in _curves_on_scene(page, results, Branch, page.parameter):
+        if branch.name == page.parameter:
+            yield reference, branch
 
 
 def plane_loci(page: PageState, results: Mapping[str, Any]) -> Iterator[tuple[str, Locus]]:
@@ -174,22 +171,28 @@ def plane_loci(page: PageState, results: Mapping[str, Any]) -> Iterator[tuple[st
 
     The scenes of the loci agree with the current scene in all other parameters.
     """
-    scene, names = results[page.scene], (page.parameter, page.second)
+    names = (page.parameter, page.second)
+    for reference, locus in _curves_on_scene(page, results, Locus, *names):
+        if locus.names == names:
+            yield reference, locus
+
+
+def _curves_on_scene(page, results, curve_type, *except_names):
+    """Yield (reference, curve) of curves whose scenes agree with the current scene except in named parameters."""
     for call_line in page.lines:
-        for reference, locus in _curves_of_result(call_line.name, results[call_line.name], Locus):
-            if locus.names == names and is_same_scene(locus.scene, scene, *names):
-                yield reference, locus
+        for reference, curve in result_members(call_line.name, results[call_line.name]):
+            if isinstance(curve, curve_type) and is_same_scene(curve.scene, results[page.scene], *except_names):
+                yield reference, curve
 
 
-def _curves_of_result(result_name, result, curve_type):
-    if isinstance(result, curve_type):
-        yield result_name, result
-    elif isinstance(result, Diagram) and curve_type is Branch:
-        yield from ((f"{result_name}.branches[{index}]", curve) for index, curve in enumerate(result.branches))
-    elif isinstance(result, tuple):
-        yield from (
-            (f"{result_name}[{index}]", curve) for index, curve in enumerate(result) if isinstance(curve, curve_type)
-        )
+def result_members(result_name: str, result: Any) -> Iterator[tuple[str, Any]]:
+    """Yield (reference, value) of the members of a tuple, or of the branches of a diagram and of the result itself."""
+    if isinstance(result, tuple):
+        yield from ((f"{result_name}[{index}]", member) for index, member in enumerate(result))
+        return
+    if isinstance(result, Diagram):
+        yield from result_members(f"{result_name}.branches", result.branches)
+    yield result_name, result
 
 
 def latest_result(page: PageState, results: Mapping[str, Any], call_name: str, *except_names: str) -> Any:
@@ -197,32 +200,29 @@ def latest_result(page: PageState, results: Mapping[str, Any], call_name: str, *
 
     The scene of the call may differ from the current scene in the parameters `except_names`.
     """
-    scene = results[page.scene]
-    for call_line in reversed(page.lines):
-        if call_line.call == call_name and is_same_scene(
-            _scene_of_called_object(results[call_line.of]), scene, *except_names
-        ):
-            return results[call_line.name]
-    return None
-
-
-def _scene_of_called_object(receiver):
-    return receiver if isinstance(receiver, Scene) else receiver.scene
+    return next((result for _, result in reversed(_results_of_call(page, results, call_name, *except_names))), None)
 
 
 def diagram_sweeps(page: PageState, results: Mapping[str, Any]) -> list[xr.Dataset]:
     """Return the sweeps in the parameter of the diagram whose scenes otherwise agree with the current scene."""
+    sweep_results = _results_of_call(page, results, "sweep", page.parameter)
+    return [result for arguments, result in sweep_results if arguments["parameter"] == page.parameter]
+
+
+def _results_of_call(page, results, call_name, *except_names):
+    """Return [(arguments, result)] of the lines of a call on a scene that agrees with the current scene."""
     scene = results[page.scene]
-    sweep_lines = [
-        call_line
-        for call_line in page.lines
-        if call_line.call == "sweep" and call_line.arguments["parameter"] == page.parameter
-    ]
+    call_lines = [call_line for call_line in page.lines if call_line.call == call_name]
     return [
-        results[call_line.name]
-        for call_line in sweep_lines
-        if is_same_scene(results[call_line.of], scene, page.parameter)
+        (call_line.arguments, results[call_line.name])
+        for call_line in call_lines
+        if is_same_scene(scene_of(results[call_line.of]), scene, *except_names)
     ]
+
+
+def scene_of(receiver: Any) -> Scene:
+    """Return the scene of the object of a call, which may be the scene itself."""
+    return receiver if isinstance(receiver, Scene) else receiver.scene
 
 
 def plane_map(page: PageState, results: Mapping[str, Any]) -> xr.Dataset | None:

@@ -16,7 +16,7 @@ from PIL import Image
 from .. import plot
 from ..attractors.find import Attractor
 from ..branches.branch import Branch
-from ..design.margin import Margin
+from ..design.margin_result import Margin
 from ..loci.locus import Locus
 from ..maps.simulate import simulate
 from ..orbits.orbit import Orbit

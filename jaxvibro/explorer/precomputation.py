@@ -8,7 +8,7 @@ import jax
 import numpy as np
 import scipy
 
-from continuation.persistent_jit import compile_numpy_functions
+from continuation.hostcall import CompilationQueue
 
 from ..maps.simulate import simulate
 from ..maps.strobe import strobe
@@ -51,6 +51,13 @@ class PrecomputationThread(threading.Thread):
 
     def run(self) -> None:
         """Run the thread."""
+        with CompilationQueue() as compilation_queue:
+            self._compute_first_results()
+            while not self._stop_event.wait(POLL_INTERVAL):
+                if self._is_idle():
+                    compilation_queue.compile_next()
+
+    def _compute_first_results(self):
         with jax.enable_x64(bool(self._scene.dtype == np.float64)):
             try:
                 orbit = find_orbit(self._scene, State(0.0, 0.0))
@@ -64,9 +71,6 @@ class PrecomputationThread(threading.Thread):
                 strobe(self._scene, State(0.0, 0.0), SETTLE_PERIODS, 0)
         for module_name in SCIPY_MODULES:
             getattr(scipy, module_name)
-        while not self._stop_event.wait(POLL_INTERVAL):
-            if self._is_idle():
-                next(compile_numpy_functions(), None)
 
     def stop(self) -> None:
         """End the thread after the current compilation."""

@@ -1,6 +1,15 @@
 """Write a scene as the Python code that makes it."""
 
-from ..scene.scene_table import SceneTable
+from ..scene.scene_table import ForceTable, MotionTable, ScalesTable, SceneTable, WallLawTable, WallTable
+
+# (name of the constructor, number of positional arguments) of each table below that of the scene.
+CONSTRUCTORS = {
+    WallTable: ("Wall", 1),
+    MotionTable: ("Motion", 3),
+    WallLawTable: ("Push", 2),
+    ForceTable: ("Force", 2),
+    ScalesTable: ("Scales", 3),
+}
 
 
 def scene_code(scene_table: SceneTable) -> str:
@@ -8,38 +17,25 @@ def scene_code(scene_table: SceneTable) -> str:
     scalar_values = {name: getattr(scene_table, name) for name in ("amplitude", "frequency", "damping", "restitution")}
     arguments = [f"{name}={value!r}" for name, value in scalar_values.items() if value is not None]
     if scene_table.left is not None or scene_table.right is not None:
-        arguments.append(f"walls=({_wall_code(scene_table.left)}, {_wall_code(scene_table.right)})")
-    if scene_table.force is not None:
-        force_table = scene_table.force
-        force_options = f"tolerance={force_table.tolerance!r}, solver={force_table.solver!r}"
-        arguments.append(f"force=jv.Force({force_table.name!r}, {force_table.numbers!r}, {force_options})")
-    if scene_table.drive:
-        arguments.append(f"drive=[{', '.join(map(_motion_code, scene_table.drive))}]")
+        arguments.append(f"walls=({_value_code(scene_table.left)}, {_value_code(scene_table.right)})")
+    optional_values = {"force": scene_table.force, "drive": scene_table.drive}
+    arguments += [f"{name}={_value_code(value)}" for name, value in optional_values.items() if value]
     return f"jv.make_scene({', '.join(arguments)})"
 
 
 def scales_code(scene_table: SceneTable) -> str | None:
     """Return the expression that makes the `Scales` of a table; None if the table has no scales."""
-    scales_table = scene_table.scales
-    return (
-        None
-        if scales_table is None
-        else f"jv.Scales({scales_table.mass!r}, {scales_table.stiffness!r}, {scales_table.length!r})"
-    )
+    return None if scene_table.scales is None else _value_code(scene_table.scales)
 
 
-def _wall_code(wall_table):
-    if wall_table is None:
-        return "None"
-    arguments = [repr(wall_table.position)]
-    scalar_values = {name: getattr(wall_table, name) for name in ("restitution", "stiffness", "damping")}
-    arguments += [f"{name}={value!r}" for name, value in scalar_values.items() if value is not None]
-    if wall_table.motion is not None:
-        arguments.append(f"motion={_motion_code(wall_table.motion)}")
-    if wall_table.law is not None:
-        arguments.append(f"law=jv.Push({wall_table.law.name!r}, {wall_table.law.numbers!r})")
-    return f"jv.Wall({', '.join(arguments)})"
-
-
-def _motion_code(motion_table):
-    return f"jv.Motion({motion_table.amplitude!r}, {motion_table.phase!r}, {motion_table.harmonic!r})"
+def _value_code(value):
+    """Return the expression of a table, a list of tables, a number or a text; omit the arguments that are None."""
+    if isinstance(value, list):
+        return f"[{', '.join(map(_value_code, value))}]"
+    if type(value) not in CONSTRUCTORS:
+        return repr(value)
+    constructor_name, n_positional = CONSTRUCTORS[type(value)]
+    argument_codes = [(name, _value_code(getattr(value, name))) for name in value.__struct_fields__]
+    positional_codes = [code for _, code in argument_codes[:n_positional]]
+    keyword_codes = [f"{name}={code}" for name, code in argument_codes[n_positional:] if code != "None"]
+    return f"jv.{constructor_name}({', '.join([*positional_codes, *keyword_codes])})"

@@ -166,20 +166,19 @@ class ExplorerServer:
     def allows_request(self, request: Any) -> bool:
         """Return True if a request has the token and names this machine as its host."""
         request_token = request.query_arguments.get("token", [b""])[-1]
-        return hmac.compare_digest(request_token, self.token.encode()) and is_loopback(host_of_url(f"//{request.host}"))
+        request_host = host_of_url(f"//{request.host}") or ""
+        return hmac.compare_digest(request_token, self.token.encode()) and is_loopback(request_host)
 
 
-def host_of_url(url: str) -> str:
-    """Return the host name in an external URL, without the port; "" if there is none."""
-    return (urlsplit(url).hostname or "") if is_valid_url(url) else ""
+def host_of_url(url: str) -> str | None:
+    """Return the host name in an external URL, without the port; "" if there is none, and None for an invalid URL.
 
-
-def is_valid_url(url_text: str) -> bool:
-    """Return True if `urlsplit` can parse an external text; it raises ValueError for texts such as "http://["."""
+    `urlsplit` raises ValueError for texts such as "http://[".
+    """
     try:
-        return bool(urlsplit(url_text))
+        return urlsplit(url).hostname or ""
     except ValueError:
-        return False
+        return None
 
 
 def _bind_sockets(address, port):
@@ -292,9 +291,8 @@ class PageSocket(websocket.WebSocketHandler):
 
     def prepare(self) -> None:
         origins = (self.request.headers.get(name, "") for name in ("Origin", "Sec-Websocket-Origin"))
-        if not (
-            self.explorer.allows_request(self.request) and all(map(is_valid_url, origins))
-        ):  # tornado parses them as URLs
+        are_valid = all(host_of_url(origin) is not None for origin in origins)  # tornado parses them as URLs
+        if not (self.explorer.allows_request(self.request) and are_valid):
             raise web.HTTPError(403)
         if len(self.explorer.page_sockets) >= MAX_PAGES:
             raise web.HTTPError(503)

@@ -1,14 +1,14 @@
 """Hold the state of one page and apply its messages, independently of the server."""
 
-from collections.abc import Callable, Sequence
-from functools import singledispatchmethod
+from collections.abc import Callable
+from functools import partial, singledispatchmethod
 from typing import Any
 
 import numpy as np
 
 from ..branches.branch_curves import VARIABLES
 from ..flight.wall_positions import adapt_to_moved_walls
-from ..orbits.orbit import Orbit, OrbitError
+from ..orbits.orbit import Orbit
 from ..scene import check
 from ..scene.check import ArgumentError
 from ..scene.scene import Scene
@@ -20,7 +20,7 @@ from . import action_calls, messages, page_descriptions, page_screen, page_state
 from .background_tasks import BackgroundTasks, Schedule, progress_text
 from .error_records import error_record
 from .nearest_point import nearest_point
-from .page_calls import SCENE_NAME, evaluate_call_line, resolve_reference
+from .page_calls import SCENE_NAME, evaluate_call_line, evaluate_rounds, resolve_reference
 from .page_display_data import display_data_on_drag, display_data_when_idle
 from .page_state import PageState
 from .panels import AxisLimits, Panel, PanelSize
@@ -175,17 +175,7 @@ class Session:
 
     @_handle.register
     def _(self, message: messages.MoveOnBranch) -> None:
-        branches = dict(page_state.diagram_branches(self.page, self.results))
-        if not branches:
-            raise ArgumentError("move", "requires a branch in the diagram. Follow an orbit first", message.by)
-        names, reference = list(branches), self.page.chosen.partition(".special")[0]
-        row = self.page.place
-        if reference in branches and row is None:
-            row = resolve_reference(self.page.chosen, self.results).place
-        name, row = (reference, row) if reference in branches and row is not None else (names[0], 0)
-        if message.branch:
-            name, row = names[(names.index(name) + message.branch) % len(names)], 0
-        self._select(name, max(0, min(len(branches[name]) - 1, row + message.by)))
+        self._select(*action_calls.moved_selection(message, self.page, self.results))
 
     @_handle.register
     def _(self, message: messages.SetAxes) -> None:
@@ -311,27 +301,10 @@ class Session:
             self._show_page(page)
 
     def _set_initial_state(self, x: float, v: float) -> None:
-        motion_line = self._settle_motion(self.page.scene, State(x, v), self._new_scene_motion_names(), None)
-        self._show_page(self.page.with_call_lines(motion_line, current=motion_line.name, chosen="", place=None))
-
-    def _settle_motion(
-        self, scene_name: str, state: State, result_names: Sequence[str], periods: int | None
-    ) -> ViewTable:
-        """Return the line of the orbit or motion that a state approaches, and store its result."""
-        x, v, phase = (float(np.asarray(coordinate)) for coordinate in (state.x, state.v, state.phase))
-        start_arguments = {"x": x, "v": v} | ({"phase": phase} if phase else {})
-        motion_line = ViewTable(
-            name=result_names[1], call="moved" if periods else "find_orbit", of=scene_name, arguments=start_arguments
+        motion_line = action_calls.settle_motion(
+            self.page.scene, State(x, v), self._new_scene_motion_names(), None, self.results
         )
-        try:
-            self.results[motion_line.name] = evaluate_call_line(motion_line, self.results)
-        except OrbitError:
-            duration_arguments = {"periods": periods or action_calls.MOTION_PERIODS}
-            motion_line = ViewTable(
-                name=result_names[2], call="motion", of=scene_name, arguments=start_arguments | duration_arguments
-            )
-            self.results[motion_line.name] = evaluate_call_line(motion_line, self.results)
-        return motion_line
+        self._show_page(self.page.with_call_lines(motion_line, current=motion_line.name, chosen="", place=None))
 
     def _set_parameters(self, changes: dict[str, float]) -> None:
         self._show_page(self._change_parameters(changes, self.page, self._new_scene_motion_names(), None))
@@ -342,12 +315,9 @@ class Session:
         """Return the page with changed parameters; the motion continues from its last state."""
         scene, scene_line = action_calls.changed_scene_and_line(page, self.results, changes, result_names[0])
         self.results[scene_line.name] = scene
-        motion_line = self._settle_motion(
-            scene_line.name,
-            adapt_to_moved_walls(scene, action_calls.current_motion_state(self.results.get(page.current))),
-            result_names,
-            periods,
-        )
+        motion_state = action_calls.current_motion_state(self.results.get(page.current))
+        initial_state = adapt_to_moved_walls(scene, motion_state)
+        motion_line = action_calls.settle_motion(scene_line.name, initial_state, result_names, periods, self.results)
         return page.with_call_lines(
             scene_line, motion_line, scene=scene_line.name, current=motion_line.name, chosen="", place=None
         )
@@ -371,24 +341,14 @@ class Session:
         """Evaluate rounds of lines in a task and show each round in place of the previous one."""
         page_at_start, results = self.page, dict(self.results)
 
-        def evaluate_rounds(report, schedule):
+        def show_rounds(report, schedule):
             previous_lines: list[ViewTable] = []
-            for round_number, round_lines in enumerate(line_rounds, 1):
-                progress_prefix = f"{round_number} of {len(line_rounds)}: " if len(line_rounds) > 1 else ""
-                for call_line in round_lines:
-                    results[call_line.name] = evaluate_call_line(
-                        call_line,
-                        results,
-                        lambda progress, prefix=progress_prefix: report(prefix + progress_text(progress)),
-                    )
-                schedule(
-                    lambda outcome=(round_lines, previous_lines, page_at_start, dict(results)): self._show_task_results(
-                        *outcome
-                    )
-                )
+            for round_lines in evaluate_rounds(line_rounds, results, report):
+                task_results = round_lines, previous_lines, page_at_start, dict(results)
+                schedule(partial(self._show_task_results, *task_results))
                 previous_lines = round_lines
 
-        self.tasks.start(label, evaluate_rounds, lambda value, error: self._finish_action(error))
+        self.tasks.start(label, show_rounds, lambda value, error: self._finish_action(error))
 
     def _show_task_results(
         self,

@@ -103,8 +103,8 @@ def view(
     'http://127.0.0.1:'
     >>> page.stop()
     """
-    if port is not None and check.check_whole_number("port", port, 0) > LAST_PORT:
-        raise check.ArgumentError("port", f"must be at most {LAST_PORT}", port)
+    if port is not None:
+        check.check_whole_number("port", port, 0, LAST_PORT)
     if isinstance(scene, Scene):
         check.require_single_scene(scene)
         file_tables = SceneFile(scene=make_scene_table(scene)) if scene_toml_or_empty(scene) else None

@@ -74,10 +74,6 @@ def restore_page(initial_page: PageState, call_lines: Sequence[ViewTable], resul
             page_fields["second_bounds"] = (
                 tuple(plane_bounds[second_parameter])
                 if second_parameter in plane_bounds
-                else _initial_bounds(initial_page, second_parameter)
+                else initial_page.plane_bounds[second_parameter]
             )
     return initial_page.with_call_lines(*call_lines, **page_fields)
-
-
-def _initial_bounds(initial_page, parameter):
-    return initial_page.second_bounds if parameter == initial_page.second else initial_page.bounds

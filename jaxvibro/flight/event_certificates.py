@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Float
 
-from ..compiled.lane_arithmetic import choose, maximum, minimum, negative_part, positive_part
+from ..compiled.lane_arithmetic import call_without_inlining, choose, maximum, minimum, negative_part, positive_part
 
 N_TERMS = 7  # terms of the polynomial
 HORIZON_FACTOR = 0.99  # fraction of the horizon at which a quadratic still turns back despite rounding
@@ -110,13 +110,15 @@ def make_event_polynomial(taylor_terms, remainder_bound, is_leaving):
     return EventPolynomial((negative_part(polynomial_terms[0]), *polynomial_terms[1:]), remainder_bound)
 
 
-def cubic_coefficient_bound(event_polynomial):
-    """Return K >= 0 with G <= g0 + g1 t + g2 t^2 + K t^3 for 0 <= t <= 1; gk are the terms of the polynomial of G."""
-    terms = event_polynomial.terms
-    return positive_part(
-        terms[3]
-        + positive_part(terms[4] + positive_part(terms[5] + positive_part(terms[6] + event_polynomial.remainder_bound)))
-    )
+def cubic_coefficient_bound(event_polynomial, sign=1.0):
+    """Return K >= 0 with s G <= s (g0 + g1 t + g2 t^2) + K t^3 for 0 <= t <= 1.
+
+    s is `sign`, 1 or -1, and gk are the terms of the polynomial of G.
+    """
+    cubic_bound = event_polynomial.remainder_bound
+    for term in event_polynomial.terms[:2:-1]:
+        cubic_bound = positive_part(sign * term + cubic_bound)
+    return cubic_bound
 
 
 def make_upper_cubic(event_polynomial, cubic_coefficient):
@@ -125,26 +127,26 @@ def make_upper_cubic(event_polynomial, cubic_coefficient):
     return UpperCubic(-terms[0], terms[1], terms[2], cubic_coefficient)
 
 
-def safe_step(upper_cubic):
-    """Return a step without contact, computed with a single division.
+def safe_step_ratio(upper_cubic, max_time):
+    """Return numerator and denominator of the length of a step without contact, which is at most `max_time`.
 
-    The step follows from the quadratic bound on G that t^3 <= t^2 yields, and from t^2 <= t.
+    The step follows from the quadratic bound on G that t^3 <= `max_time` t^2 yields, and from t^2 <= `max_time` t.
     """
-    clearance, approach_slope, total_curvature = (
-        upper_cubic.clearance,
-        upper_cubic.slope,
-        upper_cubic.curvature + upper_cubic.cubic,
+    clearance, approach_slope = upper_cubic.clearance, upper_cubic.slope
+    max_curvature = upper_cubic.curvature + upper_cubic.cubic * max_time
+    positive_curvature, is_approaching = positive_part(max_curvature), approach_slope >= 0
+    stays_clear = (clearance >= max_time * (approach_slope + positive_curvature * max_time)) | (
+        (max_curvature < 0) & (approach_slope * approach_slope <= -4.0 * max_curvature * clearance)
     )
-    max_curvature = positive_part(total_curvature)
-    max_slope = approach_slope + max_curvature
-    is_approaching = approach_slope >= 0
-    stays_clear = (clearance >= max_slope) | (
-        (total_curvature < 0) & (approach_slope * approach_slope <= -4.0 * total_curvature * clearance)
-    )
-    safe_time = choose(is_approaching, clearance, maximum(clearance, -approach_slope)) / choose(
-        is_approaching, max_slope, max_curvature
-    )
-    return choose(stays_clear, 1.0, minimum(safe_time, 1.0))
+    numerator = choose(is_approaching, clearance, maximum(clearance, -approach_slope * max_time))
+    denominator = choose(is_approaching, approach_slope, 0.0) + positive_curvature * max_time
+    return choose(stays_clear, max_time, numerator), choose(stays_clear, 1.0, denominator)
+
+
+def safe_step(upper_cubic):
+    """Return a step without contact, computed with a single division."""
+    numerator, denominator = safe_step_ratio(upper_cubic, 1.0)
+    return minimum(numerator / denominator, 1.0)
 
 
 def safe_step_by_root(upper_cubic):
@@ -160,13 +162,19 @@ def safe_step_by_root(upper_cubic):
 def first_quadratic_root(clearance, approach_slope, approach_curvature):
     """Return the first positive root of `approach_slope` t + `approach_curvature` t^2 = `clearance` without
     cancellation, or -1 if there is no positive root."""
+    has_root, root = quadratic_root(clearance, approach_slope, approach_curvature)
+    return choose(has_root, root, -1.0)
+
+
+def quadratic_root(clearance, approach_slope, approach_curvature):
+    """Return (mask of the lanes with a `first_quadratic_root`, the root; elsewhere a time near the extremum)."""
     is_approaching = approach_slope > 0
     discriminant = approach_slope * approach_slope + 4.0 * approach_curvature * clearance
     slope_plus_root = lax.abs(approach_slope) + lax.sqrt(positive_part(discriminant))
     first_root = choose(is_approaching, 2.0 * clearance, slope_plus_root) / choose(
         is_approaching, slope_plus_root, 2.0 * approach_curvature
     )
-    return choose((discriminant >= 0) & (is_approaching | (approach_curvature > 0)), first_root, -1.0)
+    return (discriminant >= 0) & (is_approaching | (approach_curvature > 0)), first_root
 
 
 def certificate_horizon(upper_cubic, root_guess):
@@ -236,23 +244,70 @@ def slope_lower_bound(event_polynomial, max_time):
     return slope_bound * max_time + terms[1]
 
 
-def root_error_bound(event_polynomial, root_guess, root):
-    """Return a bound on the error of a root, or -1 if the root is not certainly the first contact.
+def certify_root(event_polynomial, root_guess, root, time_beyond=0.0):
+    """Certify that a root is the first contact.
 
-    The root is certain if `ROOT_MARGIN` times the root is at most 1 and, up to this time, the slope of G is more than a
-    fifth of its initial value. Then no earlier root exists. The bound on the distance to the true root is the sum of
-    the remainder and of the residual of the polynomial, less its rounding error, divided by the bound on the slope.
+    Parameters
+    ----------
+    event_polynomial : EventPolynomial
+        Polynomial of G.
+    root_guess : array
+        Guess of the root. Negative without a root.
+    root : array
+        Root of the polynomial.
+    time_beyond : float, optional
+        Time after the root, beyond its margin, up to which no other root may occur.
+
+    Returns
+    -------
+    is_certain : array of bool
+        True if up to `ROOT_MARGIN` times the root and `time_beyond`, at most 1, the slope of G is more than a fifth of
+        its initial value. Then no earlier root exists.
+    residual_bound : array
+        Bound on G at the root: the sum of the remainder and of the residual of the polynomial, less its rounding error.
+    slope_bound : array
+        Lower bound on the slope of G. The distance to the true root is at most `residual_bound` / `slope_bound`.
     """
     terms, remainder_bound = event_polynomial.terms, event_polynomial.remainder_bound
-    margin_end_time = root * ROOT_MARGIN
+    margin_end_time = root * ROOT_MARGIN + time_beyond
     slope_bound = slope_lower_bound(event_polynomial, margin_end_time)
     root_cubed, (residual, _) = root * root * root, horner_with_slope(terms, root)
     residual_rounding = ROUNDING_FACTOR * unit_roundoff(remainder_bound.dtype) * (terms[1] * root - terms[0])
-    root_error = (
-        remainder_bound * (root_cubed * root_cubed) + positive_part(lax.abs(residual) - residual_rounding)
-    ) / lax.abs(slope_bound)
-    return choose(
-        (root_guess >= 0) & (terms[1] > 0) & (margin_end_time <= 1.0) & (slope_bound > 0.2 * terms[1]) & (root >= 0),
-        root_error,
-        -1.0,
+    residual_bound = remainder_bound * (root_cubed * root_cubed) + positive_part(lax.abs(residual) - residual_rounding)
+    is_certain = (
+        (root_guess >= 0) & (terms[1] > 0) & (margin_end_time <= 1.0) & (slope_bound > 0.2 * terms[1]) & (root >= 0)
     )
+    return is_certain, residual_bound, slope_bound
+
+
+def root_error_bound(event_polynomial, root_guess, root):
+    """Return a bound on the error of a root, or -1 if the root is not certainly the first contact."""
+    is_certain, residual_bound, slope_bound = certify_root(event_polynomial, root_guess, root)
+    return choose(is_certain, residual_bound / lax.abs(slope_bound), -1.0)
+
+
+def certify_event(event_polynomial):
+    """Certify the next event; each stage is a call that is not inlined.
+
+    Parameters
+    ----------
+    event_polynomial : EventPolynomial
+        Polynomial of G.
+
+    Returns
+    -------
+    safe_time : array
+        Length of a step without contact.
+    root : array
+        Time of the contact, arbitrary if there is none.
+    root_error : array
+        Result of `root_error_bound`.
+    """
+    upper_cubic = make_upper_cubic(event_polynomial, call_without_inlining(cubic_coefficient_bound, event_polynomial))
+    root_guess = call_without_inlining(first_quadratic_root, *upper_cubic[:3])
+    horizon = call_without_inlining(certificate_horizon, upper_cubic, root_guess)
+    min_time = call_without_inlining(safe_step, upper_cubic)
+    safe_time = call_without_inlining(safe_step_to_horizon, upper_cubic, horizon, min_time)
+    root = call_without_inlining(halley_root_step, event_polynomial, root_guess)
+    root = call_without_inlining(newton_root_step, event_polynomial, root)
+    return safe_time, root, call_without_inlining(root_error_bound, event_polynomial, root_guess, root)

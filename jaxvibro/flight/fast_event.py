@@ -7,9 +7,15 @@ units of the longest step.
 
 from jax import lax
 
-from ..compiled.lane_arithmetic import call_without_inlining, choose, maximum, minimum, positive_part
+from ..compiled.lane_arithmetic import call_without_inlining, choose, minimum, positive_part
 from . import event_certificates
-from .event_certificates import N_TERMS, EventPolynomial
+from .event_certificates import (
+    N_TERMS,
+    EventPolynomial,
+    UpperCubic,
+    cubic_coefficient_bound,
+    safe_step_ratio,
+)
 from .fast_coefficients import GIVEN_UP
 from .further_drive_terms import harmonic_phasor
 from .wall_motion import select_by_side, subtract_optional
@@ -35,24 +41,19 @@ def certify_next_event(coeffs, lane_states, drive_forces):
     )
     other_wall_num_denom = None
     if len(coeffs.walls) == 2:
-        if coeffs.has_fixed_walls:
-            other_wall_num_denom = call_without_inlining(
-                _fixed_wall_num_denom,
-                coeffs,
-                event_polynomial,
-                call_without_inlining(_cubic_coefficient_bound, event_polynomial, polynomial_sign=-1.0),
-                lane_states.largest_length,
-            )
-        else:
-            other_wall_polynomial = _wall_event_polynomial(
+        other_polynomial, sign, wall_gap = event_polynomial, -1.0, coeffs.wall_gap
+        if not coeffs.has_fixed_walls:
+            sign, wall_gap = 1.0, None
+            other_polynomial = _wall_event_polynomial(
                 coeffs, lane_states, drive_forces, wall_phasors, -target_side, remainder_bound
             )
-            other_wall_num_denom = call_without_inlining(
-                _moving_wall_num_denom,
-                other_wall_polynomial,
-                call_without_inlining(_cubic_coefficient_bound, other_wall_polynomial, polynomial_sign=1.0),
-                lane_states.largest_length,
-            )
+        other_wall_num_denom = call_without_inlining(
+            _other_wall_num_denom,
+            other_polynomial,
+            call_without_inlining(cubic_coefficient_bound, other_polynomial, sign=sign),
+            lane_states.largest_length,
+            wall_gap,
+        )
     root_guess = call_without_inlining(_root_guess, event_polynomial)
     root = call_without_inlining(_refine_root, event_polynomial, root_guess)
     root_certainty = call_without_inlining(_root_certainty_level, event_polynomial, root_guess, root)
@@ -61,7 +62,7 @@ def certify_next_event(coeffs, lane_states, drive_forces):
         _safe_time,
         lane_states,
         event_polynomial,
-        call_without_inlining(_cubic_coefficient_bound, event_polynomial, polynomial_sign=1.0),
+        call_without_inlining(cubic_coefficient_bound, event_polynomial),
         lane_states.largest_length,
         root_guess,
         root,
@@ -163,66 +164,25 @@ def _target_side(coeffs, lane_states, drive_forces, wall_phasors):
     return choose(reaches_right_first, lax.full_like(left_clearance, 1.0), -1.0)
 
 
-def _cubic_coefficient_bound(event_polynomial, polynomial_sign):
-    """Return K >= 0 with s G <= s (g0 + g1 t + g2 t^2) + K t^3 for 0 <= t <= 1.
+def _other_wall_num_denom(event_polynomial, cubic_coefficient, largest_length, wall_gap):
+    """Return the `event_certificates.safe_step_ratio` for the wall that is not the target.
 
-    s is `polynomial_sign`, and gk are the terms of the `event_certificates.EventPolynomial` of G.
+    Between fixed walls `wall_gap` is their distance, and the polynomial is that towards the target. Otherwise
+    `wall_gap` is None, and the polynomial is that towards the other wall.
     """
-    cubic_bound = event_polynomial.remainder_bound
-    for term in event_polynomial.terms[:2:-1]:
-        cubic_bound = positive_part(polynomial_sign * term + cubic_bound)
-    return cubic_bound
-
-
-def _safe_step_num_denom(clearance, approach_slope, approach_curvature, cubic_coefficient, max_time):
-    """Return numerator and denominator of the length of a step without contact, which is at most `max_time`.
-
-    The step follows from G <= -`clearance` + `approach_slope` t + `approach_curvature` t^2 + `cubic_coefficient` t^3.
-    """
-    max_curvature = approach_curvature + cubic_coefficient * max_time
-    positive_curvature, is_approaching = positive_part(max_curvature), approach_slope >= 0
-    stays_clear = (clearance >= max_time * (approach_slope + positive_curvature * max_time)) | (
-        (max_curvature < 0) & (approach_slope * approach_slope <= -4.0 * max_curvature * clearance)
-    )
-    numerator = choose(is_approaching, clearance, maximum(clearance, -approach_slope * max_time))
-    denominator = choose(is_approaching, approach_slope, 0.0) + positive_curvature * max_time
-    return choose(stays_clear, max_time, numerator), choose(stays_clear, 1.0, denominator)
-
-
-def _moving_wall_num_denom(event_polynomial, cubic_coefficient, largest_length):
-    """Return the `_safe_step_num_denom` for a moving wall that is not the target, from its own polynomial."""
     terms = event_polynomial.terms
-    return _safe_step_num_denom(
-        positive_part(-terms[0] - DOUBT_MARGIN * largest_length),
-        terms[1],
-        terms[2],
-        cubic_coefficient,
-        lax.full_like(cubic_coefficient, 1.0),
-    )
-
-
-def _fixed_wall_num_denom(coeffs, event_polynomial, cubic_coefficient, largest_length):
-    """Return the `_safe_step_num_denom` for the other of two fixed walls, from the polynomial towards the target
-    wall."""
-    terms = event_polynomial.terms
-    return _safe_step_num_denom(
-        positive_part(coeffs.wall_gap + terms[0] - DOUBT_MARGIN * largest_length),
-        -terms[1],
-        -terms[2],
-        cubic_coefficient,
-        lax.full_like(cubic_coefficient, 1.0),
-    )
+    clearance, slope, curvature = -terms[0], terms[1], terms[2]
+    if wall_gap is not None:
+        clearance, slope, curvature = wall_gap + terms[0], -terms[1], -terms[2]
+    clearance = positive_part(clearance - DOUBT_MARGIN * largest_length)
+    return safe_step_ratio(UpperCubic(clearance, slope, curvature, cubic_coefficient), 1.0)
 
 
 def _root_guess(event_polynomial):
     """Return the first root of the first three terms, or minus a time near their extremum if there is no root."""
     terms = event_polynomial.terms
-    is_approaching, discriminant = terms[1] > 0, terms[1] * terms[1] - 4.0 * terms[2] * terms[0]
-    slope_plus_root = lax.abs(terms[1]) + lax.sqrt(positive_part(discriminant))
-    time = choose(is_approaching, -2.0 * terms[0], slope_plus_root) / choose(
-        is_approaching, slope_plus_root, 2.0 * terms[2]
-    )
-    return choose((discriminant >= 0) & (is_approaching | (terms[2] > 0)), time, -lax.abs(time))
+    has_root, time = event_certificates.quadratic_root(-terms[0], terms[1], terms[2])
+    return choose(has_root, time, -lax.abs(time))
 
 
 def _refine_root(event_polynomial, root_guess):
@@ -246,31 +206,21 @@ def _polynomial_derivs(terms, time):
 def _root_certainty_level(event_polynomial, root_guess, root):
     """Return 2 if a step may end at the root, 1 if the root is certain to within a sixteenth of its time, else 0.
 
-    The root is certain if, up to `BEYOND_EVENT` after `event_certificates.ROOT_MARGIN` times the root, the slope of G
-    is more than a fifth of its initial value. Then no earlier root exists. The bound on the distance to the true root
-    is the sum of the remainder and of the residual of the polynomial, less its rounding error, divided by the bound on
-    the slope.
+    See `event_certificates.certify_root`. No other root may occur up to `BEYOND_EVENT` after the margin of the root.
     """
-    terms, remainder_bound = event_polynomial.terms, event_polynomial.remainder_bound
-    margin_end_time = root * event_certificates.ROOT_MARGIN + BEYOND_EVENT
-    slope_bound = event_certificates.slope_lower_bound(event_polynomial, margin_end_time)
-    root_cubed, (residual, _) = root * root * root, event_certificates.horner_with_slope(terms, root)
-    residual_rounding = (
-        event_certificates.ROUNDING_FACTOR * event_certificates.unit_roundoff(root.dtype) * (terms[1] * root - terms[0])
-    )
-    root_error = remainder_bound * (root_cubed * root_cubed) + positive_part(lax.abs(residual) - residual_rounding)
-    is_certain = (
-        (root_guess >= 0) & (margin_end_time <= 1.0) & (terms[1] > 0) & (slope_bound > 0.2 * terms[1]) & (root >= 0)
+    terms = event_polynomial.terms
+    is_certain, residual_bound, slope_bound = event_certificates.certify_root(
+        event_polynomial, root_guess, root, BEYOND_EVENT
     )
     is_accurate = (
-        root_error * (lax.abs(terms[2]) + terms[1])
+        residual_bound * (lax.abs(terms[2]) + terms[1])
         < event_certificates.landing_time_tolerance(root.dtype) * terms[1] * slope_bound
     )
     ones = lax.full_like(root, 1.0)
     return choose(
         is_certain & is_accurate,
         2.0,
-        choose(is_certain & (root_error < (1.0 - JUMP_FRACTION) * slope_bound * root), ones, 0.0),
+        choose(is_certain & (residual_bound < (1.0 - JUMP_FRACTION) * slope_bound * root), ones, 0.0),
     )
 
 
@@ -295,13 +245,9 @@ def _safe_time(
     """Return the length of a step without contact, or GIVEN_UP if this length is too short."""
     terms = event_polynomial.terms
     horizon = 2.0 * lax.abs(root_guess)
-    numerator, denominator = _safe_step_num_denom(
-        positive_part(-terms[0] - DOUBT_MARGIN * largest_length),
-        terms[1],
-        terms[2],
-        cubic_coefficient,
-        choose(horizon < 1.0, horizon, 1.0),
-    )
+    clearance = positive_part(-terms[0] - DOUBT_MARGIN * largest_length)
+    upper_cubic = UpperCubic(clearance, terms[1], terms[2], cubic_coefficient)
+    numerator, denominator = safe_step_ratio(upper_cubic, choose(horizon < 1.0, horizon, 1.0))
     is_certain = root_certainty > 0.5
     numerator = choose(is_certain, choose(root_certainty > 1.5, root - LANDING_MARGIN, JUMP_FRACTION * root), numerator)
     denominator = choose(is_certain, 1.0, denominator)

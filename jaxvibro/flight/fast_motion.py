@@ -59,8 +59,7 @@ def impact_velocity(coeffs, x, v, phasor, delay):
 
 def rotate_drive_phasor(coeffs, phasor, delay):
     """Return the phasor of the drive after a delay."""
-    angle = coeffs.frequency * delay
-    return flow.rotate_phasor(*phasor, -0.5 * angle * angle, angle)
+    return flow.rotate_phasor_by_small_angle(*phasor, coeffs.frequency * delay)
 
 
 def wall_state(coeffs, cosine, sine, side):

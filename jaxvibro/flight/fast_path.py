@@ -13,7 +13,7 @@ from jax import lax
 
 from ..compiled.lane_arithmetic import call_without_inlining, choose, maximum, minimum, positive_part
 from ..scene.codes import Contact
-from . import fast_event, fast_motion, fast_tangent, fast_turning_points, flow, impact_log
+from . import fast_event, fast_motion, fast_tangent, fast_turning_points, flow, impact_log, recorded_turns
 from .fast_coefficients import GIVEN_UP, LaneStates
 from .fast_event import DOUBT_MARGIN
 from .wall_motion import subtract_optional, wall_jet
@@ -119,7 +119,7 @@ def run_lanes(coeffs, lanes, log, impact_slots, directions=(), tangents=(), with
             else impact_log.is_recent_log_full(carry[1])
         )
         if with_clearance:
-            must_pause |= fast_turning_points.needs_measurement(carry[4])
+            must_pause |= recorded_turns.needs_measurement(carry[4])
         return is_any_lane_running(carry) & ~jnp.any(must_pause)
 
     def run_until_pause(carry):
@@ -139,7 +139,7 @@ def run_lanes(coeffs, lanes, log, impact_slots, directions=(), tangents=(), with
     def is_any_lane_pending(carry):
         has_time_remaining = carry[0][0].time_remaining > 0
         return (
-            jnp.any(has_time_remaining | fast_turning_points.has_pending_turn(carry[0][4]))
+            jnp.any(has_time_remaining | recorded_turns.has_pending_turn(carry[0][4]))
             if with_clearance
             else jnp.any(has_time_remaining)
         )

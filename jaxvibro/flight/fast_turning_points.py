@@ -6,8 +6,8 @@ a quintic, which is written in Bernstein form and whose error is bounded. If the
 most once beyond the error, the speed also does. Otherwise the lane is in doubt and is given up. A step with a turning
 point is recorded. Its clearance is measured when the lane passes the next turning point.
 
-The signed span of a turning point is the length of its step times the sign of the wall. It is 0 without a turning
-point, and `DOUBTFUL` if the lane is in doubt.
+The code of a `recorded_turns.StepWithTurningPoint` is its signed span: the length of its step times the sign of the
+wall. It is 0 without a turning point, and `DOUBTFUL` if the lane is in doubt.
 """
 
 from typing import NamedTuple
@@ -18,17 +18,17 @@ from jax import lax
 from jaxtyping import Float
 
 from ..compiled.lane_arithmetic import (
-    bit_mask,
     call_without_inlining,
     choose,
     maximum,
-    merge_bits,
     minimum,
     positive_part,
 )
-from . import event_certificates, fast_event, fast_motion, flow
+from . import event_certificates, fast_event, fast_motion, flow, recorded_turns
 from .event_certificates import N_TERMS
 from .fast_coefficients import GIVEN_UP
+from .recorded_turns import ClosestApproaches
+from .turning_points import halley_correction
 from .wall_motion import select_lists_by_side, subtract_optional, wall_jet
 
 DOUBTFUL = 2.0  # span that marks a lane in doubt; all other spans are at most one longest step
@@ -37,53 +37,31 @@ SPEED_TOLERANCE = 2.0**-40  # in largest lengths of a lane per longest step; far
 QUINTIC_ERROR = 7.0 / 20.0  # error of the quintic's middle coefficient, as a multiple of the remainder
 
 
-class FastStepWithTurningPoint(NamedTuple):
-    """Step with a turning point.
+class StepStart(NamedTuple):
+    """Motion at the start of a step.
 
     Attributes
     ----------
     x : array
-        Position at the start of the step.
+        Position.
     v : array
-        Velocity at the start of the step.
+        Velocity.
     cosine : array
-        Cosine of the drive angle at the start of the step.
+        Cosine of the drive angle.
     sine : array
-        Sine of the drive angle at the start of the step.
-    signed_step_time : array
-        Length of the step times the sign of the wall, 0 without a turning point.
+        Sine of the drive angle.
     """
 
     x: Float[jax.Array, "*lanes"]
     v: Float[jax.Array, "*lanes"]
     cosine: Float[jax.Array, "*lanes"]
     sine: Float[jax.Array, "*lanes"]
-    signed_step_time: Float[jax.Array, "*lanes"]
-
-
-class FastClosestApproaches(NamedTuple):
-    """Smallest clearance and recorded turning points.
-
-    Attributes
-    ----------
-    least_clearance : array
-        Smallest clearance.
-    pending_turn : FastStepWithTurningPoint
-        Turning points to be measured.
-    latest_turn : FastStepWithTurningPoint
-        Turning points of the last step, in lanes that already have a pending turning point.
-    """
-
-    least_clearance: Float[jax.Array, "*lanes"]
-    pending_turn: FastStepWithTurningPoint
-    latest_turn: FastStepWithTurningPoint
 
 
 def empty_approaches(lanes_template):
-    """Return `FastClosestApproaches` without turning points, for lanes with the shape of a template."""
+    """Return `ClosestApproaches` without turning points, for lanes with the shape of a template."""
     zero = jnp.zeros_like(lanes_template)
-    empty_step = FastStepWithTurningPoint(*[zero] * 5)
-    return FastClosestApproaches(jnp.full_like(lanes_template, jnp.inf), empty_step, empty_step)
+    return recorded_turns.empty_approaches(zero, StepStart(*[zero] * 4))
 
 
 def reject_doubtful_starts(coeffs, lanes):
@@ -103,7 +81,7 @@ def _time_after_start_check(coeffs, lanes):
 
 
 def record_turning_point(
-    coeffs, lanes_before, lanes_after, impact_velocity, step_time, delay, hit_side, remainder_bound, closest_approaches
+    coeffs, lanes_before, lanes_after, impact_velocity, step_time, delay, hit_side, remainder_bound, approaches
 ):
     """Return (approaches, remaining time) after a step; the remaining time is GIVEN_UP for a lane in doubt.
 
@@ -120,44 +98,15 @@ def record_turning_point(
         hit_side,
         remainder_bound,
     )
-    new_turn_pending_mask, latest_signed_span = call_without_inlining(
-        _assign_turning_point, closest_approaches.pending_turn.signed_step_time, new_signed_span
-    )
-    start_state = lanes_before.x, lanes_before.v, lanes_before.cosine, lanes_before.sine
-    pending_turn = FastStepWithTurningPoint(
-        *(
-            merge_bits(new_turn_pending_mask, new_value, pending_value)
-            for new_value, pending_value in zip(
-                (*start_state, new_signed_span), closest_approaches.pending_turn, strict=True
-            )
-        )
-    )
-    return FastClosestApproaches(
-        closest_approaches.least_clearance, pending_turn, FastStepWithTurningPoint(*start_state, latest_signed_span)
-    ), call_without_inlining(_time_unless_doubtful, new_signed_span, lanes_after.time_remaining)
-
-
-def _assign_turning_point(pending_signed_span, new_signed_span):
-    """Return (bit mask of the lanes whose new turning point becomes pending, signed spans in the other lanes)."""
-    is_certain = lax.abs(new_signed_span) < DOUBTFUL
-    return bit_mask((pending_signed_span == 0) & (new_signed_span != 0) & is_certain, new_signed_span), choose(
-        (pending_signed_span != 0) & is_certain, new_signed_span, 0.0
+    start = StepStart(lanes_before.x, lanes_before.v, lanes_before.cosine, lanes_before.sine)
+    return recorded_turns.record_step(approaches, start, new_signed_span, DOUBTFUL), call_without_inlining(
+        _time_unless_doubtful, new_signed_span, lanes_after.time_remaining
     )
 
 
 def _time_unless_doubtful(new_signed_span, time_remaining):
     """Return the remaining time, GIVEN_UP for lanes whose turning point is in doubt."""
     return choose(new_signed_span == DOUBTFUL, GIVEN_UP, time_remaining)
-
-
-def needs_measurement(closest_approaches):
-    """Return the lanes with a new and a pending turning point, for which `measure_pending_turns` is due."""
-    return closest_approaches.latest_turn.signed_step_time != 0
-
-
-def has_pending_turn(closest_approaches):
-    """Return the lanes with a pending turning point."""
-    return closest_approaches.pending_turn.signed_step_time != 0
 
 
 def _relative_speed_jets(coeffs, x, v, cosine, sine):
@@ -253,16 +202,16 @@ def _sign_change_test(start_jet, end_jet, step_time, quintic_error_bound, speed_
     return initial_speed_sign, minimum(certainty_margin, maximum(bernstein_5, -v1)) > speed_tolerance
 
 
-def measure_pending_turns(coeffs, time_remaining, closest_approaches):
+def measure_pending_turns(coeffs, time_remaining, approaches):
     """Measure pending turning points: return (approaches, remaining time); the latest turning points become pending.
 
     The Taylor polynomial at the start of the step gives the time of a turning point with an error below
     `TIME_TOLERANCE`. One Halley step and one Newton step, from the motion at that time, refine the time. The remaining
     time is GIVEN_UP for a lane in doubt.
     """
-    turning_step = closest_approaches.pending_turn
+    turning_step, signed_span = approaches.pending_turn
     side, drive_forces = (
-        call_without_inlining(_span_side, turning_step.signed_step_time),
+        call_without_inlining(_span_side, signed_span),
         call_without_inlining(fast_motion.drive_forces, coeffs, turning_step.cosine, turning_step.sine),
     )
     phasors = fast_event.compute_wall_phasors(coeffs, turning_step)
@@ -270,11 +219,9 @@ def measure_pending_turns(coeffs, time_remaining, closest_approaches):
         call_without_inlining(_approach_speed_term, coeffs, turning_step, drive_forces, phasors, side, k=k)
         for k in range(1, N_TERMS)
     ]
-    turning_time = call_without_inlining(_quadratic_speed_zero, speed_terms, turning_step.signed_step_time)
+    turning_time = call_without_inlining(_quadratic_speed_zero, speed_terms, signed_span)
     for _ in range(2):
-        turning_time = call_without_inlining(
-            _halley_time_step, speed_terms, turning_time, turning_step.signed_step_time
-        )
+        turning_time = call_without_inlining(_halley_time_step, speed_terms, turning_time, signed_span)
     propagator = call_without_inlining(flow.step_propagator, coeffs.economised_series, coeffs.frequency, turning_time)
     x, v = call_without_inlining(
         fast_motion.propagate_free_flight, coeffs, turning_step.x, turning_step.v, drive_forces, propagator
@@ -285,22 +232,17 @@ def measure_pending_turns(coeffs, time_remaining, closest_approaches):
     approach_derivs = [
         call_without_inlining(_approach_derivative, coeffs, x, v, phasor, side, order=k) for k in range(6)
     ]
-    first_time_correction = call_without_inlining(_halley_correction, *approach_derivs[1:4])
+    first_time_correction = call_without_inlining(halley_correction, *approach_derivs[1:4])
     clearance = call_without_inlining(
-        _turning_clearance, approach_derivs, first_time_correction, turning_time, turning_step.signed_step_time
+        _turning_clearance, approach_derivs, first_time_correction, turning_time, signed_span
     )
     least_clearance, time_remaining = (
-        call_without_inlining(
-            _update_least_clearance, closest_approaches.least_clearance, turning_step.signed_step_time, clearance
-        ),
-        call_without_inlining(_time_unless_uncertain, time_remaining, turning_step.signed_step_time, clearance),
+        call_without_inlining(_update_least_clearance, approaches.least_clearance, signed_span, clearance),
+        call_without_inlining(_time_unless_uncertain, time_remaining, signed_span, clearance),
     )
-    latest_turn = closest_approaches.latest_turn
-    return FastClosestApproaches(
-        least_clearance,
-        latest_turn,
-        latest_turn._replace(signed_step_time=jnp.zeros_like(latest_turn.signed_step_time)),
-    ), time_remaining
+    latest_turn = approaches.latest_turn
+    no_turn = latest_turn._replace(code=jnp.zeros_like(latest_turn.code))
+    return ClosestApproaches(least_clearance, latest_turn, no_turn), time_remaining
 
 
 def _span_side(signed_span):
@@ -333,14 +275,9 @@ def _halley_time_step(speed_terms, turning_time, signed_span):
     )[1]
     return lax.clamp(
         lax.full_like(signed_span, 0.0),
-        turning_time + _halley_correction(speed_value, slope, curvature),
+        turning_time + halley_correction(speed_value, slope, curvature),
         lax.abs(signed_span),
     )
-
-
-def _halley_correction(speed_value, slope, curvature):
-    """Return the correction of a Halley step, from a speed and its first two derivatives."""
-    return -2.0 * speed_value * slope / (2.0 * slope * slope - speed_value * curvature)
 
 
 def _approach_derivative(coeffs, x, v, phasor, side, order):

@@ -1,7 +1,6 @@
-"""Compute the coefficients of the flight from a scene, once per scene."""
+"""Define the coefficients of the flight, and compute those that do not depend on the kind of flow."""
 
 import math
-from enum import Enum
 from typing import NamedTuple
 
 import jax
@@ -11,36 +10,15 @@ from jax import lax
 from jaxtyping import Float
 
 from ..compiled.lane_arithmetic import choose
-from ..scene import check
 from ..scene.force import Force
-from ..scene.force_operations import ops_without_series
-from ..scene.typical_scales import fast_part_amplitude
-from . import flow, further_drive_terms
-from .event_certificates import N_TERMS, min_squarable_length, taylor_weights
-from .jaxpr_series import is_series_of_root
-from .motion_in_soft_wall import SoftWallFlow, soft_wall_flow
-from .wall_motion import WallCoefficients, max_wall_distance, wall_coefficients, wall_derivative_bounds
+from . import further_drive_terms
+from .event_certificates import min_squarable_length
+from .flow import FlowSeries
+from .motion_in_soft_wall import SoftWallFlow
+from .protocols import Contact, Flow, Kinds
+from .wall_motion import WallCoefficients, max_wall_distance, wall_coefficients
 
-WALL_SIGNS = (-1, 1)
 TWO_PI_LOW = 2.4492935982947064e-16  # 2 pi less its double-precision value
-
-
-class ContactLaw(Enum):
-    """Kind of the contact phases inside soft walls.
-
-    Attributes
-    ----------
-    RIGID : ContactLaw
-        No contact phases, because all walls are rigid.
-    LINEAR : ContactLaw
-        Spring and damper of the wall in addition to those of the oscillator.
-    FORCE_LAW : ContactLaw
-        Contact phases under a user-defined force or wall law.
-    """
-
-    RIGID = "none"
-    LINEAR = "spring"
-    FORCE_LAW = "pushed"
 
 
 class FlowCoefficients(NamedTuple):
@@ -50,6 +28,8 @@ class FlowCoefficients(NamedTuple):
 
     Attributes
     ----------
+    kinds : Kinds
+        Flow and contacts of the scene, without arrays.
     amplitude : array
         Drive amplitude A.
     frequency : array
@@ -64,8 +44,6 @@ class FlowCoefficients(NamedTuple):
         Low part of `period`: the exact period less its rounded value.
     in_phase_amplitude : array
         Amplitude of the in-phase part of the motion, see `flight_state`. Zero under a user-defined force.
-    series : FlowSeries or None
-        Taylor series of the flow. None under a user-defined force.
     max_step : array
         Longest step, in units of t.
     inverse_max_step : array
@@ -101,8 +79,11 @@ class FlowCoefficients(NamedTuple):
         User-defined force.
     drive_terms : tuple of DriveTerm
         Terms of the drive in addition to A cos(omega t).
+    series : FlowSeries or None
+        Taylor series of the flow. None under a user-defined force.
     """
 
+    kinds: Kinds
     amplitude: Float[jax.Array, "..."]
     frequency: Float[jax.Array, "..."]
     damping: Float[jax.Array, "..."]
@@ -110,165 +91,75 @@ class FlowCoefficients(NamedTuple):
     period: Float[jax.Array, "..."]
     period_low_part: Float[jax.Array, "..."]
     in_phase_amplitude: Float[jax.Array, "..."]
-    series: flow.FlowSeries
     max_step: Float[jax.Array, "..."]
     inverse_max_step: Float[jax.Array, "..."]
     taylor_weights: tuple[Float[jax.Array, "..."], ...]
     length_scale: Float[jax.Array, "..."]
-    jet_bound: Float[jax.Array, "..."]
-    jet_bound_slope: Float[jax.Array, "..."]
-    force_remainder_bounds: tuple[Float[jax.Array, "..."], ...]
     wall_remainder_bounds: tuple[Float[jax.Array, "..."], ...]
-    force_rate_bounds: tuple[Float[jax.Array, "..."], ...]
     min_wall_gap: Float[jax.Array, "..."]
     soft_flows: tuple[SoftWallFlow | WallCoefficients | None, ...] = ()
+    drive_terms: tuple[further_drive_terms.DriveTerm, ...] = ()
+    series: FlowSeries | None = None
+    jet_bound: Float[jax.Array, "..."] | None = None
+    jet_bound_slope: Float[jax.Array, "..."] | None = None
+    force_remainder_bounds: tuple[Float[jax.Array, "..."], ...] = ()
+    force_rate_bounds: tuple[Float[jax.Array, "..."], ...] = ()
     stiffness: Float[jax.Array, "..."] | None = None
     root_stiffness: Float[jax.Array, "..."] | None = None
     user_force: Force | None = None
-    drive_terms: tuple[further_drive_terms.DriveTerm, ...] = ()
 
     @property
-    def contact_law(self) -> ContactLaw:
-        """Kind of the contact phases inside soft walls."""
-        if all(soft_flow is None for soft_flow in self.soft_flows):
-            return ContactLaw.RIGID
-        return ContactLaw.LINEAR if self.user_force is None else ContactLaw.FORCE_LAW
+    def flow(self) -> Flow:
+        """Flow between the walls."""
+        return self.kinds.flow
+
+    @property
+    def contact(self) -> Contact:
+        """Contact of the scene."""
+        return self.kinds.contact
 
 
-def make_flow_coefficients(scene):
-    """Compute the coefficients of the flight from a scene.
+def common_fields(scene, kinds, damping=None):
+    """Return the fields of `FlowCoefficients` that do not depend on the flow.
 
     Parameters
     ----------
     scene : Scene
         Scene with parameters that are scalars or lanes.
+    kinds : Kinds
+        Flow and contacts of the scene.
+    damping : array, optional
+        Damping ratio of a linear flow, for which the series of the drive terms are computed. None computes no series.
 
     Returns
     -------
-    FlowCoefficients
-        Coefficients in the floating-point type of the scene.
-
-    Raises
-    ------
-    SceneError
-        If the law of a soft wall has no Taylor series, or is not a power series in the root of the depth.
-
-    See Also
-    --------
-    check_validity : Check the rules for a scene inside traced code.
+    dict
+        Fields by name.
     """
-    if scene.force is not None:
-        return _user_force_coefficients(scene)
-    dtype = scene.dtype
-    amplitude, frequency, damping = (
-        jnp.asarray(parameter, dtype) for parameter in (scene.amplitude, scene.frequency, scene.damping)
+    amplitude, frequency = (jnp.asarray(parameter, scene.dtype) for parameter in (scene.amplitude, scene.frequency))
+    walls = tuple(
+        wall_coefficients(scene, side, contact) for side, contact in zip(scene.walls, kinds.wall_contacts, strict=True)
     )
-    walls, drive_terms = _wall_coefficients(scene), further_drive_terms.drive_terms(scene, frequency, damping)
-    max_angular_rate = flow.max_angular_rate(frequency, damping)
-    for wall in walls:
-        max_angular_rate = jnp.maximum(
-            max_angular_rate, frequency * (wall.harmonic if wall.amplitude is not None else 1.0)
-        )
-    if drive_terms:
-        max_angular_rate = jnp.maximum(
-            max_angular_rate, frequency * float(further_drive_terms.highest_harmonic(drive_terms))
-        )
-    max_step = flow.MAX_SCALED_STEP / max_angular_rate
-    # energy of x^(6): abs x^(6), abs x^(7) <= abs x^(6)(0) + abs x^(7)(0) + A omega^6 t; damping lowers it
-    force_deriv_bound, jet_bound_slope = (
-        further_drive_terms.drive_derivative_bound(drive_terms, amplitude, frequency, 6),
-        jnp.sqrt(1.0 + 4.0 * damping * damping),
-    )
+    drive_terms = further_drive_terms.drive_terms(scene, frequency, damping)
+    is_any_soft_wall_moving = any(wall.restitution is None and wall.amplitude is not None for wall in walls)
     period = 2.0 * jnp.pi / frequency
-    remainder_bounds_by_wall = [
-        wall_derivative_bounds(wall, amplitude, frequency, damping, N_TERMS, drive_terms) for wall in walls
-    ]
-    return FlowCoefficients(
-        amplitude=amplitude,
-        frequency=frequency,
-        damping=damping,
-        walls=walls,
-        period=period,
-        period_low_part=_two_pi_less_product(frequency, period) / frequency,
-        in_phase_amplitude=fast_part_amplitude(frequency, damping, amplitude),
-        series=flow.flow_series(frequency, damping),
-        max_step=max_step,
-        inverse_max_step=max_angular_rate / flow.MAX_SCALED_STEP,
-        taylor_weights=taylor_weights(max_step),
-        length_scale=_length_scale(
+    return {
+        "kinds": kinds,
+        "amplitude": amplitude,
+        "frequency": frequency,
+        "walls": walls,
+        "drive_terms": drive_terms,
+        "period": period,
+        "period_low_part": _two_pi_less_product(frequency, period) / frequency,
+        "length_scale": _length_scale(
             walls, further_drive_terms.drive_derivative_bound(drive_terms, amplitude, frequency, 0)
         ),
-        jet_bound=force_deriv_bound * (1.0 + jet_bound_slope * max_step),
-        jet_bound_slope=jet_bound_slope,
-        force_remainder_bounds=tuple(
-            contact_remainder_bound for contact_remainder_bound, _ in remainder_bounds_by_wall
+        "min_wall_gap": _min_wall_gap(walls, amplitude),
+        "soft_flows": tuple(
+            contact.wall_flow(wall, amplitude, frequency, drive_terms, is_any_soft_wall_moving)
+            for wall, contact in zip(walls, kinds.wall_contacts, strict=True)
         ),
-        wall_remainder_bounds=tuple(wall_remainder_bound for _, wall_remainder_bound in remainder_bounds_by_wall),
-        force_rate_bounds=tuple(
-            wall_derivative_bounds(wall, amplitude, frequency, damping, 1, drive_terms)[0] for wall in walls
-        ),
-        min_wall_gap=_min_wall_gap(walls, amplitude),
-        soft_flows=tuple(soft_wall_flow(wall, amplitude, frequency, drive_terms) for wall in walls),
-        drive_terms=drive_terms,
-    )
-
-
-def _user_force_coefficients(scene):
-    """Return the `FlowCoefficients` of a scene with a user-defined force."""
-    user_force, dtype = scene.force, scene.dtype
-    for side, wall in scene.walls.items():
-        if wall.law is not None:
-            _require_law_series(f"{side}.law", wall.law, dtype)
-    amplitude, frequency = (jnp.asarray(value, dtype) for value in (scene.amplitude, scene.frequency))
-    walls, drive_terms = _wall_coefficients(scene), further_drive_terms.drive_terms(scene, frequency, None)
-    max_harmonic = max((wall.harmonic for wall in walls if wall.amplitude is not None), default=1)
-    max_harmonic = max(max_harmonic, further_drive_terms.highest_harmonic(drive_terms))
-    period, zero = 2.0 * jnp.pi / frequency, jnp.zeros_like(frequency)
-    max_step = flow.MAX_SCALED_STEP / (frequency * max_harmonic)
-    return FlowCoefficients(
-        amplitude=amplitude,
-        frequency=frequency,
-        damping=zero,
-        walls=walls,
-        period=period,
-        period_low_part=_two_pi_less_product(frequency, period) / frequency,
-        in_phase_amplitude=zero,
-        series=None,
-        max_step=max_step,
-        inverse_max_step=1.0 / max_step,
-        taylor_weights=taylor_weights(max_step),
-        length_scale=_length_scale(
-            walls, further_drive_terms.drive_derivative_bound(drive_terms, amplitude, frequency, 0)
-        ),
-        jet_bound=None,
-        jet_bound_slope=None,
-        force_remainder_bounds=(),
-        wall_remainder_bounds=tuple(wall_derivative_bounds(wall, zero, frequency, zero, N_TERMS)[1] for wall in walls),
-        force_rate_bounds=(),
-        min_wall_gap=_min_wall_gap(walls, amplitude),
-        soft_flows=tuple(None if wall.restitution is not None else wall for wall in walls),
-        user_force=jax.tree.map(lambda param: jnp.asarray(param, dtype), user_force),
-        drive_terms=drive_terms,
-    )
-
-
-def _require_law_series(parameter_name, wall_law, dtype):
-    """Raise an error if a wall law is not a power series in the root of the depth."""
-    trace_signature = wall_law.function, tuple(wall_law.numbers), np.dtype(dtype)
-    unknown_operations = ops_without_series(*trace_signature, 2)
-    if unknown_operations:
-        error_message = (
-            f"must use operations with a known Taylor series; none is known of {', '.join(unknown_operations)}"
-        )
-        raise check.SceneError(parameter_name, error_message, wall_law.function)
-    if not is_series_of_root(*trace_signature):
-        raise check.SceneError(parameter_name, "must be a power series in the root of the depth", wall_law.function)
-
-
-def _wall_coefficients(scene):
-    """Return the coefficients of the existing walls, left wall first."""
-    signed_walls = zip(WALL_SIGNS, (scene.left, scene.right), strict=True)
-    return tuple(wall_coefficients(wall, scene, side, scene.dtype) for side, wall in signed_walls if wall is not None)
+    }
 
 
 def _length_scale(walls, drive_amplitude):
@@ -347,18 +238,9 @@ def check_validity(coeffs):
     for parameter in parameters:
         is_finite &= jnp.isfinite(parameter)
     is_valid = (coeffs.frequency > 0) & (coeffs.damping >= 0)
-    for wall in coeffs.walls:
-        if wall.law is not None:
-            continue
-        if wall.stiffness is None:
-            is_valid &= (wall.restitution >= 0) & (wall.restitution <= 1)
-        else:
-            is_valid &= (wall.stiffness > 0) & (wall.damping >= 0)
+    for wall, contact in zip(coeffs.walls, coeffs.kinds.wall_contacts, strict=True):
+        is_valid &= contact.is_valid_wall(wall)
     if len(coeffs.walls) == 2:
         left_wall, right_wall = coeffs.walls
         is_valid &= left_wall.position < right_wall.position
     return is_valid, is_finite
-
-
-# for code that is traced repeatedly for few lanes: traced once per process and kind of scene
-flow_coefficients = jax.jit(make_flow_coefficients)

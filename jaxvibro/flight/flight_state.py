@@ -143,10 +143,9 @@ def absolute_state(coeffs, path):
         Velocity.
     """
     x, v = path.x, path.v
-    for wall, soft_flow in zip(coeffs.walls, coeffs.soft_flows, strict=True):
-        if soft_flow is not None:
-            wall_position, wall_velocity = wall_jet(wall, coeffs.frequency, path.cosine, path.sine, 1)
-            is_inside_wall = motion_in_soft_wall.is_inside_soft_wall(path.contact) & (path.contact * wall.sign > 0)
-            x = choose(is_inside_wall, wall_position + path.x, x)
-            v = v if wall_velocity is None else choose(is_inside_wall, wall_velocity + path.v, v)
+    for wall, _ in motion_in_soft_wall.soft_walls(coeffs):
+        wall_position, wall_velocity = wall_jet(wall, coeffs.frequency, path.cosine, path.sine, 1)
+        is_inside_wall = motion_in_soft_wall.is_inside_soft_wall(path.contact) & (path.contact * wall.sign > 0)
+        x = choose(is_inside_wall, wall_position + path.x, x)
+        v = v if wall_velocity is None else choose(is_inside_wall, wall_velocity + path.v, v)
     return x, v

@@ -12,10 +12,7 @@ from jaxtyping import Float
 from ..compiled.lane_arithmetic import call_without_inlining, choose, maximum, minimum, positive_part
 from ..scene.codes import Contact
 from . import event_certificates, impact
-from .contact_law_dispatch import contact_law_of
 from .flight_state import Path, reduce_time_remaining, state_of_slow_motion
-from .flow_dispatch import flow_of
-from .soft_wall_lanes import inside_soft_wall_mask
 from .wall_motion import select_by_side, select_lists_by_side, subtract_optional, wall_jet, wall_jet_on_side
 
 SLOW_FRACTION = 0.25  # speed limit, relative to the speed gained by the acceleration in the longest step
@@ -60,53 +57,37 @@ def certified_step(coeffs, path):
     StepResult
         Result of the step. Lanes without time remaining do not change.
     """
-    flow_module, contact_law, scene_coeffs = flow_of(coeffs), contact_law_of(coeffs), coeffs
-    coeffs, lookahead = flow_module.prepare_lookahead(coeffs, path)
+    flow, contact, scene_coeffs = coeffs.flow, coeffs.contact, coeffs
+    coeffs, lookahead = flow.prepare_lookahead(coeffs, path)
     if not coeffs.walls:
         step_time = positive_part(minimum(coeffs.max_step, path.time_remaining))
-        pre_impact_path = _advance_path(coeffs, path, step_time, None, lookahead)
+        pre_impact_path = _advance_path(coeffs, path, step_time, lookahead)
         zero = lax.full_like(path.x, 0.0)
         return StepResult(step_time, pre_impact_path, pre_impact_path, zero, impact.EventOutcome(zero, zero, zero))
-    coeffs, path, contact, frame_force = contact_law.prepare_step(coeffs, path)
-    path_with_waiting_lanes, path = path, contact_law.path_of_stepping_lanes(path)
-    derivatives = flow_module.motion_derivatives(coeffs, path, lookahead, frame_force)
+    coeffs, path, frame_force = contact.prepare_step(coeffs, path)
+    path_with_waiting_lanes, path = path, contact.path_of_stepping_lanes(path)
+    derivatives = flow.motion_derivatives(coeffs, path, lookahead, frame_force)
     target_side = call_without_inlining(_target_side, coeffs, path, *derivatives[2:4])
-    forces_and_remainder = flow_module.forces_and_remainder(lookahead)
+    forces_and_remainder = flow.forces_and_remainder(lookahead)
     event_polynomial = call_without_inlining(
         _wall_event_polynomial, coeffs, path, derivatives, target_side, forces_and_remainder
     )
-    upper_cubic = event_certificates.make_upper_cubic(
-        event_polynomial, call_without_inlining(event_certificates.cubic_coefficient_bound, event_polynomial)
-    )
-    safe_step = call_without_inlining(event_certificates.safe_step, upper_cubic)
-    other_wall_step = lax.full_like(safe_step, 1.0)
+    horizon_step, root, root_error = event_certificates.certify_event(event_polynomial)
+    other_wall_step = lax.full_like(root, 1.0)
     if len(coeffs.walls) == 2:
         other_upper_cubic = call_without_inlining(
             _other_upper_cubic, coeffs, path, derivatives, target_side, forces_and_remainder
         )
         other_wall_step = call_without_inlining(
-            _other_wall_step, path, inside_soft_wall_mask(coeffs, path.contact), other_upper_cubic
+            _other_wall_step, path, contact.inside_mask(path.contact), other_upper_cubic
         )
-    root_guess = call_without_inlining(event_certificates.first_quadratic_root, *upper_cubic[:3])
-    horizon_step = call_without_inlining(
-        event_certificates.safe_step_to_horizon,
-        upper_cubic,
-        call_without_inlining(event_certificates.certificate_horizon, upper_cubic, root_guess),
-        safe_step,
-    )
-    root = call_without_inlining(
-        event_certificates.newton_root_step,
-        event_polynomial,
-        call_without_inlining(event_certificates.halley_root_step, event_polynomial, root_guess),
-    )
-    root_error = call_without_inlining(event_certificates.root_error_bound, event_polynomial, root_guess, root)
     hit_side = call_without_inlining(
         _hit_side, coeffs, path, event_polynomial, root, root_error, other_wall_step, target_side
     )
     step_time = call_without_inlining(
         _step_time, coeffs, path, hit_side, root, root_error, horizon_step, other_wall_step
     )
-    pre_impact_path = _advance_path(coeffs, path_with_waiting_lanes, step_time, contact, lookahead)
+    pre_impact_path = _advance_path(coeffs, path_with_waiting_lanes, step_time, lookahead)
     delay = call_without_inlining(impact.event_delay, coeffs, pre_impact_path, hit_side)
     event_outcome = call_without_inlining(impact.resolve_event, coeffs, pre_impact_path, hit_side, delay)
     new_path = call_without_inlining(
@@ -157,7 +138,7 @@ def _target_side(coeffs, path, acceleration, jerk):
     is_right_target = choose(
         is_other_nearer, stays_near_other_wall | is_other_sooner, is_other_sooner & ~stays_near_wall
     )
-    is_inside_wall = inside_soft_wall_mask(coeffs, path.contact)
+    is_inside_wall = coeffs.contact.inside_mask(path.contact)
     if is_inside_wall is not None:
         is_right_target = (is_inside_wall & (path.contact > 0)) | (~is_inside_wall & is_right_target)
     return choose(is_right_target, lax.full_like(path.x, 1.0), -1.0)
@@ -180,9 +161,9 @@ def _wall_event_polynomial(coeffs, path, derivatives, side, forces_and_remainder
 
     `forces_and_remainder` is the result of the function of this name of the flow.
     """
-    flow_module, walls, contact_on_side = flow_of(coeffs), coeffs.walls, path.contact * side
+    flow, walls, contact_on_side = coeffs.flow, coeffs.walls, path.contact * side
     contact_force_derivs, contact_remainder_bounds = zip(
-        *flow_module.contact_forces_ahead(coeffs, path, forces_and_remainder), strict=True
+        *flow.contact_forces_ahead(coeffs, path, forces_and_remainder), strict=True
     )
     target_force_derivs = select_lists_by_side(side, walls, contact_force_derivs)
     wall_derivs = wall_jet_on_side(coeffs, side, path.cosine, path.sine, event_certificates.N_TERMS)
@@ -192,7 +173,7 @@ def _wall_event_polynomial(coeffs, path, derivatives, side, forces_and_remainder
         select_by_side(side, walls, coeffs.wall_remainder_bounds),
     )
     is_leaving = (contact_on_side == Contact.LANDED) | is_released
-    wall_derivs, is_leaving, wall_remainder_bound, side, taylor_weights = contact_law_of(coeffs).target_wall(
+    wall_derivs, is_leaving, wall_remainder_bound, side, taylor_weights = coeffs.contact.target_wall(
         coeffs, contact_on_side, side, wall_derivs, is_leaving, wall_remainder_bound
     )
     relative_derivs = [
@@ -209,7 +190,7 @@ def _wall_event_polynomial(coeffs, path, derivatives, side, forces_and_remainder
     taylor_terms[1:3] = (choose(is_released, 0.0, term) for term in taylor_terms[1:3])
     return event_certificates.make_event_polynomial(
         taylor_terms,
-        flow_module.remainder_bound(
+        flow.remainder_bound(
             coeffs,
             derivatives,
             forces_and_remainder,
@@ -262,9 +243,9 @@ def _step_time(coeffs, path, hit_side, root, root_error, horizon_step, other_wal
     return positive_part(minimum(choose(hit_side != 0, root, safe_time) * coeffs.max_step, path.time_remaining))
 
 
-def _advance_path(coeffs, path, step_time, contact, lookahead):
+def _advance_path(coeffs, path, step_time, lookahead):
     """Return the path after the flight of a step."""
-    motion = flow_of(coeffs).advance_motion(coeffs, path.motion, step_time, contact, lookahead)
+    motion = coeffs.contact.advance_motion(coeffs, path, step_time, lookahead)
     return Path(
         *call_without_inlining(state_of_slow_motion, coeffs, motion),
         motion,

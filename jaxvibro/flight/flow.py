@@ -15,8 +15,10 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jaxtyping import Float
+from numpy.polynomial import Polynomial, chebyshev
 
 from ..compiled.lane_arithmetic import choose
 from ..scene import check
@@ -177,29 +179,13 @@ def _economise_rows(coefficient_rows):
 @lru_cache(8)
 def _dropped_power_weights(n_remaining_rows):
     """Return the contribution of each dropped power of t to the remaining coefficients."""
-    chebyshev_polynomials = [[1], [-1, 2]]  # in t from 0 to 1
-    for _ in range(n_remaining_rows - 2):
-        last_polynomial, second_last_polynomial = chebyshev_polynomials[-1], [*chebyshev_polynomials[-2], 0, 0]
-        chebyshev_polynomials.append(
-            [
-                4 * shifted_coeff - 2 * last_coeff - second_last_coeff
-                for shifted_coeff, last_coeff, second_last_coeff in zip(
-                    [0, *last_polynomial], [*last_polynomial, 0], second_last_polynomial, strict=True
-                )
-            ]
-        )
-    weights_by_power = []
-    for dropped_power in range(n_remaining_rows, n_remaining_rows + DROPPED_DEGREES):
-        remaining_weights = [Fraction(0)] * n_remaining_rows
-        for chebyshev_degree, polynomial in enumerate(chebyshev_polynomials):
-            chebyshev_factor = Fraction(
-                math.comb(2 * dropped_power, dropped_power - chebyshev_degree) * (2 if chebyshev_degree else 1),
-                4**dropped_power,
-            )
-            remaining_weights[: chebyshev_degree + 1] = [
-                weight + chebyshev_factor * coeff for weight, coeff in zip(remaining_weights, polynomial, strict=False)
-            ]
-        weights_by_power.append([float(coeff) for coeff in remaining_weights])
+    weights_by_power, shifted_time = [], Polynomial(np.array([Fraction(-1), Fraction(2)]))
+    for power in range(n_remaining_rows, n_remaining_rows + DROPPED_DEGREES):
+        # exact: t^power in s = 2 t - 1, without the Chebyshev terms of higher degrees, in t again
+        shifted_power = [Fraction(math.comb(power, k), 2**power) for k in range(power + 1)]
+        chebyshev_coeffs = chebyshev.poly2cheb(np.array(shifted_power, object))[:n_remaining_rows]
+        remaining_polynomial = Polynomial(chebyshev.cheb2poly(chebyshev_coeffs))(shifted_time)
+        weights_by_power.append([float(coeff) for coeff in remaining_polynomial.coef])
     return weights_by_power
 
 
@@ -286,6 +272,17 @@ def rotate_phasor(cosine, sine, cos_less_1, sin_angle):
     return cosine + (cosine * cos_less_1 - sine * sin_angle), sine + (sine * cos_less_1 + cosine * sin_angle)
 
 
+def rotation_by_angle(angle):
+    """Return (cos - 1, sin) of any angle, without cancellation."""
+    half_sine = lax.sin(0.5 * angle)
+    return -2.0 * half_sine * half_sine, lax.sin(angle)
+
+
+def rotate_phasor_by_small_angle(cosine, sine, angle):
+    """Rotate the phasor of the drive by an angle of which the third power is below rounding."""
+    return rotate_phasor(cosine, sine, -0.5 * angle * angle, angle)
+
+
 def rotate_phasor_by_angle(cosine, sine, angle):
     """Rotate the phasor of the drive by any angle.
 
@@ -307,6 +304,11 @@ def rotate_phasor_by_angle(cosine, sine, angle):
     """
     angle_cosine, angle_sine = jnp.cos(angle), jnp.sin(angle)
     return cosine * angle_cosine - sine * angle_sine, sine * angle_cosine + cosine * angle_sine
+
+
+def time_at_phasor(frequency, cosine, sine):
+    """Return the time within half a period of 0 at which the drive has a phasor."""
+    return lax.atan2(sine, cosine) / frequency
 
 
 def fly(scene, state, time):

@@ -1,41 +1,4 @@
-"""Compute flights of any duration and the derivatives of the final state with respect to the initial state."""
-
-import jax.numpy as jnp
-
-from . import flow
-from .flight_coefficients import flow_coefficients
-from .flow_dispatch import flow_of
-
-
-def fly_with_matrix(scene, x, v, phase, time):
-    """Compute the final state of a flight without walls and the matrix of the flight.
-
-    Parameters
-    ----------
-    scene : Scene
-        Scene.
-    x : array
-        Initial position.
-    v : array
-        Initial velocity.
-    phase : array
-        Initial phase of the drive, in rad.
-    time : array
-        Duration of the flight, at least 0, in units of t.
-
-    Returns
-    -------
-    state : tuple of array
-        Final position and velocity.
-    matrix : tuple of array
-        Derivative of the final state with respect to the initial state, see `apply_matrix`.
-    """
-    if scene.force is not None or scene.drive:
-        coeffs = flow_coefficients(scene)
-        return flow_of(coeffs).fly_with_matrix(coeffs, x, v, jnp.cos(phase), jnp.sin(phase), time)
-    responses = flow.flight_responses(scene.frequency, scene.damping, time)
-    force = scene.amplitude * jnp.cos(phase), scene.amplitude * jnp.sin(phase)
-    return flow.apply_responses(responses, *force, x, v), responses[0]
+"""Define the matrix of a flight, the derivative of the final state with respect to the initial state."""
 
 
 def apply_matrix(matrix, x, v):

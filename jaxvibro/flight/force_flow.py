@@ -1,6 +1,6 @@
 """Fly a mass under a user-defined force, by Taylor steps or by the steps of a solver.
 
-The interface is that of `linear_flow`, see `flow_dispatch`.
+The module is a `protocols.Flow`.
 """
 
 from dataclasses import replace
@@ -10,17 +10,27 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 
 from ..compiled.lane_arithmetic import call_without_inlining, choose, maximum, minimum
 from ..scene.codes import Contact
-from . import event_certificates, flow, taylor_steps
+from ..scene.typical_scales import frequency_and_damping
+from . import event_certificates, flow, further_drive_terms, taylor_steps
+from .flight_coefficients import FlowCoefficients, common_fields
 from .flight_state import SlowMotion, add_to_slow_motion, rotate_drive_phasor, state_of_slow_motion
-from .taylor_polynomials import evaluate_taylor
+from .flow_defaults import (  # noqa: F401
+    acceleration_and_jerk,
+    flight_map,
+    fly_with_matrix,
+    jet_at_point,
+    matrix_state,
+    propagate_with_matrix,
+    state_before_delay,
+)
 from .taylor_steps import ContactForceJet, derivatives_from_terms
-from .wall_motion import select_lists_by_side, wall_jet, wall_jet_on_side
+from .wall_motion import select_lists_by_side, wall_derivative_bounds, wall_jet, wall_jet_on_side
 
-LINEAR = False  # the matrix of a flight depends on its initial state
 RATE_FACTOR = 2.0  # bound on the rate of the contact force during chatter, relative to its rate at the start
 MAX_STEPS = 100_000  # largest number of steps of a flight
 
@@ -38,6 +48,56 @@ class StepLookahead(NamedTuple):
 
     flight_series: taylor_steps.FlightSeries
     contact_force_jets: list[ContactForceJet]
+
+
+def make_coefficients(scene, kinds):
+    """Compute the `FlowCoefficients` of a scene with a user-defined force."""
+    fields = common_fields(scene, kinds)
+    frequency, walls = fields["frequency"], fields["walls"]
+    max_harmonic = max((wall.harmonic for wall in walls if wall.amplitude is not None), default=1)
+    max_harmonic = max(max_harmonic, further_drive_terms.highest_harmonic(fields["drive_terms"]))
+    zero, max_step = jnp.zeros_like(frequency), flow.MAX_SCALED_STEP / (frequency * max_harmonic)
+    return FlowCoefficients(
+        **fields,
+        damping=zero,
+        in_phase_amplitude=zero,
+        max_step=max_step,
+        inverse_max_step=1.0 / max_step,
+        taylor_weights=event_certificates.taylor_weights(max_step),
+        wall_remainder_bounds=tuple(
+            wall_derivative_bounds(wall, zero, frequency, zero, event_certificates.N_TERMS)[1] for wall in walls
+        ),
+        user_force=jax.tree.map(lambda param: jnp.asarray(param, scene.dtype), scene.force),
+    )
+
+
+def steady_amplitude(scene, amplitude, frequency):
+    """Return the amplitude of a free mass under a harmonic force, at most that of the force."""
+    return amplitude / np.maximum(1.0, frequency**2)
+
+
+def rates(scene):
+    """Return the rate of the drive and those of the linearised force at the walls."""
+    return [float(scene.frequency), *frequency_and_damping(scene)]
+
+
+def loses_energy(scene):
+    """Return True if the force depends on the velocity at one of the states that `frequency_and_damping` examines."""
+    return frequency_and_damping(scene)[1] > 0
+
+
+def areas_may_grow():
+    """Return True, because the force may feed energy."""
+    return True
+
+
+def has_unique_free_response():
+    """Return False, because the equations of an orbit without impacts may have several solutions."""
+    return False
+
+
+def require_reversible(scene):
+    """Accept every scene: a user-defined force can be reversed in time."""
 
 
 def stepper_module_of(coeffs):
@@ -125,12 +185,12 @@ def remainder_bound(
     )
 
 
-def advance_motion(coeffs, motion, time, contact, lookahead):
+def advance_motion(coeffs, motion, time, lookahead):
     """Return the motion after a step."""
     return _propagate_motion(coeffs, motion, time, lookahead.flight_series.terms)
 
 
-def propagate_motion(coeffs, motion, time, contact=None):
+def propagate_motion(coeffs, motion, time):
     """Return the `SlowMotion` after a time of at most one step."""
     return _propagate_motion(coeffs, motion, time)
 
@@ -145,26 +205,9 @@ def _propagate_motion(coeffs, motion, time, position_terms=None):
     )
 
 
-def acceleration_and_jerk(coeffs, x, v, cosine, sine, frame_force=()):
-    """Return acceleration and jerk of a free mass."""
-    return tuple(jet(coeffs, x, v, cosine, sine, 3)[2:])
-
-
 def jet(coeffs, x, v, cosine, sine, order, frame_force=()):
     """Return x and its derivatives up to an order."""
     return stepper_module_of(coeffs).position_derivatives(coeffs, x, v, cosine, sine, order)
-
-
-def jet_at_point(coeffs, expansion_point, order, frame_force=()):
-    """Return x and its derivatives up to order + 1 at a `taylor_polynomials.ExpansionPoint`."""
-    return jet(coeffs, expansion_point.x, expansion_point.v, expansion_point.cosine, expansion_point.sine, order + 1)
-
-
-def state_before_delay(coeffs, expansion_point, x, v, delay, order, frame_force=()):
-    """Return x and v at a `taylor_polynomials.ExpansionPoint` of a flight that reaches x, v after a short delay."""
-    end_phasor = flow.rotate_phasor_by_angle(expansion_point.cosine, expansion_point.sine, coeffs.frequency * delay)
-    derivs = jet(coeffs, x, v, *end_phasor, order + 1)
-    return evaluate_taylor(derivs, -delay, order), evaluate_taylor(derivs[1:], -delay, order)
 
 
 def contact_force(coeffs, wall, cosine, sine, order):
@@ -249,33 +292,6 @@ def fly(coeffs, x, v, cosine, sine, time):
     x, v, cosine, sine, time_remaining, _ = lax.while_loop(is_unfinished, advance_step, initial_carry)
     has_failed = time_remaining > 0
     return (*(choose(has_failed, jnp.nan, value) for value in (x, v)), cosine, sine)
-
-
-def fly_with_matrix(coeffs, x, v, cosine, sine, time):
-    """Return ((x, v) after a time, matrix of the flight as in `flow_matrix.apply_matrix`)."""
-
-    def final_state(x, v):
-        return fly(coeffs, x, v, cosine, sine, time)[:2]
-
-    def directional_derivative(x_direction, v_direction):
-        return jax.jvp(final_state, (x, v), (x_direction + 0.0 * x, v_direction + 0.0 * v))
-
-    identity = jnp.eye(2, dtype=jnp.result_type(x))
-    state, (final_x_gradient, final_v_gradient) = jax.vmap(directional_derivative, out_axes=(None, 0))(
-        identity[0], identity[1]
-    )
-    return state, (final_x_gradient[0], final_x_gradient[1], final_v_gradient[1], final_v_gradient[0])
-
-
-def propagate_with_matrix(coeffs, state, cosine, sine, time):
-    """Return (state, cosine, sine, matrix of the flow by rows) after a time; `state` is (x, v)."""
-    state, (p00, p01, p11, p10) = fly_with_matrix(coeffs, *state, cosine, sine, time)
-    return state, *flow.rotate_phasor_by_angle(cosine, sine, coeffs.frequency * time), (p00, p01, p10, p11)
-
-
-def flight_map(coeffs, duration):
-    """Return the map of (x, v, cosine, sine) over a fixed duration."""
-    return lambda *state: fly(coeffs, *state, duration)
 
 
 def reverse_time(coeffs):

@@ -21,7 +21,7 @@ from jax import lax
 from jaxtyping import Float
 
 from ..compiled.lane_arithmetic import call_without_inlining, choose, maximum
-from . import jaxpr_series
+from . import flow, jaxpr_series
 from .further_drive_terms import harmonic_phasor
 from .power_series import (
     Series,
@@ -140,7 +140,7 @@ def _accel_and_wall_force(coeffs, side, state, depth_series, depth_rate_series, 
     )
     v_series = v_series if wall_velocity is None else add_series(wall_velocity, v_series)
     absolute_time = add_constant(
-        call_without_inlining(_time_at_phasor, coeffs.frequency, state.cosine, state.sine), elapsed_time
+        call_without_inlining(flow.time_at_phasor, coeffs.frequency, state.cosine, state.sine), elapsed_time
     )
     relative_accel_series = add_series(
         jaxpr_series.force_series(coeffs.user_force, absolute_time, x_series, v_series),
@@ -154,11 +154,6 @@ def _accel_and_wall_force(coeffs, side, state, depth_series, depth_rate_series, 
     return relative_accel_series if wall_acceleration is None else subtract_series(
         relative_accel_series, wall_acceleration
     ), _wall_force_series(coeffs, side, depth_series, depth_rate_series, v_series)
-
-
-def _time_at_phasor(frequency, cosine, sine):
-    """Return the time within half a period of 0 at which the drive has a phasor."""
-    return lax.atan2(sine, cosine) / frequency
 
 
 def _phasor_series(angle_series, cosine, sine):
@@ -201,14 +196,16 @@ def _wall_force_series(coeffs, side, depth_series, depth_rate_series, velocity_s
 
     y is the depth, s is the side (-1 or 1), and v is the absolute velocity of the mass.
     """
-    soft_walls = [wall for wall in coeffs.walls if wall.restitution is None]
+    walls_and_contacts = zip(coeffs.walls, coeffs.kinds.wall_contacts, strict=True)
+    soft_walls, contacts = zip(*(pair for pair in walls_and_contacts if pair[0].restitution is None), strict=True)
     law_identities = [wall.law and (wall.law.function, tuple(wall.law.numbers)) for wall in soft_walls]
     if len(soft_walls) == 2 and law_identities[0] == law_identities[1]:
         wall_law_params = [(wall.law, wall.stiffness, wall.damping) for wall in soft_walls]
         wall_law, stiffness, damping = jax.tree.map(partial(choose, side < 0), *wall_law_params)
         soft_walls = [replace(soft_walls[0], law=wall_law, stiffness=stiffness, damping=damping)]
     wall_forces = [
-        _force_series_of_wall(wall, side, depth_series, depth_rate_series, velocity_series) for wall in soft_walls
+        contact.force_series(wall, side, depth_series, depth_rate_series, velocity_series)
+        for wall, contact in zip(soft_walls, contacts, strict=False)
     ]
     if len(wall_forces) == 1:
         return wall_forces[0]
@@ -225,15 +222,6 @@ def _select_coeff_by_side(is_on_left, left_value, right_value):
         None
         if left_value is None and right_value is None
         else choose(is_on_left, 0.0 if left_value is None else left_value, 0.0 if right_value is None else right_value)
-    )
-
-
-def _force_series_of_wall(wall, side, depth_series, depth_rate_series, velocity_series):
-    """Return the `Series` of the force of one wall."""
-    if wall.law is not None:
-        return jaxpr_series.wall_force_series(wall.law, depth_series, depth_rate_series)
-    return add_series(
-        scale_series(wall.stiffness, depth_series), scale_series(2.0 * wall.damping * side, velocity_series)
     )
 
 
@@ -271,23 +259,12 @@ def _max_scaled_step(contact_series, state_scale, max_time_step, tolerance):
 
 def evaluate_series(series_list, scaled_step):
     """Evaluate Taylor series in s, such as the fields of a `ContactSeries`, after a span of s."""
-    values = []
-    for series in series_list:
-        value = series[-1]
-        for term in series[-2::-1]:
-            value = value * scaled_step + term
-        values.append(value)
-    return values
+    return [flow.horner(series, scaled_step) for series in series_list]
 
 
 def rotate_drive_phasor(coeffs, state, time):
     """Return (cosine, sine) of the drive angle after a time of any sign."""
-    angle = coeffs.frequency * time
-    half_sine = lax.sin(0.5 * angle)
-    cos_less_1, sin_angle = -2.0 * half_sine * half_sine, lax.sin(angle)
-    return state.cosine + (state.cosine * cos_less_1 - state.sine * sin_angle), state.sine + (
-        state.sine * cos_less_1 + state.cosine * sin_angle
-    )
+    return flow.rotate_phasor(state.cosine, state.sine, *flow.rotation_by_angle(coeffs.frequency * time))
 
 
 def select_lanes(mask, if_true, if_false):

@@ -96,27 +96,7 @@ def _advance_lanes(coeffs, side, contact_passage):
     exit_polynomial = call_without_inlining(
         _exit_polynomial, contact_series.scaled_depth_root, max_scaled_step, tolerance=coeffs.user_force.tolerance
     )
-    upper_cubic = event_certificates.make_upper_cubic(
-        exit_polynomial, call_without_inlining(event_certificates.cubic_coefficient_bound, exit_polynomial)
-    )
-    safe_scaled_step, root_guess = (
-        call_without_inlining(event_certificates.safe_step, upper_cubic),
-        call_without_inlining(event_certificates.first_quadratic_root, *upper_cubic[:3]),
-    )
-    certified_scaled_step = call_without_inlining(
-        event_certificates.safe_step_to_horizon,
-        upper_cubic,
-        call_without_inlining(event_certificates.certificate_horizon, upper_cubic, root_guess),
-        safe_scaled_step,
-    )
-    exit_root = call_without_inlining(
-        event_certificates.newton_root_step,
-        exit_polynomial,
-        call_without_inlining(event_certificates.halley_root_step, exit_polynomial, root_guess),
-    )
-    root_error_bound = call_without_inlining(
-        event_certificates.root_error_bound, exit_polynomial, root_guess, exit_root
-    )
+    certified_scaled_step, exit_root, root_error_bound = event_certificates.certify_event(exit_polynomial)
     exits_in_step = call_without_inlining(_is_certain_exit, exit_polynomial, exit_root, root_error_bound)
     scaled_step = call_without_inlining(
         _select_scaled_step,

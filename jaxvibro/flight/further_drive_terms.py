@@ -4,7 +4,9 @@ The flow of a spring and a damper is linear. Hence each term is advanced with th
 frequency. A scene without further terms needs none of these computations.
 """
 
+import operator
 from dataclasses import dataclass, field
+from functools import reduce
 
 import jax
 import jax.numpy as jnp
@@ -12,6 +14,7 @@ from jax import lax
 from jaxtyping import Float
 
 from . import flow
+from .power_series import add_coefficients
 
 
 @jax.tree_util.register_dataclass
@@ -98,34 +101,31 @@ def term_forces(drive_terms, frequency, drive_cosine, drive_sine):
     return forces
 
 
+def harmonic_derivatives(force_cos, force_sin, angular_rate, order):
+    """Return force_cos cos(rate t) - force_sin sin(rate t) and its time derivatives up to an order at t = 0."""
+    derivatives = [force_cos, -force_sin * angular_rate]
+    for k in range(2, order + 1):
+        derivatives.append(derivatives[k - 2] * -(angular_rate * angular_rate))
+    return derivatives[: order + 1]
+
+
 def term_force_derivatives(drive_terms, frequency, drive_cosine, drive_sine, order):
     """Return the total force of drive terms and its time derivatives up to an order, at a phasor of the drive."""
-    total_derivs = None
-    for force_cos, force_sin, angular_rate in term_forces(drive_terms, frequency, drive_cosine, drive_sine):
-        term_derivs = [force_cos, -force_sin * angular_rate]
-        for derivative_order in range(2, order + 1):
-            term_derivs.append(term_derivs[derivative_order - 2] * -(angular_rate * angular_rate))
-        total_derivs = (
-            term_derivs
-            if total_derivs is None
-            else [total_deriv + term_deriv for total_deriv, term_deriv in zip(total_derivs, term_derivs, strict=True)]
-        )
-    return total_derivs[: order + 1]
+    forces = term_forces(drive_terms, frequency, drive_cosine, drive_sine)
+    derivs_by_term = [harmonic_derivatives(*force, order) for force in forces]
+    return [reduce(operator.add, term_derivs) for term_derivs in zip(*derivs_by_term, strict=True)]
 
 
-def add_term_derivatives(drive_terms, frequency, drive_cosine, drive_sine, force_derivs, lowest_order=0):
+def add_term_derivatives(drive_terms, frequency, drive_cosine, drive_sine, force_derivs):
     """Add the derivatives of the drive terms to those of a force.
 
-    The order of the first entry of `force_derivs` is `lowest_order`. An entry of None stands for zero. Without drive
-    terms `force_derivs` is returned unchanged.
+    An entry of None in `force_derivs` stands for zero. Without drive terms `force_derivs` is returned unchanged.
     """
     if not drive_terms:
         return force_derivs
-    term_derivs = term_force_derivatives(
-        drive_terms, frequency, drive_cosine, drive_sine, lowest_order + len(force_derivs) - 1
-    )[lowest_order:]
+    term_derivs = term_force_derivatives(drive_terms, frequency, drive_cosine, drive_sine, len(force_derivs) - 1)
     return [
-        term_deriv if force_deriv is None else force_deriv + term_deriv
+        add_coefficients(force_deriv, term_deriv)
         for force_deriv, term_deriv in zip(force_derivs, term_derivs, strict=True)
     ]
 
@@ -135,10 +135,13 @@ def drive_term_increments(drive_terms, frequency, drive_cosine, drive_sine, p01,
 
     `p01` is the entry of the `flow.Propagator`. `term_responses` is (cos_response, sin_response) for each term.
     """
-    dx = dv = 0.0
-    for (force_cos, force_sin, angular_rate), (cos_response, sin_response) in zip(
-        term_forces(drive_terms, frequency, drive_cosine, drive_sine), term_responses, strict=True
-    ):
+    forces = term_forces(drive_terms, frequency, drive_cosine, drive_sine)
+    return add_force_increments(0.0, 0.0, forces, p01, term_responses)
+
+
+def add_force_increments(dx, dv, forces, p01, responses):
+    """Add the increments due to forces as in `term_forces` to the increments (dx, dv) of a flight."""
+    for (force_cos, force_sin, angular_rate), (cos_response, sin_response) in zip(forces, responses, strict=True):
         dx = dx + (force_cos * cos_response - force_sin * sin_response)
         dv = dv + (force_cos * (p01 - angular_rate * sin_response) - force_sin * (angular_rate * cos_response))
     return dx, dv

@@ -13,11 +13,9 @@ from jaxtyping import Float
 from ..compiled.lane_arithmetic import choose, minimum, positive_part, two_sum
 from ..scene.codes import Contact
 from . import event_certificates, flow
-from .contact_law_dispatch import contact_law_of
 from .flight_state import CAPPED, Path, SlowMotion, make_slow_motion
-from .flow_dispatch import flow_of
 from .motion_in_soft_wall import is_soft_side, restitution_of
-from .soft_wall_lanes import inside_soft_wall_mask, wall_jet_in_lane_frame
+from .soft_wall_lanes import wall_jet_in_lane_frame
 from .wall_motion import select_lists_by_side, subtract_optional, wall_jet_on_side
 
 CHATTER_SPEED = -1.0  # smallest speed that marks a complete chatter
@@ -53,11 +51,11 @@ def event_delay(coeffs, path, side):
     error."""
     phasor = path.cosine, path.sine
     wall_position, wall_velocity, wall_acceleration = wall_jet_on_side(coeffs, side, *phasor, 2)
-    contact_force_derivs = [flow_of(coeffs).contact_force(coeffs, wall, *phasor, 1) for wall in coeffs.walls]
+    contact_force_derivs = [coeffs.flow.contact_force(coeffs, wall, *phasor, 1) for wall in coeffs.walls]
     contact_force, force_rate = select_lists_by_side(side, coeffs.walls, contact_force_derivs)
     acceleration, _ = _acceleration_and_jerk(coeffs, path)
     wall_position, wall_velocity, wall_acceleration = wall_jet_in_lane_frame(
-        inside_soft_wall_mask(coeffs, path.contact), side, (wall_position, wall_velocity, wall_acceleration)
+        coeffs.contact.inside_mask(path.contact), side, (wall_position, wall_velocity, wall_acceleration)
     )
     relative_velocity, relative_accel = (
         subtract_optional(path.v, wall_velocity),
@@ -80,12 +78,12 @@ def resolve_event(coeffs, path, side, delay):
     Lanes without an event keep their contact.
     """
     is_sticking = lax.abs(path.contact) == Contact.STUCK
-    cosine, sine = _drive_phasor_at_event(coeffs, path, delay)
+    cosine, sine = flow.rotate_phasor_by_small_angle(path.cosine, path.sine, coeffs.frequency * delay)
     _, wall_velocity, contact_force, force_rate = wall_state_and_force(
         coeffs, choose(is_sticking, path.contact, side), cosine, sine
     )
     acceleration, jerk = _acceleration_and_jerk(coeffs, path)
-    is_inside_wall = inside_soft_wall_mask(coeffs, path.contact)
+    is_inside_wall = coeffs.contact.inside_mask(path.contact)
     (wall_velocity,) = wall_jet_in_lane_frame(is_inside_wall, side, (wall_velocity,))
     approach_speed = side * (path.v + delay * (acceleration + 0.5 * delay * jerk) - wall_velocity)
     restitution = restitution_of(coeffs, side)
@@ -94,7 +92,7 @@ def resolve_event(coeffs, path, side, delay):
         lax.abs(rebound_speed) > event_certificates.min_squarable_length(rebound_speed.dtype), rebound_speed, 0.0
     )
     new_contact = contact_after_event(coeffs, rebound_speed, side * contact_force, side * force_rate)
-    force_rate_bound, damping, force_gradient_bound = flow_of(coeffs).chatter_bounds(
+    force_rate_bound, damping, force_gradient_bound = coeffs.flow.chatter_bounds(
         coeffs, side, acceleration, approach_speed, cosine, sine
     )
     chatter_completes = is_complete_chatter(
@@ -119,8 +117,8 @@ def resolve_event(coeffs, path, side, delay):
 
 def _acceleration_and_jerk(coeffs, path):
     """Return acceleration and jerk of the mass."""
-    frame_force = contact_law_of(coeffs).frame_force(coeffs, path)
-    return flow_of(coeffs).acceleration_and_jerk(coeffs, path.x, path.v, path.cosine, path.sine, frame_force)
+    frame_force = coeffs.contact.frame_force(coeffs, path)
+    return coeffs.flow.acceleration_and_jerk(coeffs, path.x, path.v, path.cosine, path.sine, frame_force)
 
 
 def apply_event(coeffs, path, side, delay, event_outcome, step_time):
@@ -129,7 +127,7 @@ def apply_event(coeffs, path, side, delay, event_outcome, step_time):
     Lanes without an event continue their flight. A sticking mass remains on its wall. For a mass that enters a soft
     wall, x and v become relative to the wall.
     """
-    cosine, sine = _drive_phasor_at_event(coeffs, path, delay)
+    cosine, sine = flow.rotate_phasor_by_small_angle(path.cosine, path.sine, coeffs.frequency * delay)
     is_sticking = lax.abs(path.contact) == Contact.STUCK
     wall_position, wall_velocity, _, _ = wall_state_and_force(
         coeffs, choose(is_sticking, path.contact, side), cosine, sine
@@ -137,7 +135,7 @@ def apply_event(coeffs, path, side, delay, event_outcome, step_time):
     is_at_wall = (side != 0) | is_sticking
     rebound_speed = restitution_of(coeffs, side) * event_outcome.approach_speed
     leaves_with_speed = lax.abs(event_outcome.contact) == Contact.LANDED
-    is_inside_wall = inside_soft_wall_mask(coeffs, path.contact)
+    is_inside_wall = coeffs.contact.inside_mask(path.contact)
     if is_inside_wall is not None:
         enters_wall = (side != 0) & (lax.abs(event_outcome.contact) == Contact.ENTERED)
         leaves_with_speed |= enters_wall
@@ -162,12 +160,6 @@ def apply_event(coeffs, path, side, delay, event_outcome, step_time):
     return Path(
         x, choose(is_at_wall, 0.0, path.x_low_part), v, new_motion, time_remaining, time_remaining_low_part, contact
     )
-
-
-def _drive_phasor_at_event(coeffs, path, delay):
-    """Return the phasor of the drive after a delay."""
-    angle = coeffs.frequency * delay
-    return flow.rotate_phasor(path.cosine, path.sine, -0.5 * angle * angle, angle)
 
 
 def wall_state_and_force(coeffs, side, cosine, sine):
@@ -197,7 +189,7 @@ def wall_state_and_force(coeffs, side, cosine, sine):
         Time derivative of the contact force.
     """
     wall_position, wall_velocity = wall_jet_on_side(coeffs, side, cosine, sine, 1)
-    contact_force_derivs = [flow_of(coeffs).contact_force(coeffs, wall, cosine, sine, 1) for wall in coeffs.walls]
+    contact_force_derivs = [coeffs.flow.contact_force(coeffs, wall, cosine, sine, 1) for wall in coeffs.walls]
     return (
         wall_position,
         0.0 if wall_velocity is None else wall_velocity,
@@ -224,7 +216,7 @@ def contact_after_event(coeffs, rebound_speed, contact_force, force_rate):
 
 
 def is_complete_chatter(
-    coeffs, rebound_speed, contact_force, restitution, force_rate_bound, available_time, force_gradient_bound=None
+    coeffs, rebound_speed, contact_force, restitution, force_rate_bound, available_time, force_gradient_bound=1.0
 ):
     """Return True if the following infinitely many bounces certainly end within the available time: complete chatter.
 
@@ -237,7 +229,7 @@ def is_complete_chatter(
     the other wall.
 
     `force_gradient_bound` bounds the derivative of the force with respect to x: the rate at which the force towards the
-    wall may decrease with the distance from the wall. The bound is at least 1; None stands for 1.
+    wall may decrease with the distance from the wall. The bound is at least 1.
     """
     decay_ratio_squared = 0.25 * (1.0 + restitution) * (1.0 + restitution)
     restitution_squared = restitution * restitution
@@ -246,7 +238,7 @@ def is_complete_chatter(
     )
     min_contact_force = contact_force * (1.0 - max_force_variation)
     chatter_time_times_force, speed_squared = BOUNCE_TIME_FACTOR * rebound_speed, rebound_speed * rebound_speed
-    height_times_gradient = speed_squared if force_gradient_bound is None else speed_squared * force_gradient_bound
+    height_times_gradient = speed_squared * force_gradient_bound
     available_time = available_time * min_contact_force * (1.0 - restitution)
     is_variation_small = (
         force_rate_bound * chatter_time_times_force

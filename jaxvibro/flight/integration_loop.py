@@ -13,8 +13,7 @@ from jaxtyping import Float
 
 from ..compiled.lane_arithmetic import bit_mask, call_without_inlining, choose, merge_bits
 from ..scene.codes import Contact
-from . import impact_log, soft_wall_long_step, turning_points
-from .contact_law_dispatch import contact_law_of
+from . import impact_log, recorded_turns, soft_wall_long_step, turning_points
 from .flight_state import CAPPED, Path
 from .flight_step import certified_step
 from .motion_in_soft_wall import is_inside_soft_wall
@@ -50,7 +49,7 @@ class LoopState(NamedTuple):
     path: Path
     log: impact_log.ImpactLog
     impact_slots: impact_log.ImpactSlots
-    closest_approaches: turning_points.ClosestApproaches | None
+    closest_approaches: recorded_turns.ClosestApproaches | None
     release_time: Float[jax.Array, "..."]
     n_steps: Float[jax.Array, ""]
     n_waiting_steps: Float[jax.Array, "..."] | None = None
@@ -97,7 +96,7 @@ def initial_loop_state(coeffs, path, n_impact_slots, end_time, with_clearance=Fa
     closest_approaches = turning_points.empty_approaches(path.x) if coeffs.walls and with_clearance else None
     zero = jnp.zeros_like(path.x)
     n_steps = jnp.zeros((), path.x.dtype)
-    n_waiting_steps = contact_law_of(coeffs).initial_waiting_steps(zero)
+    n_waiting_steps = coeffs.contact.initial_waiting_steps(zero)
     return LoopState(
         path,
         *impact_log.empty_log(path.x, n_impact_slots, end_time, n_slots_since_release),
@@ -123,7 +122,7 @@ def loop_limits(coeffs, n_periods):
     LoopLimits
         Largest numbers of impacts and of steps.
     """
-    max_step = contact_law_of(coeffs).max_step(coeffs)
+    max_step = coeffs.contact.max_step(coeffs)
     max_steps = 4.0 * MAX_PERIOD_IMPACTS + lax.min(
         STEP_FACTOR * coeffs.period / max_step, lax.full_like(coeffs.period, MAX_STEPS)
     )
@@ -149,10 +148,10 @@ def run_loop(coeffs, loop_state, loop_limits, start_next_period=None):
     LoopState
         Final state.
     """
-    has_walls, tracks_clearance, contact_law = (
+    has_walls, tracks_clearance, contact_kind = (
         bool(coeffs.walls),
         loop_state.closest_approaches is not None,
-        contact_law_of(coeffs),
+        coeffs.contact,
     )
 
     def step_lanes(loop_state):
@@ -208,17 +207,17 @@ def run_loop(coeffs, loop_state, loop_limits, start_next_period=None):
     def run_until_pause(loop_state):
         impact_slots, loop_state = loop_state.impact_slots, loop_state._replace(impact_slots=None)
         loop_state = lax.while_loop(
-            lambda loop: _combined_need_flags(contact_law, loop) == NEEDS_STEP, step_lanes, loop_state
+            lambda loop: _combined_need_flags(contact_kind, loop) == NEEDS_STEP, step_lanes, loop_state
         )
         if loop_state.n_waiting_steps is not None:
-            need_flags = _combined_need_flags(contact_law, loop_state)
+            need_flags = _combined_need_flags(contact_kind, loop_state)
             due_and_idle_flags = (need_flags & NEEDS_LONG_STEP) != 0, (need_flags & NEEDS_STEP) == 0
-            path, n_waiting_steps = contact_law.advance_waiting_lanes(
+            path, n_waiting_steps = contact_kind.advance_waiting_lanes(
                 coeffs, loop_state.path, loop_state.n_waiting_steps, *due_and_idle_flags
             )
             loop_state = loop_state._replace(path=path, n_waiting_steps=n_waiting_steps)
             loop_state = start_next_period(loop_state) if start_next_period else loop_state
-        need_flags = _combined_need_flags(contact_law, loop_state)
+        need_flags = _combined_need_flags(contact_kind, loop_state)
         is_finished = (need_flags & NEEDS_STEP) == 0
         is_flush_due, is_measurement_due = (
             is_finished | ((need_flags & NEEDS_FLUSH) != 0),
@@ -238,9 +237,8 @@ def run_loop(coeffs, loop_state, loop_limits, start_next_period=None):
         return loop_state._replace(log=log, impact_slots=impact_slots, closest_approaches=closest_approaches)
 
     def is_any_lane_pending(loop_state):
-        return jnp.any(
-            (loop_state.path.time_remaining > 0) | (loop_state.closest_approaches.pending_turn.time_guess_code != 0)
-        )
+        has_pending_turn = recorded_turns.has_pending_turn(loop_state.closest_approaches)
+        return jnp.any((loop_state.path.time_remaining > 0) | has_pending_turn)
 
     def is_any_lane_running(loop_state):
         return jnp.any(loop_state.path.time_remaining > 0)
@@ -272,15 +270,15 @@ def _next_waiting_steps(n_waiting_steps, contact):
     return choose(is_inside_soft_wall(contact), n_waiting_steps + 1.0, 0.0)
 
 
-def _combined_need_flags(contact_law, loop_state):
+def _combined_need_flags(contact_kind, loop_state):
     """Return the combined needs of lanes: a sum of NEEDS_STEP, NEEDS_FLUSH, NEEDS_MEASUREMENT and NEEDS_LONG_STEP."""
     need_flags = choose(
-        contact_law.path_of_stepping_lanes(loop_state.path).time_remaining > 0, jnp.int8(NEEDS_STEP), jnp.int8(0)
+        contact_kind.path_of_stepping_lanes(loop_state.path).time_remaining > 0, jnp.int8(NEEDS_STEP), jnp.int8(0)
     )
     need_flags |= choose(impact_log.is_recent_log_full(loop_state.log), jnp.int8(NEEDS_FLUSH), jnp.int8(0))
     if loop_state.closest_approaches is not None:
         need_flags |= choose(
-            turning_points.needs_measurement(loop_state.closest_approaches), jnp.int8(NEEDS_MEASUREMENT), jnp.int8(0)
+            recorded_turns.needs_measurement(loop_state.closest_approaches), jnp.int8(NEEDS_MEASUREMENT), jnp.int8(0)
         )
     if loop_state.n_waiting_steps is not None:
         need_flags |= choose(

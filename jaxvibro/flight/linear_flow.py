@@ -1,21 +1,110 @@
 """Fly a mass on a spring and a damper exactly.
 
-The interface is that of `force_flow`, see `flow_dispatch`. `coeffs` are the coefficients of each lane. Inside a soft
-wall x is relative to the wall, and `frame_force` is the result of `motion_in_soft_wall.frame_force_derivs`.
+The module is a `protocols.Flow`. `coeffs` are the coefficients of each lane. For lanes whose x is relative to a moving
+wall, `frame_force` is the additional force.
 """
 
 from dataclasses import replace
 
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 
 from ..compiled.lane_arithmetic import call_without_inlining, choose
+from ..scene import check
 from ..scene.typical_scales import fast_part_amplitude
-from . import event_certificates, flow, further_drive_terms, motion_in_soft_wall, wall_motion
+from . import event_certificates, flow, further_drive_terms, wall_motion
+from .flight_coefficients import FlowCoefficients, common_fields
 from .flight_state import SlowMotion, add_to_slow_motion
+from .power_series import add_coefficients
 from .taylor_polynomials import evaluate_taylor
 
-LINEAR = True  # the matrix of a flight does not depend on its initial state
+MIN_DENOMINATOR = 1e-3  # lower bound of sqrt(D): at resonance without damping there is no steady motion
+
+
+def make_coefficients(scene, kinds):
+    """Compute the `FlowCoefficients` of a scene with a spring and a damper."""
+    damping = jnp.asarray(scene.damping, scene.dtype)
+    fields = common_fields(scene, kinds, damping)
+    amplitude, frequency, walls, drive_terms = (
+        fields[name] for name in ("amplitude", "frequency", "walls", "drive_terms")
+    )
+    max_angular_rate = flow.max_angular_rate(frequency, damping)
+    for wall in walls:
+        max_angular_rate = jnp.maximum(
+            max_angular_rate, frequency * (wall.harmonic if wall.amplitude is not None else 1.0)
+        )
+    if drive_terms:
+        max_angular_rate = jnp.maximum(
+            max_angular_rate, frequency * float(further_drive_terms.highest_harmonic(drive_terms))
+        )
+    max_step = flow.MAX_SCALED_STEP / max_angular_rate
+    # energy of x^(6): abs x^(6), abs x^(7) <= abs x^(6)(0) + abs x^(7)(0) + A omega^6 t; damping lowers it
+    force_deriv_bound, jet_bound_slope = (
+        further_drive_terms.drive_derivative_bound(drive_terms, amplitude, frequency, 6),
+        jnp.sqrt(1.0 + 4.0 * damping * damping),
+    )
+
+    def derivative_bounds(order):
+        """Return the bounds on the derivatives of the contact force, and of the position, of each wall."""
+        return zip(
+            *(
+                wall_motion.wall_derivative_bounds(wall, amplitude, frequency, damping, order, drive_terms)
+                for wall in walls
+            ),
+            strict=True,
+        )
+
+    force_remainder_bounds, wall_remainder_bounds = derivative_bounds(event_certificates.N_TERMS) if walls else ((), ())
+    force_rate_bounds, _ = derivative_bounds(1) if walls else ((), ())
+    return FlowCoefficients(
+        **fields,
+        damping=damping,
+        in_phase_amplitude=fast_part_amplitude(frequency, damping, amplitude),
+        series=flow.flow_series(frequency, damping),
+        max_step=max_step,
+        inverse_max_step=max_angular_rate / flow.MAX_SCALED_STEP,
+        taylor_weights=event_certificates.taylor_weights(max_step),
+        jet_bound=force_deriv_bound * (1.0 + jet_bound_slope * max_step),
+        jet_bound_slope=jet_bound_slope,
+        force_remainder_bounds=force_remainder_bounds,
+        wall_remainder_bounds=wall_remainder_bounds,
+        force_rate_bounds=force_rate_bounds,
+    )
+
+
+def steady_amplitude(scene, amplitude, frequency):
+    """Return the amplitude of the steady motion under a harmonic force; bounded at resonance by `MIN_DENOMINATOR`."""
+    damping = np.asarray(scene.damping, float)
+    return amplitude / np.maximum(
+        np.hypot((1.0 - frequency) * (1.0 + frequency), 2.0 * damping * frequency), MIN_DENOMINATOR
+    )
+
+
+def rates(scene):
+    """Return the rate of the spring, that of the drive and that of the damping."""
+    return [1.0, float(scene.frequency), 2.0 * float(scene.damping)]
+
+
+def loses_energy(scene):
+    """Return True if the scene or a soft wall is damped."""
+    return any(bool(scene.parameter(name) > 0) for name in scene.names if name.endswith("damping"))
+
+
+def areas_may_grow():
+    """Return False: the determinant of a flight is at most 1."""
+    return False
+
+
+def has_unique_free_response():
+    """Return True, because the equations of an orbit without impacts are linear."""
+    return True
+
+
+def require_reversible(scene):
+    """Raise an error if the damping is too large for time reversal."""
+    if not scene.damping < 1:
+        raise check.ArgumentError("damping", "must be less than 1 for the inverse map", scene.damping)
 
 
 def prepare_lookahead(coeffs, path):
@@ -63,63 +152,61 @@ def remainder_bound(
     ) * taylor_weights[event_certificates.N_TERMS]
 
 
-def advance_motion(coeffs, motion, time, contact, lookahead):
+def advance_motion(coeffs, motion, time, lookahead):
     """Return the motion after a step."""
-    return propagate_motion(coeffs, motion, time, contact)
+    return propagate_motion(coeffs, motion, time)
 
 
-def propagate_motion(coeffs, motion, time, contact=None):
-    """Return the `SlowMotion` after a time of at most one step.
-
-    `contact` is the contact of the lanes if any may be inside a soft wall, and None otherwise.
-    """
-    if contact is None:
-        propagator, extra_increments = (
-            call_without_inlining(flow.step_propagator, coeffs.series, coeffs.frequency, time),
-            None,
-        )
-        if coeffs.drive_terms:
-            term_drive_responses = [
-                call_without_inlining(flow.drive_responses, term.series, time) for term in coeffs.drive_terms
-            ]
-            extra_increments = call_without_inlining(
-                further_drive_terms.drive_term_increments,
-                coeffs.drive_terms,
-                coeffs.frequency,
-                *motion[4:],
-                propagator.p01,
-                term_drive_responses,
-            )
-    else:
-        propagator = call_without_inlining(motion_in_soft_wall.lane_propagator, coeffs, contact, time)
-        extra_responses = (
-            call_without_inlining(motion_in_soft_wall.harmonic_responses, coeffs, contact, time)
-            if motion_in_soft_wall.has_harmonic_forces(coeffs)
-            else []
-        )
+def propagate_motion(coeffs, motion, time):
+    """Return the `SlowMotion` after a time of at most one step."""
+    propagator, extra_increments = (
+        call_without_inlining(flow.step_propagator, coeffs.series, coeffs.frequency, time),
+        None,
+    )
+    if coeffs.drive_terms:
+        term_drive_responses = [
+            call_without_inlining(flow.drive_responses, term.series, time) for term in coeffs.drive_terms
+        ]
         extra_increments = call_without_inlining(
-            motion_in_soft_wall.extra_increments, coeffs, contact, motion, propagator, extra_responses
+            further_drive_terms.drive_term_increments,
+            coeffs.drive_terms,
+            coeffs.frequency,
+            *motion[4:],
+            propagator.p01,
+            term_drive_responses,
         )
-    slow_parts = call_without_inlining(_slow_parts_after_flight, coeffs, motion, propagator, contact, extra_increments)
+    slow_parts = call_without_inlining(_slow_parts_after_flight, coeffs, motion, propagator, extra_increments)
+    return rotate_drive(slow_parts, motion, propagator)
+
+
+def rotate_drive(slow_parts, motion, propagator):
+    """Return the `SlowMotion` after a flight from its first four fields."""
     return SlowMotion(
         *slow_parts,
         *call_without_inlining(flow.rotate_phasor, *motion[4:], propagator.cos_less_1, propagator.sin_angle),
     )
 
 
-def _slow_parts_after_flight(coeffs, motion, propagator, contact, extra_increments):
+def slow_force(coeffs, motion):
+    """Return the parts (cosine, sine) of the force on the slow part of the motion."""
+    gamma_omega = coeffs.damping * coeffs.frequency
+    return (
+        -2.0 * coeffs.in_phase_amplitude * (motion.cosine + gamma_omega * (motion.cosine - motion.sine)),
+        -2.0 * coeffs.in_phase_amplitude * (motion.sine + gamma_omega * (motion.sine + motion.cosine)),
+    )
+
+
+def _slow_parts_after_flight(coeffs, motion, propagator, extra_increments):
+    """Return the first four fields of the `SlowMotion` after a flight between the walls."""
+    return slow_parts_after_flight(coeffs, motion, propagator, extra_increments, *slow_force(coeffs, motion))
+
+
+def slow_parts_after_flight(coeffs, motion, propagator, extra_increments, force_cos, force_sin):
     """Return the first four fields of the `SlowMotion` after a flight.
 
-    `extra_increments` are the increments of x and v due to the further drive terms and, inside a soft wall, due to
-    `motion_in_soft_wall.frame_force_derivs`. None stands for zero.
+    `extra_increments` are increments of x and v in addition to those due to the force on the slow part, see
+    `slow_force`. None stands for zero.
     """
-    gamma_omega = coeffs.damping * coeffs.frequency
-    force_cos = -2.0 * coeffs.in_phase_amplitude * (motion.cosine + gamma_omega * (motion.cosine - motion.sine))
-    force_sin = -2.0 * coeffs.in_phase_amplitude * (motion.sine + gamma_omega * (motion.sine + motion.cosine))
-    if contact is not None:
-        is_inside_wall = motion_in_soft_wall.is_inside_soft_wall(contact)
-        force_cos = choose(is_inside_wall, coeffs.amplitude * motion.cosine, force_cos)
-        force_sin = choose(is_inside_wall, coeffs.amplitude * motion.sine, force_sin)
     p00_minus_1, p01, cos_response, sin_response = propagator[:4]
     dx = p00_minus_1 * motion.slow_x + (p01 * motion.slow_v + (force_cos * cos_response - force_sin * sin_response))
     forced_velocity = force_cos * (p01 - coeffs.frequency * sin_response) - force_sin * (
@@ -191,12 +278,12 @@ def jet_at_point(coeffs, expansion_point, order, frame_force=()):
 
 def _force_derivatives(coeffs, expansion_point, order, frame_force=()):
     """Return the force and its derivatives up to order - 1."""
-    drive_force_derivs = [
+    drive_force_derivs = further_drive_terms.harmonic_derivatives(
         coeffs.amplitude * expansion_point.cosine,
-        -(coeffs.amplitude * expansion_point.sine) * coeffs.frequency,
-    ]
-    while len(drive_force_derivs) < order:
-        drive_force_derivs.append(-(coeffs.frequency * coeffs.frequency) * drive_force_derivs[-2])
+        coeffs.amplitude * expansion_point.sine,
+        coeffs.frequency,
+        order - 1,
+    )
     extra_derivs = further_drive_terms.add_term_derivatives(
         coeffs.drive_terms,
         coeffs.frequency,
@@ -205,8 +292,8 @@ def _force_derivatives(coeffs, expansion_point, order, frame_force=()):
         [*frame_force, *[None] * order][:order],
     )
     return [
-        force_deriv if extra_deriv is None else force_deriv + extra_deriv
-        for force_deriv, extra_deriv in zip(drive_force_derivs[:order], extra_derivs, strict=False)
+        add_coefficients(force_deriv, extra_deriv)
+        for force_deriv, extra_deriv in zip(drive_force_derivs, extra_derivs, strict=True)
     ]
 
 
@@ -240,12 +327,11 @@ def contact_force(coeffs, wall, cosine, sine, order):
 
 
 def chatter_bounds(coeffs, side, acceleration, approach_speed, cosine, sine):
-    """Return (bound on the time derivative of the contact force, damping, None) for chatter on a wall.
+    """Return (bound on the time derivative of the contact force, damping, bound on the force gradient) for chatter.
 
-    The bound on the force gradient is None, which stands for 1, because the derivative of the spring force with respect
-    to x is -1.
+    The bound on the force gradient is 1, because the derivative of the spring force with respect to x is -1.
     """
-    return wall_motion.select_by_side(side, coeffs.walls, coeffs.force_rate_bounds), coeffs.damping, None
+    return wall_motion.select_by_side(side, coeffs.walls, coeffs.force_rate_bounds), coeffs.damping, 1.0
 
 
 def sampling_time_scale(coeffs, flights):
@@ -265,11 +351,13 @@ def fly_with_matrix(coeffs, x, v, cosine, sine, time):
     return (x, v), free_flow
 
 
-def propagate_with_matrix(coeffs, state, cosine, sine, time):
-    """Return (state, cosine, sine, matrix of the flow by rows) after a time.
+def matrix_state(x, v):
+    """Return the empty tuple, because the matrix of the linear flow does not depend on x and v."""
+    return ()
 
-    The state is the empty tuple, because the matrix of the linear flow does not depend on x and v.
-    """
+
+def propagate_with_matrix(coeffs, state, cosine, sine, time):
+    """Return (`matrix_state`, cosine, sine, matrix of the flow by rows) after a time."""
     (p00, p01, p11), _, drive_rotation = flow.doubling_responses(coeffs.series, coeffs.frequency, coeffs.damping, time)
     return (), *flow.rotate_phasor(cosine, sine, *drive_rotation), (p00, p01, -p01, p11)
 
@@ -312,7 +400,7 @@ def reverse_time(coeffs):
     """Return the coefficients of the flow with time reversed.
 
     The square root of the energy of x^(6) increases at most by the factor exp(2 gamma t) relative to a motion without
-    damping, for which `flight_coefficients.make_flow_coefficients` computes the bounds.
+    damping, for which `make_coefficients` computes the bounds.
     """
     energy_growth = jnp.exp(2.0 * coeffs.damping * coeffs.max_step)
     jet_bound_slope, force_deriv_bound = (

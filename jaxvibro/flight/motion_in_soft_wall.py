@@ -9,6 +9,7 @@ stiffness, because x is measured from the wall. A lane is inside a wall from the
 that ends at the exit.
 """
 
+from functools import reduce
 from typing import NamedTuple
 
 import jax
@@ -20,7 +21,7 @@ from ..compiled.lane_arithmetic import choose
 from ..scene.codes import Contact
 from . import flow, further_drive_terms
 from .soft_wall_first_step import FirstStepInWall, make_first_step_in_wall
-from .wall_motion import select_by_side, subtract_optional, wall_jet
+from .wall_motion import select_by_side, subtract_wall_motion, wall_derivative_bounds, wall_jet
 
 
 class SoftWallFlow(NamedTuple):
@@ -36,8 +37,6 @@ class SoftWallFlow(NamedTuple):
         Damping gamma2.
     series : FlowSeries
         Series of the flow under the first drive term.
-    wall_motion_series : FlowSeries or None
-        Series of the flow under the motion of the wall. None for a fixed wall.
     first_step : FirstStepInWall
         First step after an entry.
     max_step : array
@@ -46,103 +45,59 @@ class SoftWallFlow(NamedTuple):
         Constant part of the bound on ``|y^(8)|``, as in `flight_coefficients.FlowCoefficients`.
     jet_bound_slope : array
         Factor of ``|y^(6)|`` and ``|y^(7)|`` in this bound, as in `flight_coefficients.FlowCoefficients`.
-    drive_term_series : tuple of FlowSeries
-        Series of the flow under each further drive term.
+    harmonic_series : tuple of FlowSeries
+        Series of the flow under each of the `harmonic_forces`.
     """
 
     stiffness: Float[jax.Array, "..."]
     root_stiffness: Float[jax.Array, "..."]
     damping: Float[jax.Array, "..."]
     series: flow.FlowSeries
-    wall_motion_series: flow.FlowSeries | None
     first_step: FirstStepInWall
     max_step: Float[jax.Array, "..."]
     jet_bound: Float[jax.Array, "..."]
     jet_bound_slope: Float[jax.Array, "..."]
-    drive_term_series: tuple[flow.FlowSeries, ...] = ()
+    harmonic_series: tuple[flow.FlowSeries, ...]
 
 
-class LaneCoefficients(NamedTuple):
-    """Coefficients of `flight_coefficients.FlowCoefficients` that differ between lanes inside and outside walls.
+# fields of `flight_coefficients.FlowCoefficients` that differ between lanes outside walls and inside each wall
+LANE_FIELDS = "damping", "stiffness", "root_stiffness", "max_step", "jet_bound", "jet_bound_slope"
 
-    Attributes
-    ----------
-    damping : array
-        Damping ratio gamma outside walls, damping gamma2 inside a wall.
-    in_phase_amplitude : array
-        Amplitude of the in-phase part of the motion, 0 inside a wall.
-    stiffness : array
-        Stiffness, 1 outside walls.
-    root_stiffness : array
-        Square root of the stiffness.
-    max_step : array
-        Longest step.
-    inverse_max_step : array
-        Reciprocal of `max_step`.
-    jet_bound : array
-        Constant part of the bound on the eighth derivative.
-    jet_bound_slope : array
-        Factor of the sixth and seventh derivative in this bound.
+
+def soft_wall_flow(wall, amplitude, frequency, drive_terms, is_any_soft_wall_moving):
+    """Return the `SoftWallFlow` of a soft wall.
+
+    `is_any_soft_wall_moving` is True if a soft wall of the scene moves. Then the motion of each soft wall counts as
+    one of the `harmonic_forces`, also that of a fixed wall.
     """
-
-    damping: Float[jax.Array, "..."]
-    in_phase_amplitude: Float[jax.Array, "..."]
-    stiffness: Float[jax.Array, "..."]
-    root_stiffness: Float[jax.Array, "..."]
-    max_step: Float[jax.Array, "..."]
-    inverse_max_step: Float[jax.Array, "..."]
-    jet_bound: Float[jax.Array, "..."]
-    jet_bound_slope: Float[jax.Array, "..."]
-
-
-def soft_wall_flow(wall, amplitude, frequency, drive_terms=()):
-    """Return the `SoftWallFlow` of a wall, None for a rigid wall and for a wall with a user-defined law."""
-    if wall.stiffness is None:
-        return None
     stiffness, damping = 1.0 + wall.stiffness, wall.damping
-    root_stiffness = jnp.sqrt(stiffness)
-    max_angular_rate, wall_motion_series = flow.max_angular_rate(frequency, damping, stiffness), None
-    force_deriv_bound = further_drive_terms.drive_derivative_bound(drive_terms, amplitude, frequency, 6)
-    if drive_terms:
-        max_angular_rate = jnp.maximum(
-            max_angular_rate, frequency * float(further_drive_terms.highest_harmonic(drive_terms))
-        )
-    if wall.amplitude is not None:
-        wall_frequency = frequency * float(wall.harmonic)
-        max_angular_rate = jnp.maximum(max_angular_rate, wall_frequency)
-        wall_motion_series = flow.flow_series(wall_frequency, damping, stiffness)
-        force_deriv_bound = force_deriv_bound + abs(wall.amplitude) * wall_frequency**6 * (
-            1.0 + 2.0 * damping * wall_frequency + wall_frequency * wall_frequency
-        )
-    max_step = flow.MAX_SCALED_STEP / max_angular_rate
-    # energy of y^(6), as for x in `flight_coefficients.make_flow_coefficients`: y^(7)^2 + (1 + k2) y^(6)^2
+    harmonics = [term.harmonic for term in drive_terms] + ([wall.harmonic] if is_any_soft_wall_moving else [])
+    rates = [frequency * float(harmonic) for harmonic in harmonics]
+    max_step = flow.MAX_SCALED_STEP / reduce(jnp.maximum, rates, flow.max_angular_rate(frequency, damping, stiffness))
+    force_deriv_bound, _ = wall_derivative_bounds(wall, amplitude, frequency, damping, 6, drive_terms)
+    # energy of y^(6), as for x in `linear_flow.make_coefficients`: y^(7)^2 + (1 + k2) y^(6)^2
     jet_bound_slope = jnp.sqrt(stiffness + 4.0 * damping * damping)
-    series = flow.flow_series(frequency, damping, stiffness)
-    drive_term_series = tuple(
-        flow.flow_series(further_drive_terms.term_angular_rate(term, frequency), damping, stiffness)
-        for term in drive_terms
-    )
+    series, *harmonic_series = (flow.flow_series(rate, damping, stiffness) for rate in (frequency, *rates))
     first_step = make_first_step_in_wall(
-        wall,
-        amplitude,
-        frequency,
-        series,
-        wall_motion_series,
-        stiffness,
-        list(zip(drive_terms, drive_term_series, strict=True)),
+        wall, amplitude, frequency, drive_terms, stiffness, series, list(zip(harmonic_series, rates, strict=True))
     )
     return SoftWallFlow(
         stiffness,
-        root_stiffness,
+        jnp.sqrt(stiffness),
         damping,
         series,
-        wall_motion_series,
         first_step,
         max_step,
         force_deriv_bound * (1.0 + jet_bound_slope * max_step),
         jet_bound_slope,
-        drive_term_series,
+        tuple(harmonic_series),
     )
+
+
+def soft_walls(coeffs):
+    """Return [(wall, its entry of `FlowCoefficients.soft_flows`)] of the soft walls, left first."""
+    walls_and_flows = zip(coeffs.walls, coeffs.soft_flows, strict=True)
+    return [(wall, soft_flow) for wall, soft_flow in walls_and_flows if soft_flow is not None]
 
 
 def is_inside_soft_wall(contact):
@@ -178,9 +133,8 @@ def is_soft_side(coeffs, side):
         True if the wall is soft. False for none.
     """
     is_soft = side != side
-    for wall, soft_flow in zip(coeffs.walls, coeffs.soft_flows, strict=True):
-        if soft_flow is not None:
-            is_soft |= side == float(wall.sign)
+    for wall, _ in soft_walls(coeffs):
+        is_soft |= side == float(wall.sign)
     return is_soft
 
 
@@ -217,30 +171,21 @@ def lane_coefficients(coeffs, contact):
 
     Returns
     -------
-    LaneCoefficients
-        Coefficients of each lane. Inside a wall the motion has no in-phase part.
+    dict of str to array
+        Fields of `flight_coefficients.FlowCoefficients`. Inside a wall the motion has no in-phase part.
     """
-    soft_flows = [soft_flow for soft_flow in coeffs.soft_flows if soft_flow is not None]
-    is_inside_wall = is_inside_soft_wall(contact)
-
-    def select_field(field_name, value_outside):
-        return choose(
+    is_inside_wall, outside = is_inside_soft_wall(contact), coeffs._replace(stiffness=1.0, root_stiffness=1.0)
+    fields = {
+        name: choose(
             is_inside_wall,
-            _select_by_soft_wall(contact, [getattr(soft_flow, field_name) for soft_flow in soft_flows]),
-            value_outside,
+            _value_in_wall(coeffs, contact, lambda _, soft_flow, name=name: getattr(soft_flow, name)),
+            value,
         )
-
-    max_step = select_field("max_step", coeffs.max_step)
-    return LaneCoefficients(
-        damping=select_field("damping", coeffs.damping),
-        in_phase_amplitude=choose(is_inside_wall, 0.0, coeffs.in_phase_amplitude),
-        stiffness=select_field("stiffness", 1.0),
-        root_stiffness=select_field("root_stiffness", 1.0),
-        max_step=max_step,
-        inverse_max_step=1.0 / max_step,
-        jet_bound=select_field("jet_bound", coeffs.jet_bound),
-        jet_bound_slope=select_field("jet_bound_slope", coeffs.jet_bound_slope),
-    )
+        for name, value in outside._asdict().items()
+        if name in LANE_FIELDS
+    }
+    in_phase_amplitude = choose(is_inside_wall, 0.0, coeffs.in_phase_amplitude)
+    return fields | {"in_phase_amplitude": in_phase_amplitude, "inverse_max_step": 1.0 / fields["max_step"]}
 
 
 def coeffs_by_lane(coeffs, contact):
@@ -256,19 +201,25 @@ def coeffs_by_lane(coeffs, contact):
     Returns
     -------
     FlowCoefficients
-        Coefficients with the `LaneCoefficients` of each lane.
+        Coefficients with the `lane_coefficients` of each lane.
     """
-    return coeffs._replace(**lane_coefficients(coeffs, contact)._asdict())
+    return coeffs._replace(**lane_coefficients(coeffs, contact))
 
 
-def _select_by_soft_wall(contact, values_by_wall):
+def _value_in_wall(coeffs, contact, value):
+    """Return value(wall, soft flow) for the soft wall of each lane; arbitrary outside walls."""
+    values_by_wall = [value(*wall_and_flow) for wall_and_flow in soft_walls(coeffs)]
+    return jax.tree.map(lambda *leaves: _select_by_wall(contact, leaves), *values_by_wall)
+
+
+def _select_by_wall(contact, values_by_wall):
     """Select the value of the soft wall of each lane from the values of all soft walls, left first."""
     return values_by_wall[0] if len(values_by_wall) == 1 else choose(contact < 0, *values_by_wall)
 
 
 def has_moving_soft_wall(coeffs):
     """Return True if a soft wall moves."""
-    return any(soft_flow is not None and soft_flow.wall_motion_series is not None for soft_flow in coeffs.soft_flows)
+    return any(wall.amplitude is not None for wall, _ in soft_walls(coeffs))
 
 
 def lane_propagator(coeffs, contact, time):
@@ -276,21 +227,9 @@ def lane_propagator(coeffs, contact, time):
     return flow.step_propagator(_flow_series_by_lane(coeffs, contact), coeffs.frequency, time)
 
 
-def has_harmonic_forces(coeffs):
-    """Return True if the list of `harmonic_forces` is not empty."""
-    return bool(coeffs.drive_terms) or has_moving_soft_wall(coeffs)
-
-
 def harmonic_responses(coeffs, contact, time):
     """Return [(cos_response, sin_response)] of each lane for each of its `harmonic_forces`."""
-    responses = [flow.drive_responses(series, time) for series in _term_series_by_lane(coeffs, contact)]
-    if has_moving_soft_wall(coeffs):
-        responses.append(
-            flow.drive_responses(
-                _wall_series_by_lane(coeffs, contact), choose(_is_in_moving_wall(coeffs, contact), time, 0.0)
-            )
-        )
-    return responses
+    return [flow.drive_responses(*series_and_time) for series_and_time in _harmonic_series(coeffs, contact, time)]
 
 
 def harmonic_forces(coeffs, contact, cosine, sine):
@@ -299,66 +238,55 @@ def harmonic_forces(coeffs, contact, cosine, sine):
     The forces are the further drive terms and, if a soft wall moves, the force due to the motion of the wall of each
     lane. `cosine` and `sine` belong to t = 0. At the time t a force is force_cos cos(rate t) - force_sin sin(rate t).
     """
-    drive_term_forces = further_drive_terms.term_forces(coeffs.drive_terms, coeffs.frequency, cosine, sine)
-    wall_forces = [wall_motion_force(coeffs, contact, cosine, sine)] if has_moving_soft_wall(coeffs) else []
-    return [*drive_term_forces, *wall_forces]
-
-
-def _is_in_moving_wall(coeffs, contact):
-    """Return the lanes inside a moving wall."""
-    is_in_moving_wall = contact != contact
-    for wall, soft_flow in zip(coeffs.walls, coeffs.soft_flows, strict=True):
-        if soft_flow is not None and soft_flow.wall_motion_series is not None:
-            is_in_moving_wall |= is_inside_soft_wall(contact) & (contact * wall.sign > 0)
-    return is_in_moving_wall
+    forces = further_drive_terms.term_forces(coeffs.drive_terms, coeffs.frequency, cosine, sine)
+    if has_moving_soft_wall(coeffs):
+        force_cos, force_sin, angular_rate = _value_in_wall(
+            coeffs, contact, lambda wall, _: _wall_motion_force(wall, coeffs.frequency, cosine, sine)
+        )
+        is_inside_wall = is_inside_soft_wall(contact)
+        forces.append((choose(is_inside_wall, force_cos, 0.0), choose(is_inside_wall, force_sin, 0.0), angular_rate))
+    return forces
 
 
 def _flow_series_by_lane(coeffs, contact):
     """Return the `flow.FlowSeries` of each lane as lists of rows."""
-    return _select_series(
-        contact, coeffs.series, [soft_flow.series for soft_flow in coeffs.soft_flows if soft_flow is not None]
-    )
+    series_by_wall = [soft_flow.series for _, soft_flow in soft_walls(coeffs)]
+    return _select_outside(contact, _select_series(contact, series_by_wall), coeffs.series)
 
 
-def _term_series_by_lane(coeffs, contact):
-    """Return the `flow.FlowSeries` of each lane under each further drive term."""
-    term_series = zip(
-        *(soft_flow.drive_term_series for soft_flow in coeffs.soft_flows if soft_flow is not None), strict=True
-    )
-    return [
-        _select_series(contact, term.series, wall_series)
-        for term, wall_series in zip(coeffs.drive_terms, term_series, strict=True)
+def _harmonic_series(coeffs, contact, time):
+    """Return [(`flow.FlowSeries` of each lane, time)] for each of the `harmonic_forces`.
+
+    The time is 0 outside walls for the motion of a wall, because the series of a wall are valid within its steps only.
+    """
+    series_by_wall = zip(*(soft_flow.harmonic_series for _, soft_flow in soft_walls(coeffs)), strict=True)
+    series_inside = [_select_series(contact, series) for series in series_by_wall]
+    series_and_times = [
+        (_select_outside(contact, series, term.series), time)
+        for term, series in zip(coeffs.drive_terms, series_inside, strict=False)
     ]
+    time_inside = choose(is_inside_soft_wall(contact), time, 0.0)
+    return series_and_times + [(series, time_inside) for series in series_inside[len(coeffs.drive_terms) :]]
 
 
-def _select_series(contact, series_outside, series_by_wall):
-    """Select the `flow.FlowSeries` of each lane from those outside and inside the soft walls."""
-    is_inside_wall = is_inside_soft_wall(contact)
-
-    def select_rows(rows_outside, *rows_by_wall):
-        row_indices = range(rows_outside.shape[0])
-        return [
-            choose(is_inside_wall, _select_by_soft_wall(contact, [rows[k] for rows in rows_by_wall]), rows_outside[k])
-            for k in row_indices
-        ]
-
-    return flow.FlowSeries(*map(select_rows, series_outside, *series_by_wall))
-
-
-def _wall_series_by_lane(coeffs, contact):
-    """Return the `flow.FlowSeries` of each lane under the motion of its wall."""
+def _select_series(contact, series_by_wall):
+    """Select the `flow.FlowSeries` of the soft wall of each lane as lists of rows."""
 
     def select_rows(*rows_by_wall):
-        return [
-            _select_by_soft_wall(contact, [rows[k] for rows in rows_by_wall]) for k in range(rows_by_wall[0].shape[0])
-        ]
+        n_rows = rows_by_wall[0].shape[0]
+        return [_select_by_wall(contact, [rows[k] for rows in rows_by_wall]) for k in range(n_rows)]
 
-    series_by_wall = [
-        soft_flow.wall_motion_series
-        for soft_flow in coeffs.soft_flows
-        if soft_flow is not None and soft_flow.wall_motion_series is not None
-    ]
     return flow.FlowSeries(*map(select_rows, *series_by_wall))
+
+
+def _select_outside(contact, series_inside, series_outside):
+    """Return the `flow.FlowSeries` of each lane from those inside and outside the soft walls."""
+    is_inside_wall = is_inside_soft_wall(contact)
+
+    def select_rows(rows_inside, rows_outside):
+        return [choose(is_inside_wall, row, rows_outside[k]) for k, row in enumerate(rows_inside)]
+
+    return flow.FlowSeries(*map(select_rows, series_inside, series_outside))
 
 
 def frame_force_derivs(coeffs, contact, cosine, sine, order):
@@ -385,34 +313,19 @@ def frame_force_derivs(coeffs, contact, cosine, sine, order):
         Force and its derivatives, 0 in lanes outside. None stands for zero in all lanes.
     """
     is_inside_wall = is_inside_soft_wall(contact)
-    soft_walls = [
-        wall for wall, soft_flow in zip(coeffs.walls, coeffs.soft_flows, strict=True) if soft_flow is not None
-    ]
     force_derivs = []
     for values_by_wall in zip(
-        *(_wall_frame_force_derivs(wall, coeffs.frequency, cosine, sine, order) for wall in soft_walls), strict=True
+        *(
+            subtract_wall_motion([None] * (order + 1), wall, coeffs.frequency, wall.damping, cosine, sine)
+            for wall, _ in soft_walls(coeffs)
+        ),
+        strict=True,
     ):
         is_zero = all(wall_value is None for wall_value in values_by_wall)
         values_by_wall = [
             0.0 * cosine if wall_value is None else wall_value + 0.0 * cosine for wall_value in values_by_wall
         ]
-        force_derivs.append(
-            None if is_zero else choose(is_inside_wall, _select_by_soft_wall(contact, values_by_wall), 0.0)
-        )
-    return force_derivs
-
-
-def _wall_frame_force_derivs(wall, frequency, cosine, sine, order):
-    """Return the `frame_force_derivs` of one wall."""
-    wall_derivs = wall_jet(wall, frequency, cosine, sine, order + 2)
-    force_derivs = []
-    for k in range(order + 1):
-        drag_term = None if wall_derivs[k + 1] is None else 2.0 * wall.damping * wall_derivs[k + 1]
-        force_derivs.append(
-            None
-            if wall_derivs[k] is None
-            else subtract_optional(subtract_optional(-wall_derivs[k], drag_term), wall_derivs[k + 2])
-        )
+        force_derivs.append(None if is_zero else choose(is_inside_wall, _select_by_wall(contact, values_by_wall), 0.0))
     return force_derivs
 
 
@@ -421,57 +334,25 @@ def extra_increments(coeffs, contact, motion, propagator, harmonic_responses):
 
     `harmonic_responses` is the result of the function of this name.
     """
-    dx, dv = mean_position_increments(coeffs, contact, motion.cosine, propagator.p00_minus_1, propagator.p01)
-    if harmonic_responses:
-        forces = harmonic_forces(coeffs, contact, motion.cosine, motion.sine)
-        for (force_cos, force_sin, angular_rate), (cos_response, sin_response) in zip(
-            forces, harmonic_responses, strict=True
-        ):
-            dx = dx + (force_cos * cos_response - force_sin * sin_response)
-            dv = dv + (
-                force_cos * (propagator.p01 - angular_rate * sin_response) - force_sin * (angular_rate * cos_response)
-            )
-    return dx, dv
+    increments = mean_position_increments(coeffs, contact, motion.cosine, propagator.p00_minus_1, propagator.p01)
+    forces = harmonic_forces(coeffs, contact, motion.cosine, motion.sine)
+    return further_drive_terms.add_force_increments(*increments, forces, propagator.p01, harmonic_responses)
 
 
 def mean_position_increments(coeffs, contact, template, p00_minus_1, p01):
     """Return the increments of y and y' due to the mean position of the wall."""
-    soft_walls = [
-        wall_and_flow
-        for wall_and_flow in zip(coeffs.walls, coeffs.soft_flows, strict=True)
-        if wall_and_flow[1] is not None
-    ]
-    mean_position = choose(
-        is_inside_soft_wall(contact),
-        _select_by_soft_wall(contact, [wall.position + 0.0 * template for wall, _ in soft_walls]),
-        0.0,
+    position, stiffness = _value_in_wall(
+        coeffs, contact, lambda wall, soft_flow: (wall.position + 0.0 * template, soft_flow.stiffness)
     )
-    return mean_position * p00_minus_1 / _select_by_soft_wall(
-        contact, [soft_flow.stiffness for _, soft_flow in soft_walls]
-    ), -mean_position * p01
-
-
-def wall_motion_force(coeffs, contact, cosine, sine):
-    """Return (force_cos, force_sin, angular rate) of the force due to the wall's motion, see `harmonic_forces`."""
-    walls_and_flows = zip(coeffs.walls, coeffs.soft_flows, strict=True)
-    moving_walls = [
-        wall
-        for wall, soft_flow in walls_and_flows
-        if soft_flow is not None and soft_flow.wall_motion_series is not None
-    ]
-    force_cos, force_sin, angular_rate = (
-        _select_by_soft_wall(contact, list(values))
-        for values in zip(
-            *(_wall_motion_force(wall, coeffs.frequency, cosine, sine) for wall in moving_walls), strict=True
-        )
-    )
-    is_in_moving_wall = _is_in_moving_wall(coeffs, contact)
-    return choose(is_in_moving_wall, force_cos, 0.0), choose(is_in_moving_wall, force_sin, 0.0), angular_rate
+    mean_position = choose(is_inside_soft_wall(contact), position, 0.0)
+    return mean_position * p00_minus_1 / stiffness, -mean_position * p01
 
 
 def _wall_motion_force(wall, frequency, cosine, sine):
-    """Return the `wall_motion_force` of one wall, whose total force is - x_b - 2 gamma2 x_b' - x_b''."""
+    """Return the harmonic force due to the motion of a wall, whose total force is - x_b - 2 gamma2 x_b' - x_b''."""
     angular_rate = frequency * float(wall.harmonic)
+    if wall.amplitude is None:
+        return 0.0 * cosine, 0.0 * cosine, angular_rate + 0.0 * cosine
     wall_displacement, wall_velocity = wall_jet(wall, frequency, cosine, sine, 1)
     # amplitude times cosine and sine of the wall's angle
     wall_displacement, wall_quadrature = (
@@ -521,30 +402,13 @@ def contact_response(coeffs, contact, time):
     ContactResponse
         Response of each lane.
     """
-    flow_arguments = coeffs.damping, time, coeffs.stiffness
-    free_flow, forced_flow, _ = flow.doubling_responses(
-        _flow_series_by_lane(coeffs, contact), coeffs.frequency, *flow_arguments
-    )
-    harmonic_flows = []
-    for term, series in zip(coeffs.drive_terms, _term_series_by_lane(coeffs, contact), strict=True):
-        harmonic_flows.append(
-            flow.doubling_responses(
-                series, further_drive_terms.term_angular_rate(term, coeffs.frequency), *flow_arguments
-            )[1]
-        )
-    if has_moving_soft_wall(coeffs):
-        *_, angular_rate = wall_motion_force(coeffs, contact, 0.0 * time, 0.0 * time)
-        time_in_moving_wall = choose(_is_in_moving_wall(coeffs, contact), time, 0.0)
-        harmonic_flows.append(
-            flow.doubling_responses(
-                _wall_series_by_lane(coeffs, contact),
-                angular_rate,
-                coeffs.damping,
-                time_in_moving_wall,
-                coeffs.stiffness,
-            )[1]
-        )
-    return ContactResponse(free_flow, forced_flow, tuple(harmonic_flows))
+    rates = [angular_rate for *_, angular_rate in harmonic_forces(coeffs, contact, 0.0 * time, 0.0 * time)]
+    series_and_times = [(_flow_series_by_lane(coeffs, contact), time), *_harmonic_series(coeffs, contact, time)]
+    responses = [
+        flow.doubling_responses(series, rate, coeffs.damping, series_time, coeffs.stiffness)
+        for (series, series_time), rate in zip(series_and_times, (coeffs.frequency, *rates), strict=True)
+    ]
+    return ContactResponse(*responses[0][:2], tuple(forced_flow for _, forced_flow, _ in responses[1:]))
 
 
 def apply_response(coeffs, contact, contact_response, start_state, cosine, sine):
@@ -575,34 +439,19 @@ def apply_response(coeffs, contact, contact_response, start_state, cosine, sine)
     free_flow, forced_flow, harmonic_flows = contact_response
     force = coeffs.amplitude * cosine, coeffs.amplitude * sine
     displacement, velocity = flow.apply_responses((free_flow, forced_flow), *force, *start_state, coeffs.stiffness)
-    displacement_change, velocity_change = mean_position_increments(
-        coeffs, contact, cosine, free_flow[0] - 1.0, free_flow[1]
-    )
-    displacement, velocity = displacement + displacement_change, velocity + velocity_change
-    if harmonic_flows:
-        for (force_cos, force_sin, _), forced_flow in zip(
-            harmonic_forces(coeffs, contact, cosine, sine), harmonic_flows, strict=True
-        ):
-            displacement_change, velocity_change = flow.apply_responses(
-                (free_flow, forced_flow), force_cos, force_sin, 0.0 * displacement, 0.0 * velocity, coeffs.stiffness
-            )
-            displacement, velocity = displacement + displacement_change, velocity + velocity_change
+    changes = [mean_position_increments(coeffs, contact, cosine, free_flow[0] - 1.0, free_flow[1])]
+    forces = harmonic_forces(coeffs, contact, cosine, sine)
+    for (force_cos, force_sin, _), flow_of_force in zip(forces, harmonic_flows, strict=True):
+        start_at_rest = force_cos, force_sin, 0.0 * displacement, 0.0 * velocity
+        changes.append(flow.apply_responses((free_flow, flow_of_force), *start_at_rest, coeffs.stiffness))
+    for displacement_change, velocity_change in changes:
+        displacement, velocity = displacement + displacement_change, velocity + velocity_change
     return displacement, velocity
 
 
 def first_steps_by_lane(coeffs, contact):
     """Return the `FirstStepInWall` of each lane."""
-    first_steps = [soft_flow.first_step for soft_flow in coeffs.soft_flows if soft_flow is not None]
-    wall_motion_responses = [
-        first_step.wall_motion_response for first_step in first_steps if first_step.wall_motion_response is not None
-    ]
-    first_steps = [
-        first_step._replace(wall_motion_response=first_step.wall_motion_response or wall_motion_responses[0])
-        if wall_motion_responses
-        else first_step
-        for first_step in first_steps
-    ]
-    return jax.tree.map(lambda *leaves: _select_by_soft_wall(contact, list(leaves)), *first_steps)
+    return _value_in_wall(coeffs, contact, lambda _, soft_flow: soft_flow.first_step)
 
 
 def displacement_per_time(coeffs, contact, entry_velocity, cosine, sine, time):
@@ -634,16 +483,10 @@ def displacement_per_time(coeffs, contact, entry_velocity, cosine, sine, time):
     mean_position_part, _ = mean_position_increments(coeffs, contact, cosine, p00_value * time, 0.0 * time)
     forced_part = time * (force[0] * cos_value - force[1] * (time * sin_value))
     quotient = entry_velocity * p01_value + forced_part + mean_position_part
-    forces = further_drive_terms.term_forces(coeffs.drive_terms, coeffs.frequency, cosine, sine)
-    for (force_cos, force_sin, _), rows in zip(forces, _term_series_by_lane(coeffs, contact), strict=True):
-        cos_value, sin_value = (flow.horner(coefficients, time) for coefficients in rows[2:])
-        quotient = quotient + time * (force_cos * cos_value - force_sin * (time * sin_value))
-    if has_moving_soft_wall(coeffs):
-        force_cos, force_sin, _ = wall_motion_force(coeffs, contact, cosine, sine)
-        time_in_moving_wall = choose(_is_in_moving_wall(coeffs, contact), time, 0.0)
-        _, _, cos_value, sin_value = (
-            flow.horner(rows, time_in_moving_wall) for rows in _wall_series_by_lane(coeffs, contact)
-        )
+    forces = harmonic_forces(coeffs, contact, cosine, sine)
+    series_and_times = _harmonic_series(coeffs, contact, time)
+    for (force_cos, force_sin, _), (series, series_time) in zip(forces, series_and_times, strict=True):
+        cos_value, sin_value = (flow.horner(rows, series_time) for rows in series[2:])
         quotient = quotient + time * (force_cos * cos_value - force_sin * (time * sin_value))
     return quotient
 
@@ -671,20 +514,16 @@ def velocity_after_entry(coeffs, contact, entry_velocity, cosine, sine, time):
     array
         Velocity relative to the wall.
     """
-    p00_minus_1, p01, cos_response, sin_response, _, _ = flow.step_propagator(
-        _flow_series_by_lane(coeffs, contact), coeffs.frequency, time
-    )
+    p00_minus_1, p01, cos_response, sin_response, _, _ = lane_propagator(coeffs, contact, time)
     forced_velocity = coeffs.amplitude * cosine * (p01 - coeffs.frequency * sin_response) - coeffs.amplitude * sine * (
         coeffs.frequency * cos_response
     )
     _, mean_position_part = mean_position_increments(coeffs, contact, cosine, p00_minus_1, p01)
     velocity = (1.0 + p00_minus_1 - 2.0 * coeffs.damping * p01) * entry_velocity + forced_velocity + mean_position_part
-    if has_harmonic_forces(coeffs):
-        forces = harmonic_forces(coeffs, contact, cosine, sine)
-        for (force_cos, force_sin, angular_rate), (cos_response, sin_response) in zip(
-            forces, harmonic_responses(coeffs, contact, time), strict=True
-        ):
-            velocity = (
-                velocity + force_cos * (p01 - angular_rate * sin_response) - force_sin * (angular_rate * cos_response)
-            )
+    forces = harmonic_forces(coeffs, contact, cosine, sine)
+    responses = harmonic_responses(coeffs, contact, time)
+    for (force_cos, force_sin, angular_rate), (cos_response, sin_response) in zip(forces, responses, strict=True):
+        velocity = (
+            velocity + force_cos * (p01 - angular_rate * sin_response) - force_sin * (angular_rate * cos_response)
+        )
     return velocity

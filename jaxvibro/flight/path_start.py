@@ -11,7 +11,6 @@ from . import event_certificates, impact
 from .flight_coefficients import check_validity
 from .flight_state import Path, SlowMotion, make_slow_motion
 from .motion_in_soft_wall import is_inside_soft_wall
-from .soft_wall_lanes import inside_soft_wall_mask
 from .wall_motion import max_wall_distance, subtract_optional, wall_jet
 
 MAX_LENGTH_EXPONENT = 0.4  # squares and products of two lengths below largest**0.4 stay finite
@@ -67,7 +66,7 @@ def start_path(coeffs, state, check_scene_rules=check_validity):
         | (contact_code == Contact.WITHIN)
     )
     has_wall_for_contact = contact_code == 0
-    for wall, soft_flow in zip(coeffs.walls, coeffs.soft_flows, strict=True):
+    for wall, contact in zip(coeffs.walls, coeffs.kinds.wall_contacts, strict=True):
         wall_state = wall_jet(wall, coeffs.frequency, cosine, sine, 1)
         contact_on_wall = state.contact * wall.sign
         is_inside_wall = is_inside_soft_wall(
@@ -76,18 +75,16 @@ def start_path(coeffs, state, check_scene_rules=check_validity):
         path_at_wall = path._replace(
             x=choose(is_inside_wall, state.x + zero, path.x), v=choose(is_inside_wall, state.v + zero, path.v)
         )
-        path_at_wall, is_start_allowed = (_start_at_rigid_wall if soft_flow is None else _start_at_soft_wall)(
-            coeffs, wall, wall_state, path_at_wall, contact_on_wall
-        )
+        path_at_wall, is_start_allowed = contact.start_at_wall(coeffs, wall, wall_state, path_at_wall, contact_on_wall)
         field_pairs = zip(
             (path.x, path.v, path.contact), (path_at_wall.x, path_at_wall.v, path_at_wall.contact), strict=True
         )
         path = path._replace(
             **dict(zip(("x", "v", "contact"), (choose(is_inside_wall, *pair) for pair in field_pairs), strict=True))
         )
-        is_valid &= is_start_allowed & (contact_on_wall != (Contact.WITHIN if soft_flow is None else Contact.STUCK))
+        is_valid &= is_start_allowed
         has_wall_for_contact |= contact_on_wall > 0
-    is_inside_wall = inside_soft_wall_mask(coeffs, path.contact)
+    is_inside_wall = coeffs.contact.inside_mask(path.contact)
     if is_inside_wall is not None:
         coeffs = coeffs._replace(in_phase_amplitude=choose(is_inside_wall, 0.0, coeffs.in_phase_amplitude + zero))
     path = path._replace(motion=make_slow_motion(coeffs, path.x, path.v, cosine, sine))
@@ -99,7 +96,7 @@ def start_path(coeffs, state, check_scene_rules=check_validity):
     return path, status
 
 
-def _start_at_soft_wall(coeffs, wall, wall_state, path, contact_on_wall):
+def start_at_soft_wall(coeffs, wall, wall_state, path, contact_on_wall):
     """Apply the start rules of a soft wall: return (path, mask of the lanes with an admissible start).
 
     A mass beyond the position of the wall starts inside the wall, and x and v are then relative to the wall.
@@ -139,10 +136,10 @@ def _start_at_soft_wall(coeffs, wall, wall_state, path, contact_on_wall):
     is_in_contact = starts_inside | starts_leaving
     return path._replace(
         x=new_x, v=new_v, contact=choose(is_in_contact, wall.sign * new_contact_code, path.contact)
-    ), is_start_allowed
+    ), is_start_allowed & (contact_on_wall != Contact.STUCK)
 
 
-def _start_at_rigid_wall(coeffs, wall, wall_state, path, contact_on_wall):
+def start_at_rigid_wall(coeffs, wall, wall_state, path, contact_on_wall):
     """Apply the start rules of a rigid wall: return (path, mask of the lanes with an admissible start).
 
     `contact_on_wall` is the contact times the sign of the wall.
@@ -176,7 +173,7 @@ def _start_at_rigid_wall(coeffs, wall, wall_state, path, contact_on_wall):
         x=choose(is_in_contact | is_at_surface, wall_position, path.x),
         v=choose(moves_with_wall, wall_velocity, path.v),
         contact=choose(is_in_contact, new_contact, path.contact),
-    ), is_start_allowed
+    ), is_start_allowed & (contact_on_wall != Contact.WITHIN)
 
 
 def _contact_tolerance(wall, template):

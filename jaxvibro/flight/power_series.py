@@ -6,10 +6,9 @@ stored (`lane_arithmetic.call_without_inlining`).
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
@@ -379,11 +378,3 @@ RULES: dict[str, Callable[..., Series]] = {  # functions of the inputs of an ope
     "atan2": _atan2_rule,
     "copy": lambda operands, **_: operands[0],
 }
-
-
-def evaluate_polynomial(coefficients: Sequence[Coefficient], time: jax.Array) -> jax.Array:
-    """Evaluate a polynomial from its coefficients, the constant first; None stands for zero."""
-    value = coefficients[-1]
-    for term in coefficients[-2::-1]:
-        value = add_coefficients(None if value is None else value * time, term)
-    return jnp.zeros_like(time) if value is None else value

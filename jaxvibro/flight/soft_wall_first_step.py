@@ -8,6 +8,7 @@ certifies that the mass is still inside.
 """
 
 import math
+from functools import reduce
 from typing import NamedTuple
 
 import jax
@@ -15,7 +16,7 @@ import jax.numpy as jnp
 from jaxtyping import Float
 
 from ..compiled.lane_arithmetic import choose
-from . import flow, further_drive_terms
+from . import flow
 from .wall_motion import wall_derivative_bounds
 
 STEP_SHARE = 0.9  # fraction of the half-oscillation; the exit is then closer than the longest step
@@ -41,10 +42,8 @@ class FirstStepInWall(NamedTuple):
         Motion under the first drive term.
     drive_rotation : tuple of array
         Cosine less 1 and sine of the drive angle over the step.
-    wall_motion_response : tuple or None
-        Motion under the motion of the wall. None for a fixed wall.
-    drive_term_responses : tuple
-        Motion under each further drive term.
+    harmonic_flows : tuple
+        Motion under each of the `motion_in_soft_wall.harmonic_forces`.
     """
 
     time: Float[jax.Array, "..."]
@@ -53,62 +52,30 @@ class FirstStepInWall(NamedTuple):
     free_flow: flow.FreeFlow
     forced_flow: flow.ForcedFlow
     drive_rotation: tuple[Float[jax.Array, "..."], Float[jax.Array, "..."]]
-    wall_motion_response: flow.ForcedFlow | None
-    drive_term_responses: tuple[flow.ForcedFlow, ...] = ()
+    harmonic_flows: tuple[flow.ForcedFlow, ...]
 
 
-def make_first_step_in_wall(
-    wall, amplitude, frequency, series, wall_motion_series, total_stiffness, terms_with_series=()
-):
+def make_first_step_in_wall(wall, amplitude, frequency, drive_terms, total_stiffness, series, series_and_rates):
     """Return the `FirstStepInWall` of a soft wall.
 
-    `series` and `wall_motion_series` belong to the flow inside the wall, whose stiffness is 1 + k2. `terms_with_series`
-    is a list of (drive term, series of the flow under this term) for the further drive terms."""
-    damping, wall_frequency = wall.damping, frequency * float(wall.harmonic)
-    drive_terms = [term for term, _ in terms_with_series]
-    max_frequency = jnp.maximum(frequency, wall_frequency)
-    max_frequency = (
-        jnp.maximum(max_frequency, frequency * float(further_drive_terms.highest_harmonic(drive_terms)))
-        if drive_terms
-        else max_frequency
-    )
+    `series` belongs to the flow inside the wall, whose stiffness is 1 + k2. `series_and_rates` is a list of
+    (series of the flow, angular rate) for each of the `motion_in_soft_wall.harmonic_forces`."""
+    damping = wall.damping
+    max_frequency = reduce(jnp.maximum, (rate for _, rate in series_and_rates), frequency)
     is_underdamped = (damping * damping < MAX_DAMPING_SHARE * total_stiffness) & (
         max_frequency < jnp.sqrt(total_stiffness)
     )
     time = STEP_SHARE * math.pi / jnp.sqrt(choose(is_underdamped, total_stiffness - damping * damping, total_stiffness))
-    free_flow, forced_flow, drive_rotation = flow.fixed_doubling_responses(
-        series, frequency, damping, time, total_stiffness, N_DOUBLINGS
-    )
-    wall_motion_response = (
-        None
-        if wall_motion_series is None
-        else flow.fixed_doubling_responses(
-            wall_motion_series, wall_frequency, damping, time, total_stiffness, N_DOUBLINGS
-        )[1]
+    (free_flow, forced_flow, drive_rotation), *harmonic_responses = (
+        flow.fixed_doubling_responses(flow_series, rate, damping, time, total_stiffness, N_DOUBLINGS)
+        for flow_series, rate in ((series, frequency), *series_and_rates)
     )
     speed_per_force = SAFETY_MARGIN * (1.0 - free_flow[0]) / (total_stiffness * free_flow[1])
     speed_per_force = choose(is_underdamped, speed_per_force, jnp.full_like(speed_per_force, jnp.inf))
     force_change_bound = wall_derivative_bounds(wall, amplitude, frequency, damping, 1, drive_terms)[0] * time
-    drive_term_responses = [
-        flow.fixed_doubling_responses(
-            term_series,
-            further_drive_terms.term_angular_rate(term, frequency),
-            damping,
-            time,
-            total_stiffness,
-            N_DOUBLINGS,
-        )[1]
-        for term, term_series in terms_with_series
-    ]
+    harmonic_flows = tuple(harmonic_flow for _, harmonic_flow, _ in harmonic_responses)
     return FirstStepInWall(
-        time,
-        speed_per_force,
-        force_change_bound,
-        free_flow,
-        forced_flow,
-        drive_rotation,
-        wall_motion_response,
-        tuple(drive_term_responses),
+        time, speed_per_force, force_change_bound, free_flow, forced_flow, drive_rotation, harmonic_flows
     )
 
 

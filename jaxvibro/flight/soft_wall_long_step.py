@@ -17,6 +17,7 @@ from ..compiled.lane_arithmetic import bit_mask, call_without_inlining, choose, 
 from ..scene.codes import Contact
 from . import event_certificates, flow, further_drive_terms, motion_in_soft_wall
 from .flight_state import SlowMotion, reduce_time_remaining
+from .power_series import add_coefficients
 from .soft_wall_first_step import is_first_step_certified
 
 MIN_SHORT_STEPS = 8.0  # number of short steps before a long step is tried
@@ -118,7 +119,7 @@ def _first_step_mask(coeffs, path):
         coeffs.drive_terms, coeffs.frequency, path.cosine, path.sine, extra_force
     )
     is_step_certified = is_first_step_certified(
-        first_step, side * path.v, side * (drive_force if extra_force is None else drive_force + extra_force)
+        first_step, side * path.v, side * add_coefficients(drive_force, extra_force)
     )
     return bit_mask(
         (lax.abs(path.contact) == Contact.ENTERED) & is_step_certified & (path.time_remaining > first_step.time), path.x
@@ -135,12 +136,9 @@ def _phasor_after_first_step(coeffs, path):
 def _state_after_first_step(coeffs, path):
     """Return (y, y') after the first step in the wall."""
     first_step = motion_in_soft_wall.first_steps_by_lane(coeffs, path.contact)
-    harmonic_flows = (
-        first_step.drive_term_responses
-        if first_step.wall_motion_response is None
-        else (*first_step.drive_term_responses, first_step.wall_motion_response)
+    contact_response = motion_in_soft_wall.ContactResponse(
+        first_step.free_flow, first_step.forced_flow, first_step.harmonic_flows
     )
-    contact_response = motion_in_soft_wall.ContactResponse(first_step.free_flow, first_step.forced_flow, harmonic_flows)
     return motion_in_soft_wall.apply_response(
         coeffs, path.contact, contact_response, (path.x, path.v), path.cosine, path.sine
     )

@@ -32,9 +32,7 @@ def polynomial_basis(coeffs, contact):
         Coefficients of shape (DEGREE + 1, lanes): a constant 1, the four series of the `flow.FlowSeries`, and for each
         of the `motion_in_soft_wall.harmonic_forces` the responses to its cosine and sine.
     """
-    soft_flows = [soft_flow for soft_flow in coeffs.soft_flows if soft_flow is not None]
-    has_moving_wall = motion_in_soft_wall.has_moving_soft_wall(coeffs)
-    basis_by_wall = [_wall_basis(soft_flow, has_moving_wall, contact.ndim) for soft_flow in soft_flows]
+    basis_by_wall = [_wall_basis(soft_flow, contact.ndim) for _, soft_flow in motion_in_soft_wall.soft_walls(coeffs)]
     lane_basis = (
         basis_by_wall[0]
         if len(basis_by_wall) == 1
@@ -44,25 +42,14 @@ def polynomial_basis(coeffs, contact):
     return [part * max_step_powers for part in lane_basis]
 
 
-def _wall_basis(soft_flow, has_moving_wall, n_lane_axes):
+def _wall_basis(soft_flow, n_lane_axes):
     """Return the `polynomial_basis` of one wall in powers of the unscaled time, for lanes with `n_lane_axes` axes."""
-    flow_rows = [
-        soft_flow.series.p00_minus_1,
-        soft_flow.series.p01,
-        soft_flow.series.cos_response,
-        soft_flow.series.sin_response,
-    ]
-    wall_rows = (
-        [jnp.zeros_like(array) for array in flow_rows[2:]]
-        if soft_flow.wall_motion_series is None
-        else [soft_flow.wall_motion_series.cos_response, soft_flow.wall_motion_series.sin_response]
-    )
-    term_rows = [
+    harmonic_rows = [
         polynomial_rows
-        for series in soft_flow.drive_term_series
+        for series in soft_flow.harmonic_series
         for polynomial_rows in (series.cos_response, series.sin_response)
     ]
-    response_rows = [jnp.ones_like(flow_rows[0][:1]), *flow_rows, *term_rows, *(wall_rows if has_moving_wall else [])]
+    response_rows = [jnp.ones_like(soft_flow.series.p01[:1]), *soft_flow.series, *harmonic_rows]
     lowest_powers = (0, 2, 1, *(2, 3) * (len(response_rows) // 2 - 1))
     polynomial_rows = []
     for part, lowest_power in zip(response_rows, lowest_powers, strict=True):
@@ -209,7 +196,7 @@ def contact_response(coeffs, contact, polynomial_basis, time):
     forced_flows = [
         (
             ((x_cos, p01 - angular_rate * x_sin), (x_sin, angular_rate * x_cos)),
-            _rotation_by_angle(angular_rate * short_step),
+            flow.rotation_by_angle(angular_rate * short_step),
         )
         for x_cos, x_sin, angular_rate in responses
     ]
@@ -231,9 +218,3 @@ def contact_response(coeffs, contact, polynomial_basis, time):
     return motion_in_soft_wall.ContactResponse(
         free_flow, forced_flows[0][0], tuple(forced_flow for forced_flow, _ in forced_flows[1:])
     )
-
-
-def _rotation_by_angle(angle):
-    """Return (cos - 1, sin) of an angle."""
-    half_sine = jnp.sin(0.5 * angle)
-    return -2.0 * half_sine * half_sine, jnp.sin(angle)

@@ -13,9 +13,9 @@ from jax import lax
 from jaxtyping import Float
 
 from ..compiled.lane_arithmetic import call_without_inlining, choose, maximum, minimum
-from . import event_certificates, jaxpr_series
+from . import event_certificates, flow, jaxpr_series
 from .further_drive_terms import harmonic_phasor, term_angular_rate
-from .power_series import Series, evaluate_polynomial
+from .power_series import Series, add_coefficients
 from .wall_motion import wall_jet
 
 MIN_ORDER = event_certificates.N_TERMS + 2  # least degree of a step, which exceeds that of an event
@@ -67,7 +67,7 @@ def step_polynomial_degree(coeffs):
 
 def motion_coefficients(coeffs, x, v, cosine, sine, order):
     """Return the Taylor coefficients of x up to an order, at a phasor of the drive."""
-    time = call_without_inlining(_time_at_phasor, coeffs.frequency, cosine, sine)
+    time = call_without_inlining(flow.time_at_phasor, coeffs.frequency, cosine, sine)
     drive_force_terms = _drive_coefficients(coeffs, cosine, sine, order - 1)
     return jaxpr_series.motion_coefficients(coeffs.user_force, time, x, v, drive_force_terms, order)
 
@@ -89,11 +89,6 @@ def _drive_coefficients(coeffs, cosine, sine, n_terms):
     return total_force_terms
 
 
-def _time_at_phasor(frequency, cosine, sine):
-    """Return the time within half a period of 0 at which the drive has a phasor."""
-    return lax.atan2(sine, cosine) / frequency
-
-
 def position_derivatives(coeffs, x, v, cosine, sine, order):
     """Return x and its derivatives up to an order."""
     return derivatives_from_terms(motion_coefficients(coeffs, x, v, cosine, sine, order))
@@ -101,7 +96,7 @@ def position_derivatives(coeffs, x, v, cosine, sine, order):
 
 def force_derivative_in_x(coeffs, x, v, cosine, sine):
     """Return the derivative of the force with respect to x."""
-    time_series = Series(None, call_without_inlining(_time_at_phasor, coeffs.frequency, cosine, sine))
+    time_series = Series(None, call_without_inlining(flow.time_at_phasor, coeffs.frequency, cosine, sine))
     derivative_in_x = jaxpr_series.force_series(
         coeffs.user_force, time_series, Series(lambda series, k: None, x, 1.0), Series(None, v)
     )[1]
@@ -151,14 +146,14 @@ def contact_taylor_terms(coeffs, wall, cosine, sine, order):
     x_series = Series(lambda series, k: wall_position_terms[k], wall_position_terms[0])
     v_series = Series(lambda series, k: (k + 1.0) * wall_position_terms[k + 1], wall_position_terms[1])
     time_series = Series(
-        lambda series, k: None, call_without_inlining(_time_at_phasor, coeffs.frequency, cosine, sine), 1.0
+        lambda series, k: None, call_without_inlining(flow.time_at_phasor, coeffs.frequency, cosine, sine), 1.0
     )
     force_series = jaxpr_series.force_series(coeffs.user_force, time_series, x_series, v_series)
     drive_force_terms = _drive_coefficients(coeffs, cosine, sine, max(order + 1, 2))
     terms = []
     for k in range(order + 1):
         term = drive_force_terms[k] - (k + 2.0) * (k + 1.0) * wall_position_terms[k + 2]
-        terms.append(term if force_series[k] is None else term + force_series[k])
+        terms.append(add_coefficients(term, force_series[k]))
     return terms
 
 
@@ -262,5 +257,5 @@ def step_increments(coeffs, x, v, cosine, sine, step, position_terms=None):
 
 def _evaluate_increments(position_terms, step):
     """Return the increments of x and v from the coefficients of x."""
-    x_increment = evaluate_polynomial(position_terms[1:], step) * step
-    return x_increment, evaluate_polynomial([k * term for k, term in enumerate(position_terms)][2:], step) * step
+    x_increment = flow.horner(position_terms[1:], step) * step
+    return x_increment, flow.horner([k * term for k, term in enumerate(position_terms)][2:], step) * step

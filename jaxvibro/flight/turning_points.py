@@ -2,22 +2,23 @@
 
 A step with a turning point is recorded. The clearance is measured only when the lane passes the next turning point,
 because a block of lanes would otherwise require a measurement at almost every step.
+
+The start of a `StepWithTurningPoint` is (motion, length of the step). Its code is the sign of the wall times (a guess
+of the time since the start + the longest step). The magnitude is larger by `DOUBLE_TURN_CODE` longest steps if the
+motion turns back from the other wall as well.
 """
 
 import math
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Float
 
-from ..compiled.lane_arithmetic import bit_mask, call_without_inlining, choose, maximum, merge_bits, minimum
+from ..compiled.lane_arithmetic import call_without_inlining, choose, maximum, minimum
 from ..scene.codes import Contact
-from . import event_certificates
+from . import event_certificates, recorded_turns
 from .flight_state import SlowMotion, state_of_slow_motion
-from .flow_dispatch import flow_of
-from .soft_wall_lanes import inside_soft_wall_mask
+from .recorded_turns import ClosestApproaches, StepWithTurningPoint
 from .wall_motion import subtract_optional, wall_jet, wall_jet_on_side
 
 DOUBLE_TURN_CODE = 4.0  # added to the code of two turning points, in longest steps
@@ -31,82 +32,19 @@ OTHER_TURN_FACTOR = 2.2
 CUBIC_ERROR = 0.05
 
 
-class StepWithTurningPoint(NamedTuple):
-    """Step with a turning point.
-
-    Attributes
-    ----------
-    motion : SlowMotion
-        Motion at the start of the step.
-    step_time : array
-        Length of the step.
-    time_guess_code : array
-        Sign of the wall times (a guess of the time since the start + the longest step), 0 without a turning point. The
-        magnitude is larger by `DOUBLE_TURN_CODE` longest steps if the motion turns back from the other wall as well.
-    """
-
-    motion: SlowMotion
-    step_time: Float[jax.Array, "*lanes"]
-    time_guess_code: Float[jax.Array, "*lanes"]
-
-
-class ClosestApproaches(NamedTuple):
-    """Smallest clearance and recorded turning points.
-
-    Attributes
-    ----------
-    least_clearance : array
-        Smallest clearance.
-    pending_turn : StepWithTurningPoint
-        Turning points to be measured.
-    latest_turn : StepWithTurningPoint
-        Turning points of the last step, in lanes that already have a pending turning point.
-    """
-
-    least_clearance: Float[jax.Array, "*lanes"]
-    pending_turn: StepWithTurningPoint
-    latest_turn: StepWithTurningPoint
-
-
 def empty_approaches(lanes_template):
     """Return `ClosestApproaches` without turning points, for lanes with the shape of a template."""
     zero = jnp.zeros_like(lanes_template)
-    empty_step = StepWithTurningPoint(SlowMotion(*[zero] * 6), zero, zero)
-    return ClosestApproaches(jnp.full_like(lanes_template, jnp.inf), empty_step, empty_step)
+    return recorded_turns.empty_approaches(zero, (SlowMotion(*[zero] * 6), zero))
 
 
-def record_turning_point(coeffs, path, step_result, closest_approaches):
-    """Return the `ClosestApproaches` including the turning points of a step.
-
-    The new turning point becomes pending in lanes without a pending turning point.
-    """
-    new_code = call_without_inlining(_turning_point_code, coeffs, path, step_result.pre_impact_path, step_result.time)
-    new_turn_pending_mask, latest_code = call_without_inlining(
-        _assign_turning_point, closest_approaches.pending_turn.time_guess_code, new_code
-    )
-    pending_turn = jax.tree.map(
-        lambda updated, current: merge_bits(new_turn_pending_mask, updated, current),
-        StepWithTurningPoint(path.motion, step_result.time, new_code),
-        closest_approaches.pending_turn,
-    )
-    return ClosestApproaches(
-        closest_approaches.least_clearance,
-        pending_turn,
-        StepWithTurningPoint(path.motion, step_result.time, latest_code),
-    )
+def record_turning_point(coeffs, path, step_result, approaches):
+    """Return the `ClosestApproaches` including the turning points of a step."""
+    code = call_without_inlining(_turning_point_code, coeffs, path, step_result.pre_impact_path, step_result.time)
+    return recorded_turns.record_step(approaches, (path.motion, step_result.time), code)
 
 
-def _assign_turning_point(pending_code, new_code):
-    """Return (bit mask of the lanes whose new turning point becomes pending, codes in the other lanes)."""
-    return bit_mask((pending_code == 0) & (new_code != 0), new_code), choose(pending_code == 0, 0.0, new_code)
-
-
-def needs_measurement(closest_approaches):
-    """Return the lanes with a new and a pending turning point, for which `measure_pending_turns` is due."""
-    return closest_approaches.latest_turn.time_guess_code != 0
-
-
-def measure_pending_turns(coeffs, closest_approaches):
+def measure_pending_turns(coeffs, approaches):
     """Measure pending turning points.
 
     If the step has a second turning point at the other wall, this point becomes pending. Otherwise the latest turning
@@ -117,8 +55,8 @@ def measure_pending_turns(coeffs, closest_approaches):
     One Halley step along the flow refines the time. The error of the clearance is of the order of the fourth power
     of the error of the first time.
     """
-    motion, step_time, time_guess_code = closest_approaches.pending_turn
-    side, flow_module = choose(time_guess_code < 0, lax.full_like(time_guess_code, -1.0), 1.0), flow_of(coeffs)
+    (motion, step_time), time_guess_code = approaches.pending_turn
+    side, flow_module = choose(time_guess_code < 0, lax.full_like(time_guess_code, -1.0), 1.0), coeffs.flow
     x, _, v = call_without_inlining(state_of_slow_motion, coeffs, motion)
     speed_terms = call_without_inlining(
         _speed_terms, coeffs, side, motion, flow_module.jet(coeffs, x, v, motion.cosine, motion.sine, N_TERMS)
@@ -134,7 +72,7 @@ def measure_pending_turns(coeffs, closest_approaches):
     relative_jet = call_without_inlining(
         _relative_jet, coeffs, side, flow_module.propagate_motion(coeffs, motion, turning_time)
     )
-    time_correction = call_without_inlining(_halley_correction, *relative_jet[1:])
+    time_correction = call_without_inlining(halley_correction, *relative_jet[1:])
     clearance = -side * (
         relative_jet[0]
         + time_correction
@@ -153,18 +91,13 @@ def measure_pending_turns(coeffs, closest_approaches):
     )
     is_valid_turn &= side * relative_jet[2] < 0
     is_valid_turn &= (turning_time >= -step_end_tolerance) & (turning_time <= step_time + step_end_tolerance)
-    other_turn, latest_turn = StepWithTurningPoint(motion, step_time, other_turn_code), closest_approaches.latest_turn
+    other_turn, latest_turn = StepWithTurningPoint((motion, step_time), other_turn_code), approaches.latest_turn
     pending_turn = jax.tree.map(
         lambda updated, current: choose(has_second_turn, updated, current), other_turn, latest_turn
     )
-    latest_turn = latest_turn._replace(time_guess_code=choose(has_second_turn, latest_turn.time_guess_code, 0.0))
-    return ClosestApproaches(
-        choose(
-            is_valid_turn, minimum(clearance, closest_approaches.least_clearance), closest_approaches.least_clearance
-        ),
-        pending_turn,
-        latest_turn,
-    )
+    latest_turn = latest_turn._replace(code=choose(has_second_turn, latest_turn.code, 0.0))
+    least_clearance = choose(is_valid_turn, minimum(clearance, approaches.least_clearance), approaches.least_clearance)
+    return ClosestApproaches(least_clearance, pending_turn, latest_turn)
 
 
 def _decode_guess(coeffs, time_guess_code):
@@ -230,7 +163,7 @@ def _turning_point_code(coeffs, path, end_path, step_time):
     Newton steps converge monotonically.
     """
     is_in_free_flight = lax.abs(path.contact) != Contact.STUCK
-    is_inside_wall = inside_soft_wall_mask(coeffs, path.contact)
+    is_inside_wall = coeffs.contact.inside_mask(path.contact)
     if is_inside_wall is not None:
         is_in_free_flight &= ~is_inside_wall
     time_guess_code, least_distance = (lax.full_like(step_time, value) for value in (0.0, jnp.inf))
@@ -307,7 +240,7 @@ def _cubic_extremum(v0, a0, v1, a1, extremum_time):
 
 def _relative_motion(coeffs, wall, path):
     """Return x - x_b, its speed and its acceleration."""
-    acceleration, _ = flow_of(coeffs).acceleration_and_jerk(coeffs, path.x, path.v, path.cosine, path.sine)
+    acceleration, _ = coeffs.flow.acceleration_and_jerk(coeffs, path.x, path.v, path.cosine, path.sine)
     wall_position, wall_velocity, wall_acceleration = wall_jet(wall, coeffs.frequency, path.cosine, path.sine, 2)
     return (
         (path.x - wall_position) + path.x_low_part,
@@ -316,7 +249,7 @@ def _relative_motion(coeffs, wall, path):
     )
 
 
-def _halley_correction(speed, acceleration, jerk):
+def halley_correction(speed, acceleration, jerk):
     """Return the correction of a Halley step towards the zero of a speed."""
     return -2.0 * speed * acceleration / (2.0 * acceleration * acceleration - speed * jerk)
 
@@ -325,7 +258,7 @@ def _relative_jet(coeffs, side, slow_motion):
     """Return x - x_b for the wall on a side and its first three derivatives."""
     x, x_low_part, v = state_of_slow_motion(coeffs, slow_motion)
     wall_derivs = wall_jet_on_side(coeffs, side, slow_motion.cosine, slow_motion.sine, 3)
-    mass_derivs = x, v, *flow_of(coeffs).acceleration_and_jerk(coeffs, x, v, slow_motion.cosine, slow_motion.sine)
+    mass_derivs = x, v, *coeffs.flow.acceleration_and_jerk(coeffs, x, v, slow_motion.cosine, slow_motion.sine)
     relative_derivs = [
         subtract_optional(mass_deriv, wall_deriv)
         for mass_deriv, wall_deriv in zip(mass_derivs, wall_derivs, strict=True)

@@ -8,9 +8,9 @@ from jaxtyping import Float
 
 from ..compiled.lane_arithmetic import choose
 from ..scene.push import Push
-from ..scene.scene import harden_wall
+from ..scene.scene import SIDES
 from . import further_drive_terms
-from .further_drive_terms import harmonic_phasor
+from .further_drive_terms import harmonic_derivatives, harmonic_phasor
 
 
 @jax.tree_util.register_dataclass
@@ -56,31 +56,20 @@ class WallCoefficients:
     law: Push | None = None
 
 
-def wall_coefficients(wall, scene, wall_sign, dtype):
-    """Return the `WallCoefficients` of a scene's wall."""
+def wall_coefficients(scene, side, contact):
+    """Return the `WallCoefficients` of a scene's wall, whose contact is a `protocols.Contact`."""
 
     def as_array(value):
-        return jnp.asarray(value, dtype)
+        return jnp.asarray(value, scene.dtype)
 
+    wall, sign = getattr(scene, side), 2 * SIDES.index(side) - 1
     position, motion = as_array(wall.position), wall.motion
-    if wall.law is not None:
-        contact_law_fields = {"restitution": None, "law": jax.tree.map(as_array, wall.law)}
-    elif wall.soft:
-        stiffness = as_array(wall.stiffness)
-        damping = as_array(scene.damping if wall.damping is None else wall.damping)
-        if scene.harder is not None:
-            stiffness, damping = harden_wall(stiffness, damping, as_array(scene.harder))
-        contact_law_fields = {"restitution": None, "stiffness": stiffness, "damping": damping}
-    else:
-        contact_law_fields = {
-            "restitution": as_array(scene.restitution if wall.restitution is None else wall.restitution)
-        }
     motion_fields = {"amplitude": None, "cosine": None, "sine": None}
     if motion is not None:
         phase = as_array(motion.phase)
         motion_fields = {"amplitude": as_array(motion.amplitude), "cosine": jnp.cos(phase), "sine": jnp.sin(phase)}
         motion_fields["harmonic"] = motion.harmonic
-    return WallCoefficients(position, sign=wall_sign, **contact_law_fields, **motion_fields)
+    return WallCoefficients(position, sign=sign, **contact.wall_fields(scene, side, as_array), **motion_fields)
 
 
 def max_wall_distance(wall):
@@ -113,28 +102,28 @@ def wall_jet(wall, frequency, cosine, sine, order):
         return [wall.position] + [None] * order
     wall_cosine, wall_sine = harmonic_phasor(wall, cosine, sine)
     wall_frequency = frequency * float(wall.harmonic)
-    wall_derivs = [wall.amplitude * wall_cosine, -(wall.amplitude * wall_sine) * wall_frequency]
-    for k in range(2, order + 1):
-        wall_derivs.append(wall_derivs[k - 2] * -(wall_frequency * wall_frequency))
+    wall_derivs = harmonic_derivatives(wall.amplitude * wall_cosine, wall.amplitude * wall_sine, wall_frequency, order)
     return [wall.position + wall_derivs[0], *wall_derivs[1:]]
 
 
 def subtract_optional(minuend, subtrahend):
-    """Return a - b, where None for `subtrahend` stands for zero.
+    """Return a - b, where None stands for zero.
 
     Parameters
     ----------
-    minuend : array
+    minuend : array or None
         Minuend.
     subtrahend : array or None
         Subtrahend.
 
     Returns
     -------
-    array
-        Difference.
+    array or None
+        Difference. None if both are None.
     """
-    return minuend if subtrahend is None else minuend - subtrahend
+    if subtrahend is None:
+        return minuend
+    return -subtrahend if minuend is None else minuend - subtrahend
 
 
 def contact_force(wall, amplitude, frequency, damping, cosine, sine, order):
@@ -143,17 +132,22 @@ def contact_force(wall, amplitude, frequency, damping, cosine, sine, order):
     The drive is amplitude cos(omega t). The force times the sign of the wall is positive while the mass is pressed on
     the wall.
     """
-    wall_derivs = wall_jet(wall, frequency, cosine, sine, order + 2)
-    force_derivs = [amplitude * cosine, -(amplitude * sine) * frequency]
-    for k in range(2, order + 1):
-        force_derivs.append(force_derivs[k - 2] * -(frequency * frequency))
-    force_derivs = force_derivs[: order + 1]
-    for k in range(order + 1):
+    drive_derivs = harmonic_derivatives(amplitude * cosine, amplitude * sine, frequency, order)
+    return subtract_wall_motion(drive_derivs, wall, frequency, damping, cosine, sine)
+
+
+def subtract_wall_motion(force_derivs, wall, frequency, damping, cosine, sine):
+    """Subtract x_b + 2 gamma x_b' + x_b'' and its derivatives from a force and its derivatives.
+
+    x_b is the position of the wall. None in `force_derivs` and in the result stands for zero.
+    """
+    wall_derivs = wall_jet(wall, frequency, cosine, sine, len(force_derivs) + 1)
+    relative_force_derivs = []
+    for k, force_deriv in enumerate(force_derivs):
         drag_term = None if wall_derivs[k + 1] is None else 2.0 * damping * wall_derivs[k + 1]
-        force_derivs[k] = subtract_optional(
-            subtract_optional(subtract_optional(force_derivs[k], wall_derivs[k]), drag_term), wall_derivs[k + 2]
-        )
-    return force_derivs
+        force_deriv = subtract_optional(subtract_optional(force_deriv, wall_derivs[k]), drag_term)
+        relative_force_derivs.append(subtract_optional(force_deriv, wall_derivs[k + 2]))
+    return relative_force_derivs
 
 
 def wall_derivative_bounds(wall, amplitude, frequency, damping, order, drive_terms=()):

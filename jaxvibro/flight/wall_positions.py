@@ -2,7 +2,7 @@
 
 import jax.numpy as jnp
 
-from continuation.persistent_jit import persistent_jit
+from continuation.hostcall import persistent_jit
 
 from ..scene.codes import Contact
 from ..scene.scene import SIDES

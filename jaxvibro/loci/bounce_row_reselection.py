@@ -13,8 +13,9 @@ from continuation.point_rows import first_rows
 from ..orbits import chatter_and_release
 from ..problem.end import End
 from ..problem.orbit_equations import are_releases, scene_at
-from ..problem.orbit_point import OrbitPoint
-from .locus_start import LocusStart, forward_locus_directions, reverse_direction, whole_orbit_impacts
+from ..problem.orbit_point import make_orbit_point
+from ..problem.orbit_problem import make_orbit_problem
+from .locus_start import LocusStart, forward_locus_directions, whole_orbit_impacts
 
 # `ChatterOutcome.hop_margin` of a hop that is nearly too long, and of one that is nearly too short
 NEARLY_TOO_LONG, NEARLY_TOO_SHORT = 0.05, 0.95
@@ -39,9 +40,9 @@ def reselect_bounce_rows(locus_start, locus_direction, segment, step_settings):
     if not ((hop_margins > NEARLY_TOO_SHORT) if segment.end is End.GRAZE else (hop_margins < NEARLY_TOO_LONG)).any():
         return None
     new_start = _start_with_other_rows(
-        problem, segment.points.z[last_point_index], locus_start, locus_direction.settings.names[0]
+        problem, segment.points.z[last_point_index], locus_start, locus_direction.names[0]
     )
-    if len(new_start.orbit_row.times) == len(whole_orbit_impacts(problem, segment.points.z[:1])[2]):
+    if new_start.point.problem.n_used_rows == len(whole_orbit_impacts(problem, segment.points.z[:1])[2]):
         return None
     truncated_segment = segment._replace(
         points=first_rows(segment.points, last_point_index + 1),
@@ -49,21 +50,19 @@ def reselect_bounce_rows(locus_start, locus_direction, segment, step_settings):
         specials=tuple(special_record for special_record in segment.specials if special_record.row < last_point_index),
     )
     next_direction = min(
-        forward_locus_directions(
-            new_start, locus_direction.settings.names, locus_direction.settings.bounds, *step_settings
-        ),
+        forward_locus_directions(new_start, locus_direction.names, locus_direction.bounds, *step_settings),
         key=lambda candidate: abs(
             _limit_row_time(candidate.problem, candidate.start.z)
             - _limit_row_time(problem, segment.points.z[last_point_index])
         ),
     )
     tangent_product = np.sum(next_direction.start.tangent[-2:] * segment.points.tangent[last_point_index][-2:])
-    return truncated_segment, next_direction if tangent_product > 0 else reverse_direction(next_direction)
+    return truncated_segment, next_direction if tangent_product > 0 else next_direction.reverse()
 
 
 def _limit_row_time(problem, z):
     """Return the time of the row whose sticking phase is at its limit."""
-    return z[np.argmax(problem.special_row_mask)]
+    return z[np.argmax(problem.condition.row_mask)]
 
 
 def _start_with_other_rows(problem, z, locus_start, name):
@@ -79,5 +78,6 @@ def _start_with_other_rows(problem, z, locus_start, name):
     row_arrays = chatter_and_release.sticking_orbit_rows(
         scene, 0.0, times[impact_rows], speeds[impact_rows], sides[impact_rows], sticking_spans, periods, STICKING_SLACK
     )
-    orbit_row = OrbitPoint(float(scene.parameter(name)), *row_arrays, periods, np.nan, np.nan, 0.0)
-    return LocusStart(locus_start.kind, name, scene, orbit_row)
+    template, impacts = make_orbit_problem(scene, name, periods=periods), list(zip(*row_arrays, strict=True))
+    point = make_orbit_point(template, float(scene.parameter(name)), impacts, periods)
+    return LocusStart(locus_start.kind, name, scene, point)

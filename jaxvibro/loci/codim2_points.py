@@ -27,19 +27,19 @@ from jaxtyping import Float
 
 from continuation import augmented_systems
 from continuation.array_type import Array
-from continuation.event_search import Event
+from continuation.event_search import make_event
+from continuation.hostcall import persistent_jit
 from continuation.intermediate_points import point_at_length
 from continuation.linear_solver import solve
-from continuation.persistent_jit import persistent_jit
+from continuation.point_rows import row_at
 
 from ..compiled.kernel_calls import call_as_kernel
+from ..contact.kinds import flow_coefficients
 from ..flight import flow, further_drive_terms
-from ..flight.flight_coefficients import flow_coefficients
-from ..orbits import contact_maps, cyclic_system, impact_equations
-from ..problem import branches_from_grazing
+from ..orbits import cyclic_system, impact_equations
 from ..problem.orbit_diagnostics import diagnose
-from ..problem.orbit_equations import continuation_problem, scene_at, sequence_at
-from .locus_equations import GrazingEquations
+from ..problem.orbit_equations import scene_at, sequence_at
+from .locus_equations import GrazingCondition
 
 NODE_SPACING = 0.03  # distance of neighbouring nodes of a difference, times the fastest rate
 STENCIL_NODES = np.array([-8, -6, -4, -3, -2, -1, 0, 1, 2, 3, 4, 6, 8])
@@ -105,8 +105,8 @@ def locate_codim2_events(task, points, diagnostics):
 
 def _test_values_by_kind(problem, points, diagnostics):
     """Return the values of the test function of each kind at the points."""
-    if not isinstance(problem, GrazingEquations):
-        if float(problem.multiplier) > 0:
+    if not isinstance(problem.condition, GrazingCondition):
+        if float(problem.condition.multiplier) > 0:
             plane_tangent_products = np.sum(points.tangent[1:, -2:] * points.tangent[:-1, -2:], axis=1)
             return {"CP": np.cumprod(np.append(1.0, np.sign(plane_tangent_products)))}
         normal_forms = _normal_forms(problem, points.z, 3, False)
@@ -137,24 +137,14 @@ def _tests_without_contact(problem, zs, diagnostics):
         )
     if not len(problem.impact_rows):
         return None
-    n_rows, impact_rows = len(problem.sequence.sides), problem.impact_rows
-    sequence = branches_from_grazing.make_padded_sequence(
-        problem, [(0.0, 0.0, problem.sequence.sides[impact_row]) for impact_row in impact_rows]
-    )
-    n_padded_rows, n_impacts = len(sequence.sides), len(impact_rows)
+    n_rows, impact_rows = problem.n_rows, problem.impact_rows
+    reduced_problem, _ = problem.with_rows(zs[0], impact_rows)
+    n_padded_rows, n_impacts = reduced_problem.n_rows, len(impact_rows)
     zs_without_contact = np.zeros((len(zs), 2 * n_padded_rows + 2))
-    (
-        zs_without_contact[:, :n_impacts],
-        zs_without_contact[:, n_padded_rows : n_padded_rows + n_impacts],
-        zs_without_contact[:, -2:],
-    ) = (
-        zs[:, impact_rows],
-        zs[:, n_rows + impact_rows],
-        zs[:, -2:],
-    )
-    reduced_diagnostics = diagnose(
-        branches_from_grazing.replace_sequence(problem, sequence, impact_rows), zs_without_contact
-    )
+    zs_without_contact[:, :n_impacts] = zs[:, impact_rows]
+    zs_without_contact[:, n_padded_rows : n_padded_rows + n_impacts] = zs[:, n_rows + impact_rows]
+    zs_without_contact[:, -2:] = zs[:, -2:]
+    reduced_diagnostics = diagnose(reduced_problem, zs_without_contact)
     return reduced_diagnostics.fold_test, reduced_diagnostics.flip_test
 
 
@@ -173,11 +163,10 @@ def _locate_event(task, kind, points, row_index, test_values):
             else trial_point.z
         )
         solution = _solve_event_equations(task.args, kind, z)
-        if solution.z is None:
-            continue
-        arclength = float(np.sum(task.control.scale**2 * points.tangent[row_index] * (solution.z - z_before)))
-        if -0.05 * step_length <= arclength <= 1.05 * step_length:
-            return Event(kind, row_index, min(max(arclength, 0.0), step_length), solution.z, solution.residual)
+        base_point = row_at(points, row_index)
+        event = make_event(kind, base_point, row_index, (0.0, step_length), solution, task.control)
+        if event is not None:
+            return event
     return None
 
 
@@ -187,10 +176,7 @@ def _solve_event_equations(problem, kind, z):
     test_scale = abs(start_test_values[0]) or 1.0
 
     def event_system(z):
-        residual, jacobian = (
-            np.asarray(system_part)
-            for system_part in augmented_systems.evaluate_problem(continuation_problem(problem), z, problem)
-        )
+        residual, jacobian = problem.evaluate(z)
         difference_steps = DIFFERENCE_STEP * (1.0 + abs(z))
         shifted_zs = np.concatenate([z + np.diag(difference_steps), z - np.diag(difference_steps), z[None]])
         test_values = _event_test_values(problem, kind, shifted_zs, null_vectors)[0] / test_scale
@@ -300,7 +286,7 @@ def _normal_form_at(problem, z, reference_null_vectors, order, high_accuracy):
     jacobian = cyclic_system.assemble_block_matrix(impact_equations.residual_and_jacobian(coeffs, sequence, flights)[1])
     left_null, right_null = (
         null_vector / jnp.sqrt(jnp.sum(null_vector * null_vector))
-        for null_vector in cyclic_system.null_vectors(jacobian, problem.multiplier)
+        for null_vector in cyclic_system.null_vectors(jacobian, problem.condition.multiplier)
     )
     right_null, left_null = (
         jnp.where(jnp.sum(null_vector * reference_vector) < 0, -null_vector, null_vector)
@@ -366,7 +352,7 @@ def _fastest_rate(coeffs, contact_map, sides):
     return (
         max_rate
         if contact_map.contact_time is None
-        else jnp.maximum(max_rate, contact_maps.max_oscillation_rate(coeffs, contact_map, sides))
+        else jnp.maximum(max_rate, coeffs.contact.max_oscillation_rate(coeffs, contact_map, sides))
     )
 
 
@@ -378,7 +364,7 @@ def _residual_along_null(problem, coeffs, z, right_null, direction_correction, s
     """
     n_rows, impact_shifts = (
         len(problem.sequence.sides),
-        ((shift_length * right_null, problem.multiplier), (shift_length * direction_correction, 1.0)),
+        ((shift_length * right_null, problem.condition.multiplier), (shift_length * direction_correction, 1.0)),
     )
     residual = impact_equations.residual_and_jacobian(
         coeffs, impact_equations.append_first_impact(sequence_at(problem, z), coeffs.period, impact_shifts)

@@ -10,38 +10,31 @@ import numpy as np
 
 from continuation.branch_segment import SpecialIndex
 
-from ..problem.branches_from_grazing import make_padded_sequence, replace_sequence
 from ..problem.end import End
-from ..problem.grazing_contact import approach_acceleration, locate_zero
+from ..problem.grazing_contact import approach_acceleration
 from ..problem.orbit_equations import are_releases, mark_impact_rows, sides_with_release_codes
-from .locus_equations import GrazingEquations
+from .locus_equations import GrazingCondition
 
 MAX_HOP_SPEED = 1e-3  # in lengths of the scene per unit time: slower hops may be vanishing
 END_TOLERANCE = 1e-4  # relative to 1 + |parameter|: largest distance of the point from the end
 
 
-def locate_degenerate_end(locus_direction, segment):
+def locate_degenerate_end(segment):
     """Return the segment along a `LocusDirection` with its last point moved to the DG, or None if it ends at no DG."""
-    problem = locus_direction.problem
-    if segment.end is not End.STEP or not isinstance(problem, GrazingEquations) or problem.sequence.releases is None:
+    problem = segment.args
+    is_grazing = isinstance(problem.condition, GrazingCondition)
+    if segment.end is not End.STEP or not is_grazing or problem.sequence.releases is None:
         return None
-    z, grazing_row = np.array(segment.points.z[-1]), int(np.argmax(problem.special_row_mask))
-    vanishing_bounce_rows = _vanishing_bounce_rows(problem, z, grazing_row, locus_direction.settings.scene_length)
+    z, grazing_row = np.array(segment.points.z[-1]), int(np.argmax(problem.condition.row_mask))
+    vanishing_bounce_rows = _vanishing_bounce_rows(problem, z, grazing_row)
     if not vanishing_bounce_rows:
         return None
-    n_rows, n_impacts = len(problem.sequence.sides), int(np.sum(problem.sequence.sides != 0))
+    n_rows, n_impacts = problem.n_rows, problem.n_used_rows
     remaining_rows = [row for row in range(n_impacts) if row not in vanishing_bounce_rows]
-    remaining_impacts = zip(
-        z[remaining_rows],
-        z[n_rows + np.array(remaining_rows)],
-        sides_with_release_codes(problem.sequence)[remaining_rows],
-        strict=True,
-    )
-    reduced_problem = replace_sequence(problem, make_padded_sequence(problem, list(remaining_impacts)), remaining_rows)
+    reduced_problem, start_z = problem.with_rows(z, remaining_rows)
     reduced_grazing_row = remaining_rows.index(grazing_row)
-    start_z = np.concatenate([reduced_problem.sequence.times, reduced_problem.sequence.speeds, z[2 * n_rows :]])
-    solution = locate_zero(
-        reduced_problem, start_z, lambda z: approach_acceleration(reduced_problem, z, reduced_grazing_row)
+    solution = reduced_problem.locate_zero(
+        start_z, lambda z: approach_acceleration(reduced_problem, z, reduced_grazing_row)
     )
     if solution.z is None or (abs(solution.z[-2:] - z[-2:]) > END_TOLERANCE * (1.0 + abs(z[-2:]))).any():
         return None
@@ -62,7 +55,7 @@ def locate_degenerate_end(locus_direction, segment):
     return segment._replace(points=points, specials=special_records, end=End.GRAZE)
 
 
-def _vanishing_bounce_rows(problem, z, grazing_row, scene_length):
+def _vanishing_bounce_rows(problem, z, grazing_row):
     """Return the rows of the bounces between a contact and the next release, or no rows if a bounce is not slow."""
     n_rows, n_impacts = len(problem.sequence.sides), int(np.sum(problem.sequence.sides != 0))
     sides, is_impact, bounce_rows = (
@@ -74,7 +67,11 @@ def _vanishing_bounce_rows(problem, z, grazing_row, scene_length):
         row = (grazing_row + row_offset) % n_impacts
         if are_releases(sides[row]):
             return bounce_rows if np.sign(sides[row]) == sides[grazing_row] else []
-        if not is_impact[row] or sides[row] != sides[grazing_row] or z[n_rows + row] > MAX_HOP_SPEED * scene_length:
+        if (
+            not is_impact[row]
+            or sides[row] != sides[grazing_row]
+            or z[n_rows + row] > MAX_HOP_SPEED * problem.length_scale
+        ):
             return []
         bounce_rows.append(row)
     return []

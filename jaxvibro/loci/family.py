@@ -10,15 +10,14 @@ from continuation.computation_limits import EXPIRED_REASON, Results, make_limits
 from continuation.intermediate_points import truncate_at_value
 
 from ..branches.branch import Special
-from ..problem.end import End
-from ..problem.orbit_point import OrbitPoint
+from ..problem.orbit_point import make_orbit_point
+from ..problem.orbit_problem import make_orbit_problem
 from ..scene import check
 from ..scene.scene_parameters import check_parameter_values
 from ..scene.symmetry import stays_symmetric
 from .grazing_switchover import opposite_directions, track_across_walls
-from .locus import Locus, build_locus
+from .locus import Locus, locus_through_start
 from .locus_start import KINDS, STICKING_KINDS, LocusStart, check_parameter_pair, make_locus_start, whole_orbit_impacts
-from .locus_tracking import track_loci_together
 
 
 @check.host_only("use strobe or monodromy")
@@ -56,7 +55,8 @@ def family(
     tolerance : float, optional
         Tolerance of Newton's method, as in `locus`.
     max_points : int, optional
-        Largest number of points of each locus. Each direction takes half of them. By default the number is unlimited.
+        Largest number of points of each locus. At most half of them, rounded up, are computed forward, and the rest
+        backward. By default the number is unlimited.
     max_seconds : float, optional
         Wall-clock time in s for all loci together. By default the time is unlimited.
 
@@ -84,8 +84,8 @@ def family(
     If this locus passes a value several times, the crossing with the smallest arclength is used. The point does not
     reach a value if this locus ends before the value: at a bound, at a grazing, or where the point ceases to exist.
 
-    The loci of all values are then tracked as lanes of one compiled call. Each locus is the one that `locus` computes
-    from the point at that value.
+    Each locus is the one that `locus` computes from the point at that value. The loci are computed one after the other:
+    if the time expires, the later ones have only their first points.
 
     If the time expires, the `reasons` of a locus state that the locus is incomplete. An entry may then also be None
     because the point was not continued to its value in time.
@@ -116,46 +116,15 @@ def family(
         locus_start, names, bounds, third, values, *step_settings[:-1], replace(limits, points=None)
     )
     is_time_expired = limits.expired
-    reached_starts = [entry for entry in starts_by_value if entry is not None]
-    direction_pairs = [
-        _split_point_limit(opposite_directions(entry, names, bounds, *step_settings), limits)
-        for entry in reached_starts
+    results = [
+        None if entry is None else locus_through_start(entry, names, bounds, step_settings) for entry in starts_by_value
     ]
-    segments = track_loci_together([element for direction_pair in direction_pairs for element in direction_pair])
-    locus_inputs = zip(reached_starts, direction_pairs, zip(segments[::2], segments[1::2], strict=True), strict=True)
-    computed_loci = iter(
-        [
-            _build_locus(entry, forward_direction, backward_direction, forward_segment, backward_segment, step_settings)
-            for entry, (forward_direction, backward_direction), (forward_segment, backward_segment) in locus_inputs
-        ]
-    )
-    results = [None if entry is None else next(computed_loci) for entry in starts_by_value]
     n_complete = sum(
         not is_time_expired if entry is None else not any(EXPIRED_REASON in element for element in entry.reasons)
         for entry in results
     )
     return Results(
         results, "" if n_complete == len(results) else partial_result_reason(n_complete, len(results), "values")
-    )
-
-
-def _split_point_limit(direction_pair, limits):
-    """Divide the largest number of points between the forward and the backward direction; return both directions."""
-    forward_direction, backward_direction = direction_pair
-    half_limits = limits.half_points()
-    max_backward_points = None if limits.points is None else max(limits.points - half_limits.points + 1, 1)
-    return forward_direction.with_limits(half_limits), backward_direction.with_limits(
-        replace(limits, points=max_backward_points)
-    )
-
-
-def _build_locus(locus_start, forward_direction, backward_direction, forward_segment, backward_segment, step_settings):
-    """Build the `Locus` from its two directions and the first segment along each direction."""
-    is_closed = forward_segment.end is End.CLOSED
-    return build_locus(
-        locus_start,
-        track_across_walls(locus_start, forward_direction, step_settings, forward_segment),
-        () if is_closed else track_across_walls(locus_start, backward_direction, step_settings, backward_segment),
     )
 
 
@@ -223,5 +192,7 @@ def _locus_start_at(locus_start, problem, names, z, residual):
     """Return the `LocusStart` at a point of a locus."""
     times, speeds, sides, periods = whole_orbit_impacts(problem, z[None])
     scene = locus_start.scene.replace(**dict(zip(names, z[-2:].tolist(), strict=True)))
-    orbit_row = OrbitPoint(float(z[-2]), times[0], speeds[0], sides, periods, np.nan, np.nan, residual)
-    return LocusStart(locus_start.kind, names[0], scene, orbit_row)
+    template = make_orbit_problem(scene, names[0], periods=periods)
+    impacts = list(zip(times[0], speeds[0], sides, strict=True))
+    point = make_orbit_point(template, float(z[-2]), impacts, periods, residual=residual)
+    return LocusStart(locus_start.kind, names[0], scene, point)

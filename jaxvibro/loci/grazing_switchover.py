@@ -11,13 +11,14 @@ import numpy as np
 
 from ..problem.end import RESUMABLE_ENDS, End
 from ..problem.orbit_equations import scene_at as at
-from ..problem.orbit_point import OrbitPoint
+from ..problem.orbit_point import point_of_solution
+from ..problem.orbit_problem import make_orbit_problem
 from ..scene import check
 from ..scene.scene import replace_unchecked
 from .bounce_row_reselection import reselect_bounce_rows
 from .degenerate_grazing import locate_degenerate_end
-from .locus_equations import GrazingEquations
-from .locus_start import LocusStart, forward_locus_directions, reverse_direction
+from .locus_equations import GrazingCondition
+from .locus_start import LocusStart, forward_locus_directions
 from .locus_tracking import track_locus
 
 MAX_PARTS = 64  # largest number of parts of a locus
@@ -31,7 +32,7 @@ def opposite_directions(locus_start, names, bounds, *step_settings):
     """
     directions = forward_locus_directions(locus_start, names, bounds, *step_settings)
     if len(directions) == 1:
-        return directions[0], reverse_direction(directions[0])
+        return directions[0], directions[0].reverse()
     admissible_by_contact = _admissible_by_contact(directions)
     for both_ways in admissible_by_contact:
         if len(both_ways) == 2:
@@ -51,7 +52,7 @@ def track_across_walls(locus_start, locus_direction, step_settings, segment=None
 
     `segment` is the first segment, if it is already known. `step_settings` are the last arguments of
     `opposite_directions`. Returns a list of (`LocusDirection`, segment)."""
-    locus_parts, limits = [], None if locus_direction is None else locus_direction.settings.limits
+    locus_parts, limits = [], None if locus_direction is None else locus_direction.task.limits
     while locus_direction is not None and len(locus_parts) < MAX_PARTS:
         locus_direction = locus_direction.with_limits(limits)
         segment = segment or track_locus(locus_direction)
@@ -59,7 +60,7 @@ def track_across_walls(locus_start, locus_direction, step_settings, segment=None
         if segment.end in RESUMABLE_ENDS or limits.is_reached(1):
             locus_parts.append((locus_direction, segment))
             break
-        degenerate_segment = locate_degenerate_end(locus_direction, segment)
+        degenerate_segment = locate_degenerate_end(segment)
         segment_and_direction = (
             (degenerate_segment, None)
             if degenerate_segment
@@ -77,7 +78,7 @@ def track_across_walls(locus_start, locus_direction, step_settings, segment=None
 def _admissible_by_contact(directions):
     """Return one list per direction, with the admissible directions among this direction and its reverse."""
     return [
-        [candidate for candidate in (locus_direction, reverse_direction(locus_direction)) if candidate.is_admissible]
+        [candidate for candidate in (locus_direction, locus_direction.reverse()) if candidate.is_admissible]
         for locus_direction in directions
     ]
 
@@ -87,32 +88,25 @@ def _direction_beyond_touch(locus_start, locus_direction, segment, step_settings
 
     Returns None if the segment does not end at such a GG, or if no admissible direction along the other wall exists.
     """
-    problem, names = locus_direction.problem, locus_direction.settings.names
+    problem, names = locus_direction.problem, locus_direction.names
     if (
         segment.end is not End.GRAZE
-        or not isinstance(problem, GrazingEquations)
+        or not isinstance(problem.condition, GrazingCondition)
         or len(problem.impact_rows)
         or float(problem.sequence.closure_sign) < 0
     ):
         return None
-    z, empty_column = segment.points.z[-1], np.zeros(0)
+    z = segment.points.z[-1]
     names_and_values = zip(names, z[-2:], strict=True)
     scene = replace_unchecked(
         locus_start.scene, {name: jnp.asarray(value, locus_start.scene.dtype) for name, value in names_and_values}
     )
-    orbit_row = OrbitPoint(
-        float(z[-2]),
-        empty_column,
-        empty_column,
-        empty_column,
-        int(problem.sequence.periods),
-        np.nan,
-        np.nan,
-        float(segment.points.residual[-1]),
-    )
+    template = make_orbit_problem(scene, names[0], periods=int(problem.sequence.periods))
+    free_problem, free_z = template.with_impacts(np.array([0.0, 0.0, z[-2]]), [])
+    point = point_of_solution(free_problem, free_z, free_z[:2], segment.points.residual[-1])
     admissible_by_contact = _admissible_by_contact(
         forward_locus_directions(
-            LocusStart("GR", names[0], scene, orbit_row), names, locus_direction.settings.bounds, *step_settings
+            LocusStart("GR", names[0], scene, point), names, locus_direction.bounds, *step_settings
         )
     )
     candidates = (both_ways[0] for both_ways in admissible_by_contact if len(both_ways) == 1)

@@ -5,33 +5,28 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import jax.numpy as jnp
-import msgspec
 import numpy as np
 import pandas as pd
 import xarray as xr
-from jaxtyping import Complex, Float
+from jaxtyping import Complex
 
 from continuation.branch_segment import join_segments, reverse_segment
 from continuation.computation_limits import make_limits
 
-from .. import __version__
 from ..branches.branch import Special
 from ..orbits.orbit import eigenvalue_pairs
-from ..output.checksums import netcdf_bytes
 from ..output.dataframes import make_dataframe, multiplier_columns, special_kind_per_point, speed_clearance_columns
 from ..output.label_translation import translate_label
 from ..output.table_text import align_columns, column_header
 from ..output.units import LENGTH, SPEED, TIME, scales_attributes, unit_in_system, unit_of
-from ..problem import plane_curve_end
 from ..problem.end import End
-from ..problem.orbit_curve import OrbitCurve, SpecialOrbit, dataset_row
-from ..problem.orbit_point import OrbitPoint, itinerary_of_point
+from ..problem.orbit_curve import SpecialOrbit, dataset_row
+from ..problem.orbit_point import OrbitPoint
+from ..problem.plane_curve import PlaneCurve, describe_segment_end, point_of_plane_row
 from ..scene import check
 from ..scene.scene import Scene, replace_unchecked
-from ..scene.scene_table import make_scene_table
 from .grazing_switchover import opposite_directions, track_across_walls
 from .locus_start import KINDS, STICKING_KINDS, make_locus_start, whole_orbit_impacts
-from .locus_tracking import termination_reason
 
 MEANINGS = {
     "CP": "cusp",
@@ -75,7 +70,7 @@ class Codim2(SpecialOrbit):
     scene : Scene
         Scene at the point.
     spot : OrbitPoint
-        Orbit at the point as plain numbers.
+        The orbit at the point.
 
     See Also
     --------
@@ -95,7 +90,7 @@ class Codim2(SpecialOrbit):
 
 
 @dataclass(frozen=True, eq=False)
-class Locus(OrbitCurve[Codim2]):
+class Locus(PlaneCurve[Codim2]):
     """Two-parameter bifurcation curve.
 
     `locus` computes a curve, and `load_locus` reads a curve from a file.
@@ -144,48 +139,15 @@ class Locus(OrbitCurve[Codim2]):
         return f"Locus({self.kind} of {self.label} in {self.names[0]} and {self.names[1]}, {len(self)} points, {kinds})"
 
     @property
-    def values(self) -> Float[np.ndarray, "points 2"]:
-        """Values of the two parameters at each point. Array of shape (points, 2)."""
-        return np.stack([self.data[name].values for name in self.names], axis=1)
-
-    @property
     def label(self) -> str:
         """Label P n p q of the orbits."""
         return self.special[0].label
 
-    def located(self, place: int) -> tuple[Scene, OrbitPoint]:
-        """Return the scene and the orbit at a point.
-
-        Parameters
-        ----------
-        place : int
-            Index of the point.
-
-        Returns
-        -------
-        scene : Scene
-            Scene with the values of the two parameters at the point.
-        orbit_row : OrbitPoint
-            Orbit at the point as plain numbers.
-        """
-        orbit_row, values = _orbit_row_at(self.data, place, self.names)
-        return self.scene.replace(**values), orbit_row
-
     @property
     def content(self) -> bytes:
         """Content of the file that `save` writes, in bytes."""
-        attrs = {
-            "title": "jaxvibro locus",
-            "source": f"jaxvibro {__version__}",
-            "kind": self.kind,
-            "bounds": json.dumps({name: self.bounds[name] for name in self.names}),
-            "scene": msgspec.toml.encode(make_scene_table(self.scene)).decode(),
-            "special": json.dumps(
-                [[special_point.kind, special_point.place, special_point.residual] for special_point in self.special]
-            ),
-            "reasons": json.dumps(self.reasons),
-        }
-        return netcdf_bytes(self.data.assign_attrs(attrs))
+        special_fields = [[entry.kind, entry.place, entry.residual] for entry in self.special]
+        return self._file_content("jaxvibro locus", {"kind": self.kind}, {"special": json.dumps(special_fields)})
 
     def table(self, units: str = "scene", labels: str = "jaxvibro") -> str:
         """Format the special points and the termination reasons as text.
@@ -217,12 +179,7 @@ class Locus(OrbitCurve[Codim2]):
                 for value, (_, unit_factor) in zip(special_point.values.values(), column_units, strict=True)
             ]
             rows.append((translate_label(special_point.kind, labels), *values, special_point.label, itinerary_text))
-        unit_factors = {name: unit_factor for name, (_, unit_factor) in zip(self.names, column_units, strict=True)}
-        end_lines = [
-            f"{end_name} point: {plane_curve_end.rescale_end_text(reason_text, unit_factors)}"
-            for end_name, reason_text in self.reason.items()
-        ]
-        return "\n".join([align_columns(rows), *end_lines])
+        return "\n".join([align_columns(rows), *self._end_lines(units)])
 
     def to_frame(self, units: str = "scene") -> pd.DataFrame:
         """Convert the points to a table.
@@ -343,13 +300,19 @@ def locus(
         make_locus_start(special, (*KINDS, *STICKING_KINDS)),
         (first_step, largest_step, tolerance, limits),
     )
+    return locus_through_start(locus_start, names, bounds, step_settings)
+
+
+def locus_through_start(locus_start, names, bounds, step_settings):
+    """Return the `Locus` of a `LocusStart` in both directions; `step_settings` ends with the limits."""
+    limits = step_settings[-1]
     forward_direction, backward_direction = opposite_directions(locus_start, names, bounds, *step_settings)
     forward_parts = track_across_walls(locus_start, forward_direction.with_limits(limits.half_points()), step_settings)
     backward_direction = backward_direction.with_limits(
         limits.after_points(sum(len(segment.points.z) - 1 for _, segment in forward_parts))
     )
     return build_locus(
-        special,
+        locus_start,
         forward_parts,
         ()
         if forward_parts[0][1].end is End.CLOSED
@@ -362,11 +325,9 @@ def build_locus(locus_start, forward_parts, backward_parts, start_reason="the st
 
     `locus_start` provides the scene and the kind at the start. `backward_parts` is empty if the curve is closed or
     begins at its start. `start_reason` is then the termination reason at the first point."""
-    settings, segments = (
-        forward_parts[0][0].settings,
-        [reverse_segment(segment) for _, segment in reversed(backward_parts)]
-        + [segment for _, segment in forward_parts],
-    )
+    direction = forward_parts[0][0]
+    segments = [reverse_segment(segment) for _, segment in reversed(backward_parts)]
+    segments += [segment for _, segment in forward_parts]
     if backward_parts and backward_parts[0][0].problem is forward_parts[0][0].problem:
         segments[len(backward_parts) - 1 : len(backward_parts) + 1] = [
             join_segments(segments[len(backward_parts) - 1 : len(backward_parts) + 1])
@@ -375,7 +336,7 @@ def build_locus(locus_start, forward_parts, backward_parts, start_reason="the st
     n_impact_columns = max(whole_orbit_impacts(segment.args, segment.points.z[:1])[0].shape[1] for segment in segments)
     for segment in segments:
         data.append(
-            _segment_dataset(settings.names, segment, n_impact_columns).isel(point=slice(1 if data else 0, None))
+            _segment_dataset(direction.names, segment, n_impact_columns).isel(point=slice(1 if data else 0, None))
         )
         special_by_row |= {
             row_offset + special_record.row: (special_record.kind, special_record.residual)
@@ -388,27 +349,27 @@ def build_locus(locus_start, forward_parts, backward_parts, start_reason="the st
     data = xr.concat(data, "point", combine_attrs="override").assign_attrs(scales_attributes(locus_start.scene))
     for row_index in (0, row_offset):
         special_by_row.setdefault(row_index, ("EP", float(data["residual"].values[row_index])))
-    common_fields = locus_start.scene, locus_start.kind, settings.bounds, data
+    common_fields = locus_start.scene, locus_start.kind, direction.bounds, data
     codim2_points = tuple(
         build_codim2(*common_fields, row_index, *special_by_row[row_index]) for row_index in sorted(special_by_row)
     )
     reasons = (
-        termination_reason(*backward_parts[-1]) if backward_parts else start_reason,
-        termination_reason(*forward_parts[-1]),
+        describe_segment_end(backward_parts[-1][1], direction.names) if backward_parts else start_reason,
+        describe_segment_end(forward_parts[-1][1], direction.names),
     )
-    return Locus(locus_start.kind, settings.names, settings.bounds, locus_start.scene, data, codim2_points, reasons)
+    common_fields = direction.names, direction.bounds, locus_start.scene, data
+    return Locus(locus_start.kind, *common_fields, codim2_points, reasons)
 
 
 def _segment_dataset(names, segment, n_impact_columns):
     """Build the dataset of the points of a segment, padded to a number of impact columns."""
     problem, z, diagnostics = segment.args, segment.points.z, segment.diagnostics
-    n_rows = len(problem.sequence.sides)
     times, speeds, sides, periods = whole_orbit_impacts(problem, z)
     multipliers = eigenvalue_pairs(diagnostics.trace, diagnostics.determinant)
     if float(problem.sequence.closure_sign) < 0:  # the multipliers are those of one half of the orbit
         with np.errstate(invalid="ignore"):
             multipliers = multipliers * multipliers
-    row_of_impact = np.arange(times.shape[1]) % int(np.sum(problem.sequence.sides != 0))
+    row_of_impact = np.arange(times.shape[1]) % problem.n_used_rows
     min_speeds = np.where(np.isin(row_of_impact, problem.impact_rows), speeds, np.inf).min(axis=1)
     impact_variables = {"time": (times, "since phase 0", TIME), "speed": (speeds, "abs(y- - v_b)", SPEED)}
     point_variables = {
@@ -421,7 +382,11 @@ def _segment_dataset(names, segment, n_impact_columns):
         "residual": (segment.points.residual, "largest error left in the equations", LENGTH),
     }
     data_variables = {
-        name: ("point", z[:, 2 * n_rows + parameter_index], _variable_attributes("a parameter", unit_of(name)))
+        name: (
+            "point",
+            z[:, problem.n_orbit_unknowns + parameter_index],
+            _variable_attributes("a parameter", unit_of(name)),
+        )
         for parameter_index, name in enumerate(names)
     }
     data_variables |= {
@@ -449,24 +414,15 @@ def _variable_attributes(long_name, units):
     return {"long_name": long_name, "units": units}
 
 
-def _orbit_row_at(data, row_index, names):
-    """Return the `OrbitPoint` at a point of a locus, and the values of the parameters by name."""
-    row, values = dataset_row(data, row_index), {name: float(data[name].values[row_index]) for name in names}
-    is_impact = row["side"] != 0
-    impact_columns = (row[key][is_impact].astype(float) for key in ("time", "speed", "side"))
-    return OrbitPoint(
-        values[names[0]], *impact_columns, data.attrs["periods"], np.nan, np.nan, float(row["residual"])
-    ), values
-
-
 def build_codim2(scene, locus_kind, bounds, data, row_index, kind, residual):
     """Build the `Codim2` at a row of the data of a locus.
 
     `scene` is the scene at the start of the locus, and `locus_kind` is the kind of the locus.
     """
-    row, (orbit_row, values) = dataset_row(data, row_index), _orbit_row_at(data, row_index, tuple(bounds))
+    row, names = dataset_row(data, row_index), tuple(bounds)
+    values = {name: float(row[name]) for name in names}
     parameter_values = {name: jnp.asarray(value, scene.dtype) for name, value in values.items()}
     scene = replace_unchecked(scene, parameter_values)  # the values are within the domains: no check
     multipliers = row["multiplier_real"] + 1j * row["multiplier_imag"]
-    itinerary = itinerary_of_point(orbit_row, float(scene.frequency))
-    return Codim2(kind, locus_kind, values, bounds, multipliers, row_index, residual, itinerary, scene, orbit_row)
+    point = point_of_plane_row(scene, names[0], data, row)
+    return Codim2(kind, locus_kind, values, bounds, multipliers, row_index, residual, point.itinerary, scene, point)

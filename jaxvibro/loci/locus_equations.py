@@ -21,8 +21,9 @@ The equations of a sticking orbit have no cyclic structure, because a release do
 Next to a grazing, the block of a single row is singular. The equations are therefore solved as one dense matrix.
 """
 
+from dataclasses import dataclass, replace
 from functools import partial
-from typing import NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -35,85 +36,107 @@ from continuation.array_type import Array
 from continuation.problem import Problem
 
 from ..compiled.kernel_calls import call_as_kernel
-from ..flight.flight_coefficients import flow_coefficients
+from ..contact.kinds import flow_coefficients
 from ..orbits import cyclic_system, impact_equations
+from ..orbits.flight_clearance import GRAZING_TOLERANCE
 from ..orbits.impact_equations import ImpactSequence
-from ..problem import branches_from_grazing, grazing_contact
 from ..problem.orbit_equations import (
-    OrbitEquations,
-    continuation_problem,
     evaluate_impact_system,
     evaluate_with_variations,
     mark_impact_rows,
     scene_at,
     sequence_at,
 )
-from ..scene.scene import Scene
+from ..problem.orbit_problem import Condition, OrbitProblem, Rows, select_rows
 
 DIFFERENCE_STEP = 1e-5  # relative to 1 + |z|: step of central differences
 
 
-class GrazingEquations(NamedTuple):
-    """Equations of a locus of GR.
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class RowCondition(Condition):
+    """Condition on one row of the sequence.
 
     Attributes
     ----------
-    scene, parameter_marks, sequence
-        As in `OrbitEquations`, with the grazing contact as an impact.
-    special_row_mask : jax.Array
-        1 at the impact with zero speed, else 0. Array of shape (rows,).
-    slack : jax.Array
-        Largest penetration of a flight that counts as rounding.
+    row_mask : Array
+        1 at the row, else 0, array of shape (rows,).
     """
 
-    scene: Scene
-    parameter_marks: Scene
-    sequence: ImpactSequence
-    special_row_mask: Float[Array, " rows"]
-    slack: Float[Array, ""]
+    row_mask: Float[Array, " rows"]
 
-    @property
-    def impact_rows(self) -> Int[np.ndarray, " impacts"]:
-        """Rows of the impacts other than the grazing contact. Their speeds must be positive."""
-        return np.flatnonzero(mark_impact_rows(self.sequence) & (self.special_row_mask == 0))
+    relative_slack = GRAZING_TOLERANCE
+
+    def select_rows(self, rows: Rows, n_rows: int) -> "RowCondition":
+        """Return the condition on a sequence that consists of some rows of the present one."""
+        return replace(self, row_mask=select_rows(self.row_mask, rows, n_rows))
 
 
-@grazing_contact.sticking_margins.register
-def _(problem: GrazingEquations, diagnostics):
-    return diagnostics.sticking_time, np.where(
-        problem.special_row_mask > 0, np.inf, diagnostics.min_contact_force
-    )  # at the grazing contact the contact force may become positive: a DG
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class GrazingCondition(RowCondition):
+    """Condition of a locus of GR: the impact of one row, the grazing contact, has zero speed."""
+
+    def equations(self, problem: OrbitProblem) -> Problem:
+        """Return the equations of the orbits, with the speed of the grazing contact as the last residual."""
+        return GRAZING if problem.sequence.releases is None else STICKING_GRAZING
+
+    def impact_rows(self, sequence: ImpactSequence) -> Int[np.ndarray, " impacts"]:
+        """Return the rows of the impacts other than the grazing contact. Their speeds must be positive."""
+        return np.flatnonzero(mark_impact_rows(sequence) & (self.row_mask == 0))
+
+    def sticking_margins(self, diagnostics: Any) -> tuple[Float[np.ndarray, "*points rows"], ...]:
+        """Return the margins; at the grazing contact the contact force may become positive, which is a DG."""
+        return diagnostics.sticking_time, np.where(self.row_mask > 0, np.inf, diagnostics.min_contact_force)
 
 
-class SingularEquations(NamedTuple):
-    """Equations of a locus of SN, PD or SB.
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class SingularCondition(Condition):
+    """Condition of a locus of SN, PD or SB: the Jacobian with respect to times and speeds is singular.
 
     Attributes
     ----------
-    scene, parameter_marks, sequence
-        As in `OrbitEquations`.
-    multiplier : jax.Array
+    multiplier : Array
         1 if the critical perturbation returns unchanged (SN), -1 if it returns with the opposite sign (PD, SB).
     """
 
-    scene: Scene
-    parameter_marks: Scene
-    sequence: ImpactSequence
     multiplier: Float[Array, ""]
 
-    impact_rows = OrbitEquations.impact_rows  # type: ignore[misc]  # shared property
-    slack = OrbitEquations.slack  # type: ignore[misc]  # shared property
+    def equations(self, problem: OrbitProblem) -> Problem:
+        """Return the equations of the orbits, with the distance from the special point as the last residual."""
+        return SINGULAR
+
+
+def evaluate_orbit(z, problem):
+    """Evaluate the equations of an orbit; with soft walls the derivatives by the parameters are differences.
+
+    Parameters
+    ----------
+    z : Array
+        Unknowns.
+    problem : OrbitProblem
+        Problem of the orbit.
+
+    Returns
+    -------
+    residual : Array
+        Residual F.
+    matrix : cyclic_system.CyclicBlockMatrix
+        Derivative of F with respect to z.
+    """
+    return evaluate_by_differences(z, problem)[:2] if problem.scene.soft_sides else evaluate_impact_system(z, problem)
 
 
 def _grazing_system(z, problem):
-    residual, jacobian = evaluate_impact_system(z, problem)
+    residual, jacobian = evaluate_orbit(z, problem)
     zero_speed_selector = _zero_speed_selector(z, problem)
     return _append_value(residual, jnp.sum(zero_speed_selector * z)), (jacobian, zero_speed_selector)
 
 
 def _zero_speed_selector(z, problem):
-    n_rows = len(problem.special_row_mask)
-    return jnp.concatenate([jnp.zeros(n_rows), problem.special_row_mask, jnp.zeros(len(z) - 2 * n_rows)])
+    n_rows = len(problem.condition.row_mask)
+    return jnp.concatenate([jnp.zeros(n_rows), problem.condition.row_mask, jnp.zeros(len(z) - 2 * n_rows)])
 
 
 def _singular_system(z, problem):
@@ -124,28 +147,19 @@ def _singular_system(z, problem):
     Second derivatives commute. The gradient with respect to times and speeds is therefore w times the derivative of J
     along v (Govaerts, Numerical Methods for Bifurcations of Dynamical Equilibria, 4.1.2).
     """
-    residual, jacobian, jacobian_param_slopes = evaluate_with_variations(z, problem)
-    left_null, right_null = cyclic_system.null_vectors(jacobian, problem.multiplier)
-    coeffs, n_unknowns = flow_coefficients(scene_at(problem, z)), len(left_null)
-
-    def jacobian_at(unknowns):
-        sequence = sequence_at(problem, unknowns)._replace(multiplier=problem.multiplier)
-        return cyclic_system.assemble_block_matrix(impact_equations.residual_and_jacobian(coeffs, sequence)[1])
-
-    cyclic_jacobian, jacobian_along_null = jax.jvp(jacobian_at, (z[:n_unknowns],), (right_null,))
-    jacobian_along_null = cyclic_jacobian._replace(
-        diagonal=jacobian_along_null.diagonal, coupling=jacobian_along_null.coupling
-    )
-    return _append_singularity(
-        problem, residual, jacobian, jacobian_param_slopes, jacobian_along_null, left_null, right_null
-    )
-
-
-def _append_singularity(problem, residual, jacobian, jacobian_param_slopes, jacobian_along_null, left_null, right_null):
-    """Append the normalised w J v to F; return the values and their derivatives."""
+    multiplier = problem.condition.multiplier
+    if problem.scene.soft_sides:
+        residual, jacobian, (*jacobian_param_slopes, jacobian_along_null) = evaluate_by_differences(
+            z, problem, multiplier
+        )
+        left_null, right_null = cyclic_system.null_vectors(jacobian, multiplier)
+    else:
+        residual, jacobian, jacobian_param_slopes = evaluate_with_variations(z, problem)
+        left_null, right_null = cyclic_system.null_vectors(jacobian, multiplier)
+        jacobian_along_null = _derivative_along(z, problem, right_null)
     parameter_gradient = jnp.stack(
         [
-            cyclic_system.bilinear_form(left_null, jacobian_param_slope, right_null, problem.multiplier)
+            cyclic_system.bilinear_form(left_null, jacobian_param_slope, right_null, multiplier)
             for jacobian_param_slope in jacobian_param_slopes
         ]
     )
@@ -154,30 +168,20 @@ def _append_singularity(problem, residual, jacobian, jacobian_param_slopes, jaco
     )
     gradient_norm = jnp.sqrt(jnp.sum(singularity_gradient * singularity_gradient))
     return _append_value(
-        residual, cyclic_system.bilinear_form(left_null, jacobian, right_null, problem.multiplier) / gradient_norm
+        residual, cyclic_system.bilinear_form(left_null, jacobian, right_null, multiplier) / gradient_norm
     ), (jacobian, singularity_gradient / gradient_norm)
 
 
-def _soft_grazing_system(z, problem):
-    residual, jacobian, _ = evaluate_by_differences(z, problem)
-    return _append_value(residual, jnp.sum(_zero_speed_selector(z, problem) * z)), (
-        jacobian,
-        _zero_speed_selector(z, problem),
-    )
+def _derivative_along(z, problem, direction):
+    """Return the derivative of the Jacobian with respect to times and speeds along a direction of these."""
+    coeffs, n_unknowns = flow_coefficients(scene_at(problem, z)), len(direction)
 
+    def jacobian_at(unknowns):
+        sequence = sequence_at(problem, unknowns)._replace(multiplier=problem.condition.multiplier)
+        return cyclic_system.assemble_block_matrix(impact_equations.residual_and_jacobian(coeffs, sequence)[1])
 
-def _soft_singular_system(z, problem):
-    residual, jacobian, (*jacobian_param_slopes, jacobian_along_null) = evaluate_by_differences(
-        z, problem, problem.multiplier
-    )
-    return _append_singularity(
-        problem,
-        residual,
-        jacobian,
-        jacobian_param_slopes,
-        jacobian_along_null,
-        *cyclic_system.null_vectors(jacobian, problem.multiplier),
-    )
+    cyclic_jacobian, jacobian_derivative = jax.jvp(jacobian_at, (z[:n_unknowns],), (direction,))
+    return cyclic_jacobian._replace(diagonal=jacobian_derivative.diagonal, coupling=jacobian_derivative.coupling)
 
 
 def evaluate_by_differences(z, problem, multiplier=None):
@@ -206,10 +210,9 @@ def evaluate_by_differences(z, problem, multiplier=None):
         )
         coeffs, sequence = flow_coefficients(scene_at(problem, shifted_z)), sequence_at(problem, z)
         if n_null_directions:  # zero at k = 0, at z itself, where the null vector is not known yet
-            right_null = _scale_to_unit_maximum(
-                cyclic_system.null_vectors(_cyclic_matrix_at(block_arrays, 0, last_row), multiplier)[1]
-            )
-            null_shift = jnp.where(signed_steps[-1] == 0, 0.0, signed_steps[-1] * right_null)
+            right_null = cyclic_system.null_vectors(_cyclic_matrix_at(block_arrays, last_row), multiplier)[1]
+            unit_null = right_null / jnp.max(abs(right_null))
+            null_shift = jnp.where(signed_steps[-1] == 0, 0.0, signed_steps[-1] * unit_null)
             sequence = impact_equations.append_first_impact(sequence, coeffs.period, ((null_shift, multiplier),))
         residual, residual_derivatives = impact_equations.residual_and_jacobian(coeffs, sequence)
         cyclic_matrix, n_unrolled_rows = cyclic_system.assemble_block_matrix(residual_derivatives), len(sequence.sides)
@@ -225,7 +228,7 @@ def evaluate_by_differences(z, problem, multiplier=None):
         jnp.zeros((len(shift_directions), n_rows, 2, block_width), z.dtype) for block_width in (2, 2, 1)
     ]
     block_arrays = lax.fori_loop(0, len(shift_directions), evaluate_shifted, empty_block_arrays)
-    cyclic_matrix = _cyclic_matrix_at(block_arrays, 0, last_row)
+    cyclic_matrix = _cyclic_matrix_at(block_arrays, last_row)
     residual = jnp.where(jnp.arange(n_rows) <= last_row, cyclic_matrix.param_blocks[:, :, 0].T, 0.0).reshape(-1)
     cyclic_derivatives = [
         _cyclic_derivative(block_arrays, direction_index, difference_steps, last_row)
@@ -246,13 +249,9 @@ def evaluate_by_differences(z, problem, multiplier=None):
     )
 
 
-def _scale_to_unit_maximum(vector):
-    return vector / jnp.max(abs(vector))
-
-
-def _cyclic_matrix_at(block_arrays, shift_index, last_row):
+def _cyclic_matrix_at(block_arrays, last_row):
     """Return the `CyclicBlockMatrix` of one evaluation. Its parameter block holds F."""
-    return cyclic_system.CyclicBlockMatrix(*(blocks[shift_index] for blocks in block_arrays), last_row)
+    return cyclic_system.CyclicBlockMatrix(*(blocks[0] for blocks in block_arrays), last_row)
 
 
 def _cyclic_derivative(block_arrays, direction_index, difference_steps, last_row):
@@ -297,34 +296,4 @@ def _make_problem(cyclic_system_function):
 
 
 GRAZING, SINGULAR = _make_problem(_grazing_system), _make_problem(_singular_system)
-SOFT_GRAZING, SOFT_SINGULAR = _make_problem(_soft_grazing_system), _make_problem(_soft_singular_system)
-STICKING_PROBLEMS = {
-    has_soft_walls: Problem(
-        partial(_dense_system, system), solve_bordered, partial(_dense_system, system), (), call_as_kernel
-    )
-    for has_soft_walls, system in ((False, _grazing_system), (True, _soft_grazing_system))
-}
-
-
-@branches_from_grazing.replace_sequence.register
-def _(problem: GrazingEquations, sequence, rows):
-    special_row_mask = np.zeros(len(sequence.sides))
-    special_row_mask[: len(rows)] = problem.special_row_mask[list(rows)]
-    has_smooth_grazing = problem.sequence.grazing is not None
-    return problem._replace(
-        sequence=sequence._replace(grazing=special_row_mask if has_smooth_grazing else None),
-        special_row_mask=special_row_mask,
-    )
-
-
-@continuation_problem.register
-def _(problem: GrazingEquations):
-    has_soft_walls = bool(problem.scene.soft_sides)
-    if problem.sequence.releases is not None:
-        return STICKING_PROBLEMS[has_soft_walls]
-    return SOFT_GRAZING if has_soft_walls else GRAZING
-
-
-continuation_problem.register(
-    SingularEquations, lambda problem: SOFT_SINGULAR if problem.scene.soft_sides else SINGULAR
-)
+STICKING_GRAZING = Problem(GRAZING.dense_function, solve_bordered, GRAZING.dense_function, (), call_as_kernel)

@@ -5,9 +5,8 @@ from os import PathLike
 from ..output.checksums import parse_checked_file
 from ..output.saved_curve_checks import (
     decode_field,
-    decode_scene,
+    decode_plane_curve,
     parse_saved_curve,
-    require_valid_bounds,
     require_valid_columns,
     require_valid_field,
 )
@@ -58,20 +57,12 @@ def load_locus(path: str | PathLike[str]) -> Locus:
 def _parse_locus(data):
     """Build the `Locus` from the data of a file, or raise an error if a field is invalid."""
     attrs = data.attrs
-    kind, bounds = str(attrs["kind"]), decode_field(attrs, "bounds", dict[str, tuple[float, float]])
-    names = tuple(bounds)
+    kind, (names, bounds, scene, reasons) = str(attrs["kind"]), decode_plane_curve(attrs)
     require_valid_field("kind", kind in (*KINDS, *STICKING_KINDS))
-    require_valid_field("parameters", len(names) == 2)
-    for entry in bounds.values():
-        require_valid_bounds(entry)
-    scene = decode_scene(attrs, *names)
     require_valid_columns(data, dict.fromkeys(names, ("point",)) | DIMENSIONS, (*names, "residual"))
     periods = int(attrs["periods"])
     require_valid_field("periods", periods > 0)
-    codim2_entries, reasons = (
-        decode_field(attrs, "special", list[tuple[str, int, float]]),
-        decode_field(attrs, "reasons", tuple[str, str]),
-    )
+    codim2_entries = decode_field(attrs, "special", list[tuple[str, int, float]])
     require_valid_field(
         "special",
         codim2_entries

@@ -1,66 +1,62 @@
-"""Set up the start of a locus: the special point as plain numbers, its equations, and the settings."""
+"""Set up the start of a locus: the special point, its problem, and the task of the continuation."""
 
 from typing import NamedTuple
 
 import numpy as np
 
-from continuation.arclength import StepControl
+from continuation.arclength import make_control, make_start_point
 from continuation.computation_limits import UNLIMITED
-from continuation.event_search import take_step, unit_tangent
-from continuation.intermediate_points import make_start_point
+from continuation.continuation_loop import ContinuationTask
+from continuation.event_search import unit_tangent
 
 from ..branches.branch import Special
-from ..branches.follow import MIN_STEP, check_follow_settings
-from ..orbits.impact_equations import ImpactSequence
+from ..branches.follow import check_follow_settings
 from ..problem import soft_wall_grazing, sticking_limits
-from ..problem.branches_from_grazing import make_padded_sequence
-from ..problem.grazing_contact import GRAZING_TOLERANCE, GrazingContact, arclength_weights, find_grazing_contacts
-from ..problem.orbit_equations import are_releases, continuation_problem, mark_impact_rows, sides_with_release_codes
-from ..problem.orbit_point import OrbitPoint, is_own_mirror_image, set_up_equations
+from ..problem.grazing_contact import GRAZING_TOLERANCE, GrazingContact, find_grazing_contacts
+from ..problem.orbit_equations import are_releases, mark_impact_rows
+from ..problem.orbit_point import OrbitPoint, is_own_mirror_image
+from ..problem.orbit_problem import make_orbit_problem
 from ..scene import check
 from ..scene.scene import Scene
 from ..scene.scene_parameters import (
     check_parameter_bounds,
     common_parameter_value,
     flatten_names,
-    mark_parameters,
-    parameter_domain,
+    limit_bounds_to_domains,
 )
 from ..scene.symmetry import stays_symmetric
-from ..scene.typical_scales import typical_length
-from .locus_equations import GrazingEquations, SingularEquations
-from .locus_tracking import LocusDirection, LocusSettings
-from .sticking_limit_equations import StickingLimitEquations
+from .locus_equations import GrazingCondition, SingularCondition
+from .locus_tracking import LocusDirection, LocusEventDetector
+from .sticking_limit_equations import StickingLimitCondition
 
 KINDS = "SN", "PD", "SB", "GR"  # kinds that `follow_loci` continues by default
 STICKING_KINDS = "CH", "RL"  # limits of a sticking phase; a CH that ends a branch has no locus
 
 
 class LocusStart(NamedTuple):
-    """Special point at which a locus starts, as plain numbers.
+    """Special point at which a locus starts.
 
     Attributes
     ----------
     kind : str
         Kind of the point.
     name : str
-        Parameter whose value is ``orbit_row.value``.
+        Parameter whose value is ``point.value``.
     scene : Scene
         Scene at the point.
-    orbit_row : OrbitPoint
+    point : OrbitPoint
         Orbit at the point.
     """
 
     kind: str
     name: str
     scene: Scene
-    orbit_row: OrbitPoint
+    point: OrbitPoint
 
     @property
     def grazing_contacts(self) -> list[GrazingContact]:
         """`GrazingContact` records of the orbit."""
-        problem, z = set_up_equations(self.scene, self.name, self.orbit_row)
-        return find_grazing_contacts(problem, z, typical_length(self.scene))
+        return find_grazing_contacts(self.point.problem, self.point.z)
 
 
 def make_locus_start(special, kinds=KINDS):
@@ -83,69 +79,46 @@ def forward_locus_directions(locus_start, names, bounds, first_step, largest_ste
     The list has one record, or at a GR one record for each grazing contact. Each direction is that of increasing values
     of the second parameter. Raises ArgumentError if an argument is invalid.
     """
-    settings = make_locus_settings(locus_start.scene, names, bounds, first_step, largest_step, tolerance, limits)
-    return [
-        _direction_from_point(problem, z, settings)
-        for problem, z in problems_at_locus_start(locus_start, settings.names)
-    ]
+    step_settings = first_step, largest_step, tolerance
+    names, bounds = check_locus_arguments(locus_start.scene, names, bounds, *step_settings)
+    directions = []
+    for problem, z in problems_at_locus_start(locus_start, names):
+        task = make_locus_task(locus_start.scene, problem, z, names, bounds, *step_settings, limits)
+        tangent = unit_tangent(problem.equations, z, task.control.scale, problem)
+        solution = problem.take_step(make_start_point(z, tangent), 0.0, task.control)
+        direction = LocusDirection(task, make_start_point(z, tangent), names, bounds)
+        directions.append(direction.from_point(solution.z if solution.converged else z, tangent))
+    return directions
 
 
-def make_locus_settings(scene, names, bounds, first_step, largest_step, tolerance, limits=UNLIMITED):
-    """Check the arguments of a locus and make its `LocusSettings`, without arclength weights. Raises ArgumentError."""
+def check_locus_arguments(scene, names, bounds, *step_settings):
+    """Check the arguments of a locus; return the pair of names and the bounds by name. Raises ArgumentError."""
     names = check_parameter_pair(scene, names)
     if not isinstance(bounds, dict) or set(bounds) != set(names):
         raise check.ArgumentError("bounds", f"must give (low, high) for {names[0]} and for {names[1]}, by name", bounds)
     bounds = {name: check_parameter_bounds(scene, name, bounds[name]) for name in names}
-    step_settings = check_follow_settings(first_step, largest_step, tolerance, (), ())
-    parameter_domains = [parameter_domain(scene, name) for name in names]
-    bounds_in_domains = [
-        (max(lower, domain_lower), min(upper, domain_upper))
-        for (lower, upper), (domain_lower, domain_upper) in zip(bounds.values(), parameter_domains, strict=True)
-    ]
-    domain_end_values = tuple(
-        tuple(value for value in domain_bounds if value not in bounds[name])
-        for domain_bounds, name in zip(parameter_domains, names, strict=True)
-    )
-    step_control_values = [
-        np.float64(value)
-        for value in (min(MIN_STEP, first_step), largest_step, step_settings["tolerance"], *bounds_in_domains[1])
-    ]
-    step_control, initial_step = StepControl(np.ones(1), *step_control_values), min(first_step, largest_step)
-    return LocusSettings(
-        step_control,
-        initial_step,
-        names,
-        bounds,
-        tuple(bounds_in_domains),
-        domain_end_values,
-        typical_length(scene),
-        limits,
-    )
+    check_follow_settings(*step_settings, (), ())
+    return names, bounds
 
 
-def with_arclength_weights(problem, z, locus_settings):
-    """Return the `LocusSettings` with the arclength weights of a locus that starts at z."""
-    weights = arclength_weights(problem, locus_settings.scene_length)
-    for k, name in enumerate(locus_settings.names, -2):
+def make_locus_task(scene, problem, z, names, bounds, first_step, largest_step, tolerance, limits=UNLIMITED):
+    """Make the `ContinuationTask` of a locus that starts at z."""
+    bounds_in_domains, domain_ends = limit_bounds_to_domains(scene, names, bounds.values())
+    weights = problem.weights()
+    for k, name in enumerate(names, -2):
         if name.endswith(".stiffness"):  # it varies over orders of magnitude
             weights[k] = 1.0 / (1.0 + abs(z[k]))
-    return locus_settings._replace(control=locus_settings.control._replace(scale=weights))
-
-
-def _direction_from_point(problem, z, locus_settings):
-    """Return the `LocusDirection` from z towards greater values of the second parameter."""
-    locus_settings = with_arclength_weights(problem, z, locus_settings)
-    tangent_vector = unit_tangent(continuation_problem(problem), z, locus_settings.control.scale, problem)
-    return LocusDirection(
+    return ContinuationTask(
+        problem.equations,
         problem,
-        make_start_point(_correct_point(problem, z, tangent_vector, locus_settings.control), tangent_vector),
-        locus_settings,
+        make_control(weights, first_step, largest_step, tolerance, bounds_in_domains[1]),
+        min(first_step, largest_step),
+        bounds_in_domains,
+        domain_ends,
+        LocusEventDetector(problem),
+        starts=(z,),
+        limits=limits,
     )
-
-
-def reverse_direction(locus_direction):
-    """Reverse a `LocusDirection`."""
-    return locus_direction._replace(start=make_start_point(locus_direction.start.z, -locus_direction.start.tangent))
 
 
 def check_parameter_pair(scene, names):
@@ -165,86 +138,62 @@ def problems_at_locus_start(locus_start, names, use_whole_orbit=False):
     An entry of `names` may be a tuple of names: several numbers of the scene that share one value are then one
     parameter. With `use_whole_orbit`, a symmetric orbit is not reduced to one half, except at an SB.
 
-    Returns a list of (equations, z). The list has one entry, or at a GR one entry for each grazing contact, in which
-    the other contacts are omitted. The equations are `GrazingEquations`, `SingularEquations` or
-    `StickingLimitEquations`. Raises ArgumentError if none of these describes the point."""
-    scene, orbit_row = locus_start.scene, locus_start.orbit_row
-    if locus_start.kind != "GR" and not len(orbit_row.times):
+    Returns a list of (`OrbitProblem`, z). The list has one entry, or at a GR one entry for each grazing contact, in
+    which the other contacts are omitted. The condition is a `GrazingCondition`, a `SingularCondition` or a
+    `StickingLimitCondition`. Raises ArgumentError if none of these describes the point."""
+    scene, point = locus_start.scene, locus_start.point
+    if locus_start.kind != "GR" and not point.problem.n_rows:
         rule = "must belong to an orbit with impacts; without impacts only a GR has derivatives and a locus"
         raise check.ArgumentError("special", rule, f"{locus_start.kind} without impacts")
     impact_entries = _impacts_and_contacts(locus_start)
     values = [common_parameter_value(scene, name) for name in names]
-    marked_scene, parameter_marks = mark_parameters(scene, *names)
     use_half_orbit = orbit_stays_symmetric(locus_start, names)
     if locus_start.kind == "SB" and not use_half_orbit:
         raise check.ArgumentError("names", "must keep the scene symmetric, as an SB requires", names)
     use_half_orbit = use_half_orbit and not (use_whole_orbit and locus_start.kind != "SB")
-    closure_sign, periods = (-1.0, 0.5 * orbit_row.periods) if use_half_orbit else (1.0, float(orbit_row.periods))
+    closure_sign, periods = (-1.0, 0.5 * point.periods) if use_half_orbit else (1.0, float(point.periods))
     if use_half_orbit:
         impact_entries = impact_entries[: len(impact_entries) // 2]
-    empty_column = np.zeros(0)
-    sequence_scalars = (np.asarray(item) for item in (0.0, periods, closure_sign))
-    problem_template = SingularEquations(
-        marked_scene,
-        parameter_marks,
-        ImpactSequence(empty_column, empty_column, empty_column, *sequence_scalars),
-        np.asarray(1.0),
+    template, z = (
+        make_orbit_problem(scene, *names, periods=periods, closure_sign=closure_sign),
+        np.array([0.0, 0.0, *values]),
     )
     if locus_start.kind in STICKING_KINDS:
-        return [_sticking_limit_problem(problem_template, impact_entries, values, locus_start.kind)]
+        return [_sticking_limit_problem(*template.with_impacts(z, impact_entries), locus_start.kind)]
     if locus_start.kind != "GR":
-        multiplier = 1.0 if locus_start.kind == "SN" else -1.0
-        return [_singular_problem(problem_template._replace(multiplier=np.asarray(multiplier)), impact_entries, values)]
-    slack = GRAZING_TOLERANCE * typical_length(scene)
+        condition = SingularCondition(np.asarray(1.0 if locus_start.kind == "SN" else -1.0))
+        problem, z = template.with_impacts(z, impact_entries)
+        return [(problem._replace(condition=condition), z)]
+    slack = GRAZING_TOLERANCE * template.length_scale
     grazing_indices = [
         k for k, (_, speed, side) in enumerate(impact_entries) if speed <= slack and not are_releases(side)
     ]
     if not grazing_indices:
-        raise check.ArgumentError("special", "must touch a wall", locus_start.orbit_row.value)
+        raise check.ArgumentError("special", "must touch a wall", point.value)
     impact_lists = (
         [impact for k, impact in enumerate(impact_entries) if k == grazing_index or k not in grazing_indices]
         for grazing_index in grazing_indices
     )
-    return [_grazing_problem(problem_template, item, values, slack) for item in impact_lists]
+    return [_grazing_problem(*template.with_impacts(z, impacts), slack) for impacts in impact_lists]
 
 
-def _singular_problem(problem_template, impact_entries, values):
-    """Return (`SingularEquations`, z) with these impacts."""
-    sequence = make_padded_sequence(problem_template, impact_entries)
-    return problem_template._replace(sequence=sequence), np.concatenate([sequence.times, sequence.speeds, values])
-
-
-def _sticking_limit_problem(problem_template, impact_entries, values, kind):
-    """Return (`StickingLimitEquations`, z) with these impacts; mark the row whose sticking phase is at its limit."""
-    is_release, slack = kind == "RL", GRAZING_TOLERANCE * typical_length(problem_template.scene)
-    sequence = make_padded_sequence(problem_template, impact_entries)
-    z = np.concatenate([sequence.times, sequence.speeds, values])
-    problem = StickingLimitEquations(
-        problem_template.scene,
-        problem_template.parameter_marks,
-        sequence,
-        np.zeros(len(sequence.sides)),
-        np.asarray(float(is_release)),
-        np.asarray(slack),
-    )
-    problem.special_row_mask[
-        np.argmin(
-            abs((sticking_limits.min_contact_forces if is_release else sticking_limits.excess_speeds)(problem, z))
-        )
-    ] = 1.0
+def _sticking_limit_problem(problem, z, kind):
+    """Return the problem with a `StickingLimitCondition` at the row whose sticking phase is at its limit, and z."""
+    is_release = kind == "RL"
+    condition = StickingLimitCondition(np.zeros(problem.n_rows), np.asarray(float(is_release)))
+    problem = problem._replace(condition=condition)
+    row_values_of = sticking_limits.min_contact_forces if is_release else sticking_limits.excess_speeds
+    condition.row_mask[np.argmin(abs(row_values_of(problem, z)))] = 1.0
     return problem, z
 
 
-def _grazing_problem(problem_template, impact_entries, values, slack):
-    """Return (`GrazingEquations`, z) with these impacts, one of which has zero speed."""
-    sequence = make_padded_sequence(problem_template, impact_entries)
-    special_row_mask = np.where(mark_impact_rows(sequence) & (sequence.speeds <= slack), 1.0, 0.0)
-    z = np.concatenate([sequence.times, sequence.speeds, values])
-    if soft_wall_grazing.is_smooth_soft_wall(problem_template.scene, sequence.sides[np.argmax(special_row_mask)]):
-        sequence = sequence._replace(grazing=special_row_mask)
-    return GrazingEquations(
-        problem_template.scene, problem_template.parameter_marks, sequence, special_row_mask, np.asarray(slack)
-    ), z
+def _grazing_problem(problem, z, slack):
+    """Return the problem with a `GrazingCondition` at the impact of zero speed, and z."""
+    sequence = problem.sequence
+    row_mask = np.where(mark_impact_rows(sequence) & (sequence.speeds <= slack), 1.0, 0.0)
+    if soft_wall_grazing.is_smooth_soft_wall(problem.scene, sequence.sides[np.argmax(row_mask)]):
+        sequence = sequence._replace(grazing=row_mask)
+    return problem._replace(sequence=sequence, condition=GrazingCondition(row_mask)), z
 
 
 def _impacts_and_contacts(locus_start):
@@ -252,15 +201,12 @@ def _impacts_and_contacts(locus_start):
 
     The times are shifted so that the first is within the first drive period.
     """
-    orbit_row = locus_start.orbit_row
-    impact_contact_entries = [
-        ((k, 0.0), contact)
-        for k, contact in enumerate(zip(orbit_row.times, orbit_row.speeds, orbit_row.sides, strict=True))
-    ]
+    times, speeds, sides = locus_start.point.problem.impacts(locus_start.point.z)
+    impact_contact_entries = [((k, 0.0), contact) for k, contact in enumerate(zip(times, speeds, sides, strict=True))]
     if locus_start.kind == "GR":
         for contact in locus_start.grazing_contacts:
             if not contact.is_impact:
-                row_time = orbit_row.times[contact.row] if len(orbit_row.times) else 0.0
+                row_time = times[contact.row] if len(times) else 0.0
                 impact_contact_entries.append(
                     (
                         (contact.row, contact.time_since_impact),
@@ -278,9 +224,7 @@ def orbit_stays_symmetric(locus_start, names):
     impact_entries = _impacts_and_contacts(locus_start)
     if len(impact_entries) % 2 or not stays_symmetric(locus_start.scene, *flatten_names(names)):
         return False
-    times, speeds, sides = np.array(impact_entries).T
-    orbit_row = locus_start.orbit_row._replace(times=times, speeds=speeds, sides=sides)
-    return is_own_mirror_image(locus_start.scene, orbit_row)
+    return is_own_mirror_image(*locus_start.point.problem.with_impacts(locus_start.point.z, impact_entries))
 
 
 def whole_orbit_impacts(problem, zs):
@@ -289,15 +233,11 @@ def whole_orbit_impacts(problem, zs):
     `zs` has shape (points, unknowns). Times and speeds have shape (points, impacts), sides have shape (impacts,). If
     the equations represent one half of a symmetric orbit, the mirror image completes the orbit.
     """
-    n_rows, n_impacts = len(problem.sequence.sides), int(np.sum(problem.sequence.sides != 0))
-    times, speeds, sides = (
-        zs[:, :n_impacts],
-        zs[:, n_rows : n_rows + n_impacts],
-        sides_with_release_codes(problem.sequence)[:n_impacts],
-    )
-    periods = float(problem.sequence.periods)
+    (times, speeds, sides), periods = problem.impacts(zs), float(problem.sequence.periods)
     if float(problem.sequence.closure_sign) < 0:
-        half_duration = periods * 2.0 * np.pi / _drive_frequencies(problem, zs)
+        mark = int(problem.parameter_marks.frequency)
+        frequencies = zs[:, [problem.n_orbit_unknowns + mark - 1]] if mark else float(problem.scene.frequency)
+        half_duration = periods * 2.0 * np.pi / frequencies
         times, speeds, sides = (
             np.hstack([times, times + half_duration]),
             np.hstack([speeds] * 2),
@@ -305,19 +245,3 @@ def whole_orbit_impacts(problem, zs):
         )
         periods *= 2
     return times, speeds, sides, int(periods)
-
-
-def _drive_frequencies(problem, zs):
-    """Return the drive frequencies, (points, 1), or a float if the frequency is not a parameter of the curve."""
-    parameter_index = int(problem.parameter_marks.frequency)
-    return (
-        zs[:, [2 * len(problem.sequence.sides) + parameter_index - 1]]
-        if parameter_index
-        else float(problem.scene.frequency)
-    )
-
-
-def _correct_point(problem, z, tangent_vector, step_control):
-    """Return z after Newton's method, or z itself if it does not converge."""
-    solution = take_step(continuation_problem(problem), make_start_point(z, tangent_vector), 0.0, step_control, problem)
-    return solution.z if solution.converged else z

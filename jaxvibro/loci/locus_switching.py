@@ -22,29 +22,26 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from continuation import augmented_systems, event_search
+from continuation import augmented_systems
 from continuation import branch_point_tangents as crossing
+from continuation.arclength import make_start_point
 from continuation.branch_segment import SpecialIndex
-from continuation.intermediate_points import make_start_point
 from continuation.point_rows import map_fields
 
-from ..problem.branches_from_grazing import SINGULAR_RATIO
 from ..problem.end import End
 from ..problem.grazing_contact import are_admissible
 from ..problem.orbit_diagnostics import diagnose
-from ..problem.orbit_equations import continuation_problem
-from ..problem.orbit_point import OrbitPoint
+from ..problem.orbit_problem import SINGULAR_RATIO
 from ..problem.soft_wall_grazing import is_smooth_soft_wall
 from ..scene import check
 from .grazing_switchover import opposite_directions, track_across_walls
 from .locus_start import (
     LocusStart,
+    check_locus_arguments,
     forward_locus_directions,
-    make_locus_settings,
+    make_locus_task,
     orbit_stays_symmetric,
     problems_at_locus_start,
-    reverse_direction,
-    with_arclength_weights,
 )
 from .locus_tracking import LocusDirection, track_locus
 
@@ -108,19 +105,16 @@ def find_locus_seeds(codim2_point, bounds, *step_settings):
     return seeds if kind == "SN" else [*seeds, _pair_grazing_seed(codim2_point, kind, *locus_arguments)]
 
 
-def _locus_start_fields(codim2_point, orbit_row=None):
+def _locus_start_fields(codim2_point, orbit_point=None):
     """Return the fields of a `LocusStart` other than its kind."""
-    return next(iter(codim2_point.values)), codim2_point.scene, orbit_row or codim2_point.spot
+    return next(iter(codim2_point.values)), codim2_point.scene, orbit_point or codim2_point.spot
 
 
-def _orbit_without_impacts(orbit_row, rows):
+def _orbit_without_impacts(orbit_point, rows):
     """Return an `OrbitPoint` without its impacts in the given rows."""
-    remaining_indices = np.delete(np.arange(len(orbit_row.times)), rows)
-    return orbit_row._replace(
-        times=orbit_row.times[remaining_indices],
-        speeds=orbit_row.speeds[remaining_indices],
-        sides=orbit_row.sides[remaining_indices],
-    )
+    remaining_rows = np.delete(np.arange(orbit_point.problem.n_used_rows), rows)
+    problem, z = orbit_point.problem.with_rows(orbit_point.z, remaining_rows)
+    return orbit_point._replace(problem=problem, z=z)
 
 
 def _grazing_seed(codim2_point, kind, names, bounds, *step_settings):
@@ -137,9 +131,9 @@ def _special_record_of(codim2_point, kind):
     return SpecialIndex(0, kind, codim2_point.residual)
 
 
-def _contact_opening_seed(codim2_point, kind, orbit_row, names, bounds, *step_settings):
+def _contact_opening_seed(codim2_point, kind, orbit_point, names, bounds, *step_settings):
     """Return the `LocusSeed` of the locus of a kind along which the contacts of a point open or gain speed."""
-    locus_start = LocusStart(kind, *_locus_start_fields(codim2_point, orbit_row))
+    locus_start = LocusStart(kind, *_locus_start_fields(codim2_point, orbit_point))
     (locus_direction,) = forward_locus_directions(locus_start, names, bounds, *step_settings)
     return _seed_from_direction(
         locus_start, _special_record_of(codim2_point, "GR"), _admissible_direction(locus_direction)
@@ -147,33 +141,22 @@ def _contact_opening_seed(codim2_point, kind, orbit_row, names, bounds, *step_se
 
 
 def _admissible_direction(locus_direction):
-    candidates = [
-        candidate for candidate in (locus_direction, reverse_direction(locus_direction)) if candidate.is_admissible
-    ]
+    candidates = [candidate for candidate in (locus_direction, locus_direction.reverse()) if candidate.is_admissible]
     if len(candidates) != 1:
         rule = "must be a point from which the locus emanates in exactly one admissible direction"
         raise check.ArgumentError("special", rule, len(candidates))
     return candidates[0]
 
 
-def _doubled_orbit_row(codim2_point, kind, orbit_row):
-    """Return the `OrbitPoint` of the orbit traversed twice, or at an SB the orbit itself.
+def _doubled_orbit(orbit_point, kind):
+    """Return the orbit traversed twice, or at an SB the orbit itself.
 
     On the locus that emanates, the two halves of this orbit may differ.
     """
     if kind == "SB":
-        return orbit_row
-    duration = orbit_row.periods * 2.0 * np.pi / float(codim2_point.scene.frequency)
-    doubled_columns = (np.tile(column, 2) for column in (orbit_row.speeds, orbit_row.sides))
-    return OrbitPoint(
-        orbit_row.value,
-        np.append(orbit_row.times, orbit_row.times + duration),
-        *doubled_columns,
-        2 * orbit_row.periods,
-        orbit_row.x,
-        orbit_row.v,
-        orbit_row.residual,
-    )
+        return orbit_point
+    problem, z = orbit_point.problem.repeat(orbit_point.z, 2)
+    return orbit_point._replace(problem=problem, z=z)
 
 
 def _pair_grazing_seed(codim2_point, kind, names, bounds, *step_settings):
@@ -182,55 +165,52 @@ def _pair_grazing_seed(codim2_point, kind, names, bounds, *step_settings):
     Two solution curves of the equations of the GR cross at the point. The GR of the pair is the curve along which the
     two halves of the orbit differ.
     """
-    locus_start = LocusStart(
-        "GR", *_locus_start_fields(codim2_point, _doubled_orbit_row(codim2_point, kind, codim2_point.spot))
-    )
+    locus_start = LocusStart("GR", *_locus_start_fields(codim2_point, _doubled_orbit(codim2_point.spot, kind)))
     problem, z = problems_at_locus_start(locus_start, names, use_whole_orbit=True)[0]
-    settings = with_arclength_weights(
-        problem, z, make_locus_settings(codim2_point.scene, names, bounds, *step_settings)
-    )
-    arclength_weights, n_rows = settings.control.scale, len(problem.sequence.sides)
+    direction = _direction_at(codim2_point, problem, z, names, bounds, step_settings)
     try:
-        crossing_tangents = crossing.branch_tangents(continuation_problem(problem), z, arclength_weights, problem)
+        crossing_tangents = crossing.branch_tangents(problem.equations, z, direction.task.control.scale, problem)
     except ValueError:
         raise check.ArgumentError("special", "must be a point at which loci of GR cross", kind) from None
-    speed_slopes = crossing_tangents[:, n_rows + problem.impact_rows]
+    speed_slopes = crossing_tangents[:, problem.n_rows + problem.impact_rows]
     half_speed_differences = abs(speed_slopes - np.roll(speed_slopes, len(problem.impact_rows) // 2, axis=1)).max(
         axis=1
     )
     return _seed_from_direction(
         locus_start,
         _special_record_of(codim2_point, kind),
-        _admissible_direction(
-            LocusDirection(problem, make_start_point(z, crossing_tangents[np.argmax(half_speed_differences)]), settings)
-        ),
+        _admissible_direction(direction.from_point(z, crossing_tangents[np.argmax(half_speed_differences)])),
     )
 
 
 def _pair_fold_seed(codim2_point, names, bounds, *step_settings):
     """Return the `LocusSeed` of the SN of the pair of orbits that emanates from a GPD or DSB."""
-    orbit_row = _doubled_orbit_row(codim2_point, {"GPD": "PD", "DSB": "SB"}[codim2_point.kind], codim2_point.spot)
-    locus_start = LocusStart("SN", *_locus_start_fields(codim2_point, orbit_row))
+    orbit_point = _doubled_orbit(codim2_point.spot, {"GPD": "PD", "DSB": "SB"}[codim2_point.kind])
+    locus_start = LocusStart("SN", *_locus_start_fields(codim2_point, orbit_point))
     ((problem, z),) = problems_at_locus_start(locus_start, names, use_whole_orbit=True)
-    settings = with_arclength_weights(
-        problem, z, make_locus_settings(codim2_point.scene, names, bounds, *step_settings)
-    )
-    for nearby_point in _pair_fold_guesses(problem, z, settings.control):
-        if _is_admissible_point(problem, nearby_point, settings):
-            locus_direction = LocusDirection(problem, make_start_point(nearby_point.z, nearby_point.tangent), settings)
-            return LocusSeed(
-                locus_start, _special_record_of(codim2_point, codim2_point.kind), locus_direction, origin_z=z
-            )
+    direction = _direction_at(codim2_point, problem, z, names, bounds, step_settings)
+    special_record = _special_record_of(codim2_point, codim2_point.kind)
+    for nearby_point in _pair_fold_guesses(problem, z, direction.task.control):
+        if _is_admissible_point(direction.task, nearby_point):
+            nearby_direction = direction.from_point(nearby_point.z, nearby_point.tangent)
+            return LocusSeed(locus_start, special_record, nearby_direction, origin_z=z)
     raise check.ArgumentError(
         "special", "must be a point near which the SN of the pair can be located", codim2_point.kind
     )
 
 
-def _is_admissible_point(problem, nearby_point, settings):
+def _direction_at(codim2_point, problem, z, names, bounds, step_settings):
+    """Return the `LocusDirection` of a locus that crosses a point singularly; its tangent is not known yet."""
+    names, bounds = check_locus_arguments(codim2_point.scene, names, bounds, *step_settings[:3])
+    task = make_locus_task(codim2_point.scene, problem, z, names, bounds, *step_settings)
+    return LocusDirection(task, make_start_point(z, np.zeros(len(z))), names, bounds)
+
+
+def _is_admissible_point(task, nearby_point):
     """Check that a `Point` has converged, is within the bounds and has an admissible orbit."""
+    problem = task.args
     is_within_bounds = all(
-        lower <= value <= upper
-        for value, (lower, upper) in zip(nearby_point.z[-2:], settings.bounds_in_domains, strict=True)
+        lower <= value <= upper for value, (lower, upper) in zip(nearby_point.z[-2:], task.bounds, strict=True)
     )
     return bool(
         nearby_point.converged
@@ -246,17 +226,11 @@ def _seed_from_direction(locus_start, special_record, locus_direction):
     equations may vanish, because an impact has zero speed or because another curve crosses. The continuation would then
     mistake a step from the point for a jump.
     """
-    problem, settings = locus_direction.problem, locus_direction.settings
+    problem, task = locus_direction.problem, locus_direction.task
     for fraction in STEP_FRACTIONS:
-        nearby_point = event_search.take_step(
-            continuation_problem(problem),
-            locus_direction.start,
-            fraction * settings.initial_step,
-            settings.control,
-            problem,
-        )
-        if _is_admissible_point(problem, nearby_point, settings):
-            nearby_direction = LocusDirection(problem, make_start_point(nearby_point.z, nearby_point.tangent), settings)
+        nearby_point = problem.take_step(locus_direction.start, fraction * task.first_step, task.control)
+        if _is_admissible_point(task, nearby_point):
+            nearby_direction = locus_direction.from_point(nearby_point.z, nearby_point.tangent)
             return LocusSeed(locus_start, special_record, nearby_direction, origin_z=locus_direction.start.z)
     return LocusSeed(locus_start, special_record, locus_direction)
 
@@ -267,24 +241,23 @@ def _pair_fold_guesses(problem, z, step_control):
     Newton's method starts from the second-order expansion ``u + s v + s^2 h`` of the pair at the parameters of the
     point. The Newton matrix is of order s^3, and the error of the expansion is of order s^5.
     """
-    n_unknowns = 2 * len(problem.sequence.sides)
+    n_unknowns = problem.n_orbit_unknowns
     arclength_weights = step_control.scale[:n_unknowns]
-    jacobian = augmented_systems.jacobian_at(continuation_problem(problem), z, problem)[:n_unknowns, :n_unknowns]
+    _, derivative = problem.evaluate(z)
+    jacobian = derivative[:n_unknowns, :n_unknowns]
     null_vector = augmented_systems.null_vector(jacobian)
     null_vector = null_vector / np.linalg.norm(arclength_weights * null_vector)
     null_vector = null_vector * np.sign(null_vector[np.flatnonzero(abs(null_vector) > 0.5 * abs(null_vector).max())[0]])
     null_z_direction = np.append(null_vector, [0.0, 0.0])
     shifted_jacobians = augmented_systems.jacobians_at(
-        continuation_problem(problem), z + DIFFERENCE_STEP * np.stack([null_z_direction, -null_z_direction]), problem
+        problem.equations, z + DIFFERENCE_STEP * np.stack([null_z_direction, -null_z_direction]), problem
     )[:, :n_unknowns, :n_unknowns]
     second_order_shift = np.linalg.lstsq(
         jacobian, -0.25 / DIFFERENCE_STEP * (shifted_jacobians[0] - shifted_jacobians[1]) @ null_vector, SINGULAR_RATIO
     )[0]
     for null_step in NULL_VECTOR_STEPS:
         guess = z + null_step * null_z_direction + null_step**2 * np.append(second_order_shift, [0.0, 0.0])
-        yield event_search.take_step(
-            continuation_problem(problem), make_start_point(guess, null_z_direction), 0.0, step_control, problem
-        )
+        yield problem.take_step(make_start_point(guess, null_z_direction), 0.0, step_control)
 
 
 def track_locus_seed(locus_seed, step_settings):
@@ -309,7 +282,7 @@ def track_locus_seed(locus_seed, step_settings):
 def _track_from_origin(locus_seed):
     """Track a seed that begins at a small distance from its point; return the segment with the point prepended."""
     segment, z = track_locus(locus_seed.forward_direction), locus_seed.origin_z
-    origin_distance = np.linalg.norm(locus_seed.forward_direction.settings.control.scale * (segment.points.z[0] - z))
+    origin_distance = np.linalg.norm(locus_seed.forward_direction.task.control.scale * (segment.points.z[0] - z))
     origin_point = make_start_point(z, (segment.points.z[0] - z) / origin_distance)
     points = map_fields(
         lambda leaf, first_entry: np.concatenate([np.asarray(first_entry)[None], leaf]), segment.points, origin_point

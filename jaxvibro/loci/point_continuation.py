@@ -15,11 +15,11 @@ from jaxtyping import Float, Int
 
 from continuation import augmented_systems
 
-from ..problem.orbit_equations import OrbitEquations, continuation_problem
+from ..problem.orbit_problem import OrbitProblem
 from ..scene import check
 from ..scene.scene import Scene
 from ..scene.scene_parameters import mark_parameters
-from .locus_equations import GrazingEquations
+from .locus_equations import GrazingCondition
 from .locus_start import make_locus_start, problems_at_locus_start
 
 MIN_FRACTION = 1.0 / 256.0  # of the path: the continuation ends if a shorter step fails
@@ -31,7 +31,7 @@ class ContinuedPoint(NamedTuple):
 
     Attributes
     ----------
-    problem : OrbitEquations
+    problem : OrbitProblem
         Equations of the orbit.
     z : numpy.ndarray
         (times, speeds, value). Array of shape (unknowns,).
@@ -45,7 +45,7 @@ class ContinuedPoint(NamedTuple):
         Largest residual of the equations.
     """
 
-    problem: OrbitEquations
+    problem: OrbitProblem
     z: Float[np.ndarray, " unknowns"]
     zero_speed_indices: Int[np.ndarray, " places"]
     parameter_values: Float[np.ndarray, " count"]
@@ -92,11 +92,13 @@ def _continued_point_of(problem, z, value_name, names):
     n_rows, orbit_z = len(problem.sequence.sides), z[: len(z) - len(names)]
     scene, value_marks = mark_parameters(problem.scene, value_name)
     zero_speed_indices = (
-        n_rows + np.flatnonzero(problem.special_row_mask) if isinstance(problem, GrazingEquations) else np.zeros(0, int)
+        n_rows + np.flatnonzero(problem.condition.row_mask)
+        if isinstance(problem.condition, GrazingCondition)
+        else np.zeros(0, int)
     )
     parameter_marks = tuple(mark_parameters(scene, parameter_name)[1] for parameter_name in names)
     point = ContinuedPoint(
-        OrbitEquations(scene, value_marks, problem.sequence._replace(grazing=None)),
+        OrbitProblem(scene, value_marks, problem.sequence._replace(grazing=None)),
         orbit_z,
         zero_speed_indices,
         z[len(orbit_z) :],
@@ -199,7 +201,7 @@ def _parameter_jacobian(point):
 
 
 def _orbit_jacobian(problem, z):
-    return augmented_systems.jacobian_at(continuation_problem(problem), z, problem)
+    return problem.evaluate(z)[1]
 
 
 def _correct_point(point):
@@ -209,7 +211,7 @@ def _correct_point(point):
             solution = (
                 _correct_grazing(point)
                 if len(point.zero_speed_indices)
-                else augmented_systems.locate_fold(continuation_problem(point.problem), point.z, point.problem)
+                else augmented_systems.locate_fold(point.problem.equations, point.z, point.problem)
             )
     except np.linalg.LinAlgError:  # a flight does not end
         return None
@@ -236,7 +238,7 @@ def _correct_grazing(point):
 
     def reduced_system(reduced_unknowns):
         residual, jacobian = augmented_systems.evaluate_problem(
-            continuation_problem(point.problem), expand_unknowns(reduced_unknowns), point.problem
+            point.problem.equations, expand_unknowns(reduced_unknowns), point.problem
         )
         return np.asarray(residual), np.asarray(jacobian)[:, unknown_indices]
 

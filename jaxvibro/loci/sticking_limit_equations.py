@@ -8,62 +8,57 @@ are central differences with respect to the time and speed of the last impact be
 and the parameters. No other unknown affects the measures.
 """
 
+from dataclasses import dataclass
 from functools import partial
-from typing import NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from continuation.arclength import solve_bordered
 from continuation.array_type import Array
 from continuation.problem import Problem
 
 from ..compiled.kernel_calls import call_as_kernel
-from ..flight.flight_coefficients import flow_coefficients
+from ..contact.kinds import flow_coefficients
 from ..orbits import chatter_and_release, cyclic_system, impact_equations
-from ..orbits.impact_equations import ImpactSequence
-from ..problem import grazing_contact
-from ..problem.orbit_equations import (
-    continuation_problem,
-    evaluate_impact_system,
-    mark_impact_rows,
-    scene_at,
-    sequence_at,
-)
-from ..scene.scene import Scene
-from .locus_equations import evaluate_by_differences
+from ..problem.orbit_equations import scene_at, sequence_at
+from ..problem.orbit_problem import OrbitProblem
+from .locus_equations import RowCondition, evaluate_orbit
 
 DIFFERENCE_STEP = 1e-5  # relative to 1 + |z|: step of central differences
 
 
-class StickingLimitEquations(NamedTuple):
-    """Equations of a locus of CH or RL.
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class StickingLimitCondition(RowCondition):
+    """Condition of a locus of CH or RL: the sticking phase of one row is at its limit.
 
     Attributes
     ----------
-    scene, parameter_marks, sequence
-        As in `OrbitEquations`.
-    special_row_mask : jax.Array
-        1 at the row whose sticking phase is at its limit, else 0. Array of shape (rows,).
-    is_release_limit : jax.Array
+    is_release : Array
         1 at RL, where the contact force vanishes; 0 at CH, where the mass only just sticks.
-    slack : jax.Array
-        As in `GrazingEquations`.
     """
 
-    scene: Scene
-    parameter_marks: Scene
-    sequence: ImpactSequence
-    special_row_mask: Float[Array, " rows"]
-    is_release_limit: Float[Array, ""]
-    slack: Float[Array, ""]
+    is_release: Float[Array, ""]
 
-    @property
-    def impact_rows(self) -> Int[np.ndarray, " impacts"]:
-        """Rows of the impacts. Their speeds must be positive."""
-        return np.flatnonzero(mark_impact_rows(self.sequence))
+    def equations(self, problem: OrbitProblem) -> Problem:
+        """Return the equations of the orbits, with the distance from the limit as the last residual."""
+        return RELEASE if bool(self.is_release) else CHATTER
+
+    def sticking_margins(self, diagnostics: Any) -> tuple[Float[np.ndarray, "*points rows"], ...]:
+        """Return the margins other than the one that vanishes along the locus."""
+        sticking_times, min_contact_forces = (
+            np.where(self.row_mask > 0, np.inf, values)
+            for values in (diagnostics.sticking_time, diagnostics.min_contact_force)
+        )
+        return (
+            (diagnostics.sticking_time, min_contact_forces)
+            if bool(self.is_release)
+            else (sticking_times, diagnostics.min_contact_force)
+        )
 
 
 def _evaluate_limit_measure(limit_measure, problem, z):
@@ -71,28 +66,26 @@ def _evaluate_limit_measure(limit_measure, problem, z):
     coeffs, sequence = flow_coefficients(scene_at(problem, z)), sequence_at(problem, z)
     flights = impact_equations.compute_flights(coeffs, sequence)
     chatter_starts_by_row, _ = chatter_and_release.chatter_starts(coeffs, sequence, flights)
-    limit_row = jnp.argmax(problem.special_row_mask)
+    limit_row = jnp.argmax(problem.condition.row_mask)
     return limit_measure(coeffs, jax.tree.map(lambda leaf: leaf[limit_row], chatter_starts_by_row))
 
 
 def _unit_vectors_of_measure(problem, z):
     """Return the unit vectors of the unknowns that affect the measure. Array of shape (directions, unknowns)."""
-    n_rows = len(problem.special_row_mask)
+    n_rows = len(problem.condition.row_mask)
     last_row = jnp.sum(problem.sequence.sides != 0) - 1
-    limit_row = jnp.argmax(problem.special_row_mask)
+    limit_row = jnp.argmax(problem.condition.row_mask)
     next_row = jnp.where(limit_row == last_row, 0, limit_row + 1)
     unknown_indices = jnp.stack([limit_row, next_row, n_rows + limit_row, *range(2 * n_rows, len(z))])
     return jnp.eye(len(z), dtype=z.dtype)[unknown_indices]
 
 
-def _sticking_limit_system(limit_measure, has_soft_walls, z, problem):
+def _sticking_limit_system(limit_measure, z, problem):
     """Return (F, dF/dz) of the orbit equations and the measure.
 
     For an empty row, F holds its unknowns, which must vanish.
     """
-    residual, jacobian = (
-        evaluate_by_differences(z, problem)[:2] if has_soft_walls else evaluate_impact_system(z, problem)
-    )
+    residual, jacobian = evaluate_orbit(z, problem)
     is_empty_unknown = jnp.tile(problem.sequence.sides == 0, 2)
     orbit_residual = jnp.where(is_empty_unknown, z[: len(is_empty_unknown)], residual)
     measure_directions = _unit_vectors_of_measure(problem, z)
@@ -108,33 +101,10 @@ def _sticking_limit_system(limit_measure, has_soft_walls, z, problem):
     )
 
 
-def _make_problem(limit_measure, has_soft_walls):
-    limit_system = partial(_sticking_limit_system, limit_measure, has_soft_walls)
+def _make_problem(limit_measure):
+    limit_system = partial(_sticking_limit_system, limit_measure)
     return Problem(limit_system, solve_bordered, limit_system, (), call_as_kernel, compile_at_once=True)
 
 
-PROBLEMS = {
-    (is_release, has_soft_walls): _make_problem(
-        chatter_and_release.min_contact_force if is_release else chatter_and_release.excess_speed, has_soft_walls
-    )
-    for is_release in (False, True)
-    for has_soft_walls in (False, True)
-}
-
-
-@continuation_problem.register
-def _(problem: StickingLimitEquations):
-    return PROBLEMS[bool(problem.is_release_limit), bool(problem.scene.soft_sides)]
-
-
-@grazing_contact.sticking_margins.register
-def _(problem: StickingLimitEquations, diagnostics):
-    sticking_times, min_contact_forces = (
-        np.where(problem.special_row_mask > 0, np.inf, values)
-        for values in (diagnostics.sticking_time, diagnostics.min_contact_force)
-    )
-    return (
-        (diagnostics.sticking_time, min_contact_forces)
-        if bool(problem.is_release_limit)
-        else (sticking_times, diagnostics.min_contact_force)
-    )
+RELEASE = _make_problem(chatter_and_release.min_contact_force)
+CHATTER = _make_problem(chatter_and_release.excess_speed)

@@ -14,14 +14,12 @@ from jax import lax
 from jaxtyping import Float, Real
 
 from ..compiled.lane_arithmetic import call_without_inlining, choose
+from ..contact.end_time_and_contact import EndTimeAndContact
 from ..flight import flow, taylor_polynomials
-from ..flight.flow_dispatch import flow_of
 from ..flight.motion_in_soft_wall import restitution_of
 from ..flight.taylor_polynomials import ExpansionPoint
 from ..flight.wall_motion import select_lists_by_side, subtract_optional, wall_jet_on_side
 from ..scene.codes import Contact
-from .contact_law_replays import replay_module_of
-from .end_time_and_contact import EndTimeAndContact
 
 
 class RecordedImpacts(NamedTuple):
@@ -85,9 +83,8 @@ def _replay_path(coeffs, state, impacts, duration, order):
         _sticking_side(state.contact) + zero,
     )
     end_time = lax.stop_gradient(duration) + zero
-    replay_module = replay_module_of(coeffs)
     path_end = EndTimeAndContact(end_time, impacts.end_contact)
-    start_state, pending_contact = replay_module.replay_initial_contact(
+    start_state, pending_contact = coeffs.contact.replay_initial_contact(
         coeffs, start_state, state.contact, path_end, order
     )
     if coeffs.walls:
@@ -99,25 +96,25 @@ def _replay_path(coeffs, state, impacts, duration, order):
             jnp.zeros_like(impacts.times),
         )
     end_delay = duration - end_time
-    free_flight_state = flow_of(coeffs).jet_at_point(coeffs, end_state, order)
+    free_flight_state = coeffs.flow.jet_at_point(coeffs, end_state, order)
     free_flight_state = (
         taylor_polynomials.evaluate_taylor(free_flight_state, end_delay, order),
         taylor_polynomials.evaluate_taylor(free_flight_state[1:], end_delay, order),
     )
-    x, v = replay_module.state_after_delay(coeffs, end_state, impacts.end_contact, free_flight_state, end_delay, order)
+    x, v = coeffs.contact.state_after_delay(coeffs, end_state, impacts.end_contact, free_flight_state, end_delay, order)
     return start_state, end_state._replace(x=x, v=v), end_delay, times, speeds
 
 
 def _replay_impacts(coeffs, start_state, pending_contact, impacts, path_end, order):
     """Return (state at the `EndTimeAndContact`, impact times, impact speeds) from the results of
     `replay_initial_contact`."""
-    replay_module, end_time = replay_module_of(coeffs), path_end.time
+    contact, end_time = coeffs.contact, path_end.time
     n_impacts = lax.min(jnp.max(impacts.count).astype(jnp.int32), jnp.int32(len(impacts.times)))
 
     def replay_next_event(carry):
         """Advance to the next event: a release, an impact, or the end after the last impact."""
         impact_index, last_release_time, current_state, pending_contact, *time_and_speed_rows = carry
-        current_state = replay_module.complete_pending_contact(coeffs, current_state, pending_contact, path_end, order)
+        current_state = contact.complete_pending_contact(coeffs, current_state, pending_contact, path_end, order)
         impact_time, side = (
             lax.dynamic_index_in_dim(row, impact_index, keepdims=False) for row in (impacts.times, impacts.sides)
         )
@@ -149,7 +146,7 @@ def _replay_impacts(coeffs, start_state, pending_contact, impacts, path_end, ord
         current_state = current_state._replace(
             x=choose(is_impact, x, current_state.x), v=choose(is_impact, v, current_state.v)
         )
-        current_state, pending_contact = replay_module.replay_wall_entry(
+        current_state, pending_contact = contact.replay_wall_entry(
             coeffs, current_state, choose(is_impact, side, 0.0), delay, path_end, order
         )
         return (
@@ -180,7 +177,7 @@ def _sticking_side(contact_code):
 
 def _fly_freely(coeffs, current_state, duration):
     """Return the `ExpansionPoint` after a free flight of the given duration."""
-    end_values = flow_of(coeffs).fly(
+    end_values = coeffs.flow.fly(
         coeffs, current_state.x, current_state.v, current_state.cosine, current_state.sine, duration
     )
     return ExpansionPoint(*end_values, current_state.time + duration)
@@ -215,7 +212,7 @@ def _release_from_wall(coeffs, current_state, is_release_due, release_time, orde
         next_time,
     )
     contact_force_jets = [
-        flow_of(coeffs).contact_force(coeffs, wall, current_state.cosine, current_state.sine, order)
+        coeffs.flow.contact_force(coeffs, wall, current_state.cosine, current_state.sine, order)
         for wall in coeffs.walls
     ]
     side = lax.full_like(current_state.x, float(coeffs.walls[0].sign))
@@ -225,7 +222,7 @@ def _release_from_wall(coeffs, current_state, is_release_due, release_time, orde
         select_lists_by_side(side, coeffs.walls, contact_force_jets), order
     )
     wall_derivatives = taylor_polynomials.wall_derivatives(coeffs, current_state, side, order)
-    x, v = flow_of(coeffs).state_before_delay(
+    x, v = coeffs.flow.state_before_delay(
         coeffs,
         current_state,
         *taylor_polynomials.wall_state(wall_derivatives, release_delay, order),
@@ -240,7 +237,7 @@ def _release_from_wall(coeffs, current_state, is_release_due, release_time, orde
 def _delayed_rebound(coeffs, current_state, side, order):
     """Return (delay, relative speed, x, v) of an impact; (x, v) is transported back to the current time."""
     mass_jet, wall_derivatives = (
-        flow_of(coeffs).jet_at_point(coeffs, current_state, order),
+        coeffs.flow.jet_at_point(coeffs, current_state, order),
         taylor_polynomials.wall_derivatives(coeffs, current_state, side, order),
     )
     impact_delay = taylor_polynomials.locate_root_near_zero(
@@ -259,5 +256,5 @@ def _delayed_rebound(coeffs, current_state, side, order):
     return (
         impact_delay,
         side * approach_velocity,
-        *flow_of(coeffs).state_before_delay(coeffs, current_state, wall_position, velocity_after, impact_delay, order),
+        *coeffs.flow.state_before_delay(coeffs, current_state, wall_position, velocity_after, impact_delay, order),
     )

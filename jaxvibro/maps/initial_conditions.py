@@ -3,11 +3,10 @@
 import jax
 import numpy as np
 
+from ..contact.kinds import flow_of_scene
 from ..flight.wall_positions import wall_states
 from ..output.units import LENGTH, SPEED, range_text
 from ..scene.state import State
-
-MIN_DENOMINATOR = 1e-3  # lower bound of sqrt(D): at resonance without damping there is no steady motion
 
 
 def forced_amplitude(scene):
@@ -22,24 +21,13 @@ def forced_amplitude(scene):
 
 def _forced_amplitudes(scene):
     """Yield (amplitude, frequency) of the steady motion under each term of the drive."""
-    drive_frequency = np.asarray(scene.frequency, float)
+    drive_frequency, flow = np.asarray(scene.frequency, float), flow_of_scene(scene)
     for amplitude, term_frequency in (
         (scene.amplitude, drive_frequency),
         *((drive_term.amplitude, drive_term.harmonic * drive_frequency) for drive_term in scene.drive),
     ):
         amplitude = abs(np.asarray(amplitude, float))
-        if scene.force is not None:
-            yield amplitude / np.maximum(1.0, term_frequency**2), term_frequency
-        else:
-            damping = np.asarray(scene.damping, float)
-            yield (
-                amplitude
-                / np.maximum(
-                    np.hypot((1.0 - term_frequency) * (1.0 + term_frequency), 2.0 * damping * term_frequency),
-                    MIN_DENOMINATOR,
-                ),
-                term_frequency,
-            )
+        yield flow.steady_amplitude(scene, amplitude, term_frequency), term_frequency
 
 
 def initial_box(scene):

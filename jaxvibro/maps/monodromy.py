@@ -22,10 +22,12 @@ from jaxtyping import Float
 from ..compiled.kernel_calls import call_as_kernel
 from ..compiled.lane_arithmetic import COMPILER_OPTIONS, call_without_inlining, choose
 from ..compiled.lane_blocks import MIN_LANES, run_in_blocks, vmap_as_lanes
-from ..flight.flight_coefficients import ContactLaw, make_flow_coefficients
-from ..flight.flow_dispatch import flow_of
+from ..contact.contact_duration import multiply_2x2_matrices
+from ..contact.end_time_and_contact import EndTimeAndContact
+from ..contact.kinds import make_flow_coefficients
+from ..contact.monodromy_state import MonodromyState
 from ..flight.impact import wall_state_and_force
-from ..flight.motion_in_soft_wall import is_soft_side
+from ..flight.motion_in_soft_wall import is_soft_side, soft_walls
 from ..flight.motion_in_soft_wall import restitution_of as restitution
 from ..flight.taylor_polynomials import ExpansionPoint
 from ..flight.wall_motion import subtract_optional, wall_jet_on_side
@@ -33,17 +35,8 @@ from ..scene import check
 from ..scene.codes import Contact, Status
 from ..scene.scene import Scene
 from ..scene.state import State, make_state_arrays
-from . import force_law_contact_matrix, initial_contact, linear_contact_matrix, reference_strobe
-from .contact_duration import multiply_2x2_matrices
-from .end_time_and_contact import EndTimeAndContact
-from .monodromy_state import MonodromyState
+from . import reference_strobe
 from .reference_strobe import REPLAY_SLOTS
-
-CONTACT_PASSAGES = {
-    ContactLaw.RIGID: None,
-    ContactLaw.LINEAR: linear_contact_matrix.propagate_contact_phase,
-    ContactLaw.FORCE_LAW: force_law_contact_matrix.propagate_contact_phase,
-}
 
 
 @check.check_types
@@ -212,7 +205,6 @@ def strobe_with_matrix_state(scene, state, periods, slots, clearance=False):
 def _multiply_path_matrices(scene, state, impacts, end_contact_code, periods, slots):
     """Return the final `MonodromyState`: the product of the matrices of all flights, impacts and contact phases."""
     coeffs, zero = make_flow_coefficients(scene), lax.full_like(end_contact_code, 0.0)
-    flow_module, propagate_contact = flow_of(coeffs), CONTACT_PASSAGES[coeffs.contact_law]
     impact_rows = impacts.time, impacts.side.astype(zero.dtype), impacts.speed
     impact_rows = [jnp.moveaxis(slot_array, -1, 0) for slot_array in impact_rows]
     n_impacts = lax.min(jnp.max(impacts.count), jnp.int32(slots)) if coeffs.walls else jnp.int32(0)
@@ -222,7 +214,7 @@ def _multiply_path_matrices(scene, state, impacts, end_contact_code, periods, sl
         """Pass a contact phase if one is due, then fly to the next impact, or to the end after the last impact."""
         impact_index, relative_state, current_state = carry
         if relative_state:
-            current_state = propagate_contact(
+            current_state = coeffs.contact.propagate_contact_phase(
                 coeffs, relative_state, impact_index > 0, EndTimeAndContact(end_time, end_contact_code), current_state
             )
         impact_time, side, speed = (lax.dynamic_index_in_dim(row, impact_index, keepdims=False) for row in impact_rows)
@@ -235,7 +227,7 @@ def _multiply_path_matrices(scene, state, impacts, end_contact_code, periods, sl
         )
         # a lane without an end may start beyond a wall, where a force can be stiff or unstable
         flight_time = choose(has_end, flight_time, 0.0)
-        xv, drive_cosine, drive_sine, flight_matrix = flow_module.propagate_with_matrix(
+        xv, drive_cosine, drive_sine, flight_matrix = coeffs.flow.propagate_with_matrix(
             coeffs, current_state.xv, current_state.cosine, current_state.sine, flight_time
         )
         matrix = multiply_2x2_matrices(flight_matrix, current_state.matrix)
@@ -270,17 +262,13 @@ def _multiply_path_matrices(scene, state, impacts, end_contact_code, periods, sl
 
     drive_cosine, drive_sine = jnp.cos(state.phase) + zero, jnp.sin(state.phase) + zero
     end_time, identity_entries = zero + periods * coeffs.period, (zero + 1.0, zero, zero, zero + 1.0)
-    xv = () if flow_module.LINEAR and not propagate_contact else (state.x + zero, state.v + zero)
-    relative_state = (
-        initial_contact.initial_relative_state(
-            coeffs, ExpansionPoint(*xv, drive_cosine, drive_sine, zero), state.contact
-        )
-        if propagate_contact
-        else ()
+    xv = state.x + zero, state.v + zero
+    relative_state = coeffs.contact.initial_phase(
+        coeffs, ExpansionPoint(*xv, drive_cosine, drive_sine, zero), state.contact
     )
-    total_contact_times = tuple(zero for soft_flow in coeffs.soft_flows if soft_flow is not None)
+    total_contact_times = (zero,) * len(soft_walls(coeffs))
     start_state = MonodromyState(
-        zero, () if flow_module.LINEAR else xv, drive_cosine, drive_sine, identity_entries, total_contact_times
+        zero, coeffs.flow.matrix_state(*xv), drive_cosine, drive_sine, identity_entries, total_contact_times
     )
     return lax.while_loop(
         lambda carry: carry[0] <= n_impacts, advance_to_next_impact, (jnp.int32(0), relative_state, start_state)
@@ -301,7 +289,7 @@ def saltation_entries(coeffs, side, speed, drive_cosine, drive_sine):
     restitution_coeff = restitution(coeffs, side) + 0.0 * speed
     wall_velocity = 0.0 if wall_velocity is None else wall_velocity
     approach_velocity = side * speed
-    acceleration_and_jerk_of = flow_of(coeffs).acceleration_and_jerk
+    acceleration_and_jerk_of = coeffs.flow.acceleration_and_jerk
     mass_accel_before, _ = acceleration_and_jerk_of(
         coeffs, wall_position, wall_velocity + approach_velocity, drive_cosine, drive_sine
     )

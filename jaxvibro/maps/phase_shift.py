@@ -4,13 +4,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..compiled.lane_arithmetic import choose
-from ..flight import integration_loop
-from ..flight.flight_coefficients import make_flow_coefficients
+from ..contact.kinds import make_flow_coefficients
 from ..flight.path_start import start_path
-from ..scene.codes import Status
 from ..scene.state import State
-from .reference_strobe import state_and_impacts
+from .reference_strobe import fly_once
 
 
 def shift_phase(scene, state, phase):
@@ -43,12 +40,5 @@ def shift_phase(scene, state, phase):
 def _fly_through_angle(scene, state, drive_angle):
     coeffs = make_flow_coefficients(scene)
     path, start_status = start_path(coeffs, state)
-    duration = choose(start_status == Status.OK, drive_angle / coeffs.frequency, 0.0)
-    loop_state = integration_loop.initial_loop_state(coeffs, path._replace(time_remaining=duration), 0, duration)
-    end_state, impacts = state_and_impacts(
-        coeffs,
-        integration_loop.run_loop(coeffs, loop_state, integration_loop.loop_limits(coeffs, 1)),
-        state,
-        start_status,
-    )
+    end_state, impacts = fly_once(coeffs, state, path, start_status, drive_angle / coeffs.frequency)
     return end_state, jnp.asarray(impacts.status)

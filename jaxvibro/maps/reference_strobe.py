@@ -12,8 +12,8 @@ from jaxtyping import Float
 from ..compiled.kernel_calls import call_as_kernel
 from ..compiled.lane_arithmetic import call_without_inlining, choose, positive_part
 from ..compiled.lane_blocks import run_in_blocks
+from ..contact.kinds import make_flow_coefficients
 from ..flight import impact_log, integration_loop
-from ..flight.flight_coefficients import make_flow_coefficients
 from ..flight.flight_state import CAPPED, absolute_state
 from ..flight.motion_in_soft_wall import is_inside_soft_wall
 from ..flight.path_start import start_path
@@ -50,29 +50,20 @@ def reference_strobe(scene, state, periods, slots, min_lanes, clearance=False, n
 
     `n_lanes_due` is the number of lanes to compute, as in `run_in_blocks`.
     """
-    return _strobe_in_blocks(_strobe_without_history, scene, state, periods, slots, min_lanes, clearance, n_lanes_due)
+    return strobe_and_history(scene, state, periods, slots, min_lanes, clearance, n_lanes_due=n_lanes_due)[0]
 
 
-def strobe_and_history(scene, state, periods, slots, min_lanes, clearance=False, history_slots=0):
-    """Return ((State, Impacts), `ReplayHistory`); the arguments are those of `strobe`."""
-    return _strobe_in_blocks(
-        strobe_with_history, scene, state, periods, slots, min_lanes, clearance, history_slots=history_slots
-    )
-
-
-def _strobe_in_blocks(block_function, scene, state, periods, slots, min_lanes, clearance, n_lanes_due=None, **options):
+def strobe_and_history(scene, state, periods, slots, min_lanes, clearance=False, history_slots=0, n_lanes_due=None):
+    """Return ((State, Impacts), `ReplayHistory`); the arguments are those of `reference_strobe`."""
     shape = jnp.broadcast_shapes(*map(jnp.shape, jax.tree.leaves((scene, state))))
+    options = {"slots": slots, "clearance": clearance, "history_slots": history_slots}
 
     def run_block(arguments):
-        return call_as_kernel(block_function, *arguments, periods=periods, slots=slots, clearance=clearance, **options)
+        return call_as_kernel(strobe_with_history, *arguments, periods=periods, **options)
 
     def make_block_results(n_lanes):
         results = make_empty_results(n_lanes, slots, scene.dtype, clearance)
-        return (
-            results
-            if block_function is _strobe_without_history
-            else (results, make_empty_history(n_lanes, slots, scene.dtype, **options))
-        )
+        return results, make_empty_history(n_lanes, slots, scene.dtype, history_slots)
 
     return run_in_blocks(
         run_block,
@@ -81,10 +72,6 @@ def _strobe_in_blocks(block_function, scene, state, periods, slots, min_lanes, c
         min_lanes,
         n_lanes_due=n_lanes_due,
     )
-
-
-def _strobe_without_history(scene, state, periods, slots, clearance):
-    return strobe_with_history(scene, state, periods, slots, clearance)[0]
 
 
 def strobe_with_history(scene, state, periods, slots, clearance=False, history_slots=0):
@@ -144,6 +131,14 @@ def _begin_next_period(coeffs, start_motion, last_period_start, loop_state):
     return loop_state._replace(path=path, log=log._replace(end_time=end_time))
 
 
+def fly_once(coeffs, state, path, start_status, duration):
+    """Return (State, Impacts) after a flight of at most one period; impacts are counted but not recorded."""
+    path = path._replace(time_remaining=choose(start_status == Status.OK, duration, 0.0))
+    loop_state = integration_loop.initial_loop_state(coeffs, path, 0, duration)
+    loop_state = integration_loop.run_loop(coeffs, loop_state, integration_loop.loop_limits(coeffs, 1))
+    return state_and_impacts(coeffs, loop_state, state, start_status)
+
+
 def state_and_impacts(coeffs, loop_state, state, start_status, clearance=False):
     """Return (State, Impacts) at the end of a loop, with the least clearance if requested."""
     path, log, impact_slots, turning_points = loop_state[:4]
@@ -182,7 +177,7 @@ def reported_contact_code(path):
     return jnp.sign(path.contact) * choose(abs(path.contact) == Contact.STUCK, Contact.STUCK, nonsticking_code)
 
 
-def make_empty_history(n_lanes, n_recorded_impacts, dtype, history_slots=0):
+def make_empty_history(n_lanes, n_recorded_impacts, dtype, history_slots):
     """Return the initial content of a `ReplayHistory`."""
     zero = jnp.zeros(n_lanes, dtype)
     if not history_slots:

@@ -7,7 +7,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Float
 
-from ..flight.flight_coefficients import make_flow_coefficients
+from ..compiled.lane_arithmetic import value_and_gradient
+from ..contact.kinds import make_flow_coefficients
 from ..scene.codes import Contact, Status
 from .impact_replay import RecordedImpacts, replay_periods
 
@@ -112,18 +113,7 @@ def make_with_derivatives(function, order):
     lower_order_function = make_with_derivatives(function, order - 1)
 
     def value_and_derivatives(*args):
-        def derivative_along(argument_direction):
-            component_and_argument = zip(argument_direction, args, strict=True)
-            return jax.jvp(
-                lower_order_function,
-                args,
-                tuple(
-                    jnp.broadcast_to(direction_component, jnp.shape(arg))
-                    for direction_component, arg in component_and_argument
-                ),
-            )
-
-        values, derivatives = jax.vmap(derivative_along, out_axes=(None, -1))(jnp.eye(len(args), dtype=args[0].dtype))
+        values, derivatives = value_and_gradient(lower_order_function, args, -1)
         return (*values, derivatives[-1])
 
     return value_and_derivatives

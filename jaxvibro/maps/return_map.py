@@ -8,9 +8,9 @@ from jaxtyping import ArrayLike, Bool, Float, Int, Real
 
 from continuation.array_type import Array
 
+from ..contact.kinds import contact_of_wall
 from ..flight.wall_positions import WALL_SIGNS, wall_states
 from ..scene import check
-from ..scene.codes import Contact
 from ..scene.scene import SIDES, Scene
 from ..scene.state import State
 from .strobe import strobe
@@ -116,7 +116,7 @@ def return_map(
         raise check.ArgumentError("side", "must be a wall of the scene, left or right", side)
     wall_index = SIDES.index(side)
     wall_sign, phase = WALL_SIGNS[wall_index], jnp.asarray(check.check_real_array("phase", phase, scene.dtype))
-    start_contact_code = Contact.WITHIN if getattr(scene, side).soft else Contact.LANDED
+    start_contact_code = contact_of_wall(scene, side).CODE_AFTER_IMPACT
     start_state = State(wall_states(scene, phase)[wall_index][0], velocity, phase, start_contact_code * wall_sign)
     _, impacts = strobe(scene, start_state, periods, slots)
     is_impact_on_wall = impacts.side == wall_sign

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import ArrayLike, Float, Int
 
 from continuation.array_type import Array
-from continuation.persistent_jit import persistent_jit
+from continuation.hostcall import persistent_jit
 
 from ..compiled.lane_arithmetic import COMPILER_OPTIONS
 from ..scene import check

@@ -19,8 +19,9 @@ from jaxtyping import Float
 from ..compiled.kernel_calls import call_as_kernel
 from ..compiled.lane_arithmetic import choose, two_sum
 from ..compiled.lane_blocks import run_in_blocks, vmap_as_lanes
+from ..contact.kinds import make_flow_coefficients
 from ..flight import flow, impact_log, integration_loop
-from ..flight.flight_coefficients import dekker_product_error, make_flow_coefficients
+from ..flight.flight_coefficients import dekker_product_error
 from ..flight.flight_state import CAPPED, absolute_state
 from ..flight.path_start import start_path
 from ..scene.codes import Contact, Status

@@ -8,11 +8,11 @@ import numpy as np
 import xarray as xr
 from jax import lax
 
-from continuation.persistent_jit import persistent_jit
+from continuation.hostcall import persistent_jit
 
 from ..compiled.lane_arithmetic import choose
+from ..contact.kinds import make_flow_coefficients
 from ..flight import integration_loop
-from ..flight.flight_coefficients import make_flow_coefficients
 from ..flight.flight_state import absolute_state
 from ..flight.path_start import start_path
 from ..output.units import ANGLE, LENGTH, SPEED, TIME, scales_attributes
@@ -115,7 +115,7 @@ def _position_and_velocity(coeffs, loop_state, extra_state):
     return absolute_state(coeffs, loop_state.path)
 
 
-_compiled_trajectory = persistent_jit(_sample_trajectory, static_argnums=(2, 3))
+_compiled_trajectory = persistent_jit(static_argnums=(2, 3))(_sample_trajectory)
 
 
 def _trajectory_dataset(scene, x, v, drive_phases, impacts):

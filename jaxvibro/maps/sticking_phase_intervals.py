@@ -19,20 +19,19 @@ import numpy as np
 from jax import lax
 from jaxtyping import ArrayLike, Float
 
-from continuation.persistent_jit import persistent_jit
+from continuation.hostcall import persistent_jit
 
 from ..compiled.lane_arithmetic import COMPILER_OPTIONS
+from ..contact.contact_duration import multiply_2x2_matrices
+from ..contact.kinds import make_flow_coefficients
 from ..flight import integration_loop
-from ..flight.flight_coefficients import make_flow_coefficients
 from ..flight.flight_step import certified_step
-from ..flight.flow_dispatch import flow_of
 from ..flight.flow_matrix import matrix_by_rows
 from ..flight.impact import wall_state_and_force
 from ..flight.motion_in_soft_wall import restitution_of
 from ..flight.path_start import start_path
 from ..scene.codes import Contact, Status
 from ..scene.state import State
-from .contact_duration import multiply_2x2_matrices
 from .monodromy import saltation_entries
 from .strobe import strobe
 
@@ -250,7 +249,7 @@ def _advance_matrix_by_step(coeffs, path, flight_step, matrix_since_release, was
     The data are the side, a flag for chatter, the logarithm of the growth, and the time since the last release.
     """
     side, step_time = flight_step.side, flight_step.time
-    _, flow_matrix = flow_of(coeffs).fly_with_matrix(coeffs, path.x, path.v, path.cosine, path.sine, step_time)
+    _, flow_matrix = coeffs.flow.fly_with_matrix(coeffs, path.x, path.v, path.cosine, path.sine, step_time)
     matrix, time_since_release = (
         multiply_2x2_matrices(matrix_by_rows(flow_matrix), matrix_since_release[:4]),
         matrix_since_release.time_since_release + step_time,
@@ -308,11 +307,11 @@ def _log_growth_to_onset(coeffs, flight_step, side, speed, restitution, matrix):
         coeffs, side, drive_cosine, drive_sine
     )
     contact_force, contact_force_rate = side * contact_force, side * contact_force_rate
-    mass_acceleration, _ = flow_of(coeffs).acceleration_and_jerk(
+    mass_acceleration, _ = coeffs.flow.acceleration_and_jerk(
         coeffs, wall_position, wall_velocity + side * speed, drive_cosine, drive_sine
     )
     wall_acceleration = (
-        flow_of(coeffs).acceleration_and_jerk(coeffs, wall_position, wall_velocity, drive_cosine, drive_sine)[0]
+        coeffs.flow.acceleration_and_jerk(coeffs, wall_position, wall_velocity, drive_cosine, drive_sine)[0]
         - side * contact_force
     )  # that of the wall
     chatter_time_per_speed = 2.0 * restitution / ((1.0 - restitution) * contact_force)

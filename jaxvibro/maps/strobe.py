@@ -6,7 +6,7 @@ from functools import partial
 import jax
 import numpy as np
 
-from continuation.persistent_jit import persistent_jit
+from continuation.hostcall import persistent_jit
 
 from ..compiled.lane_arithmetic import COMPILER_OPTIONS
 from ..compiled.lane_blocks import MIN_LANES

@@ -16,9 +16,9 @@ from jax import lax
 from ..compiled.kernel_calls import call_as_kernel, reference_block_width
 from ..compiled.lane_arithmetic import choose
 from ..compiled.lane_blocks import run_in_blocks
+from ..contact.kinds import make_flow_coefficients
 from ..flight import fast_coefficients, fast_path, fast_tangent, impact_log
 from ..flight.fast_tangent import Tangent
-from ..flight.flight_coefficients import make_flow_coefficients
 from ..flight.path_start import start_path
 from ..scene.codes import Contact, Status
 from ..scene.state import Impacts, State

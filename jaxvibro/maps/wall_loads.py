@@ -8,16 +8,16 @@ import numpy as np
 import xarray as xr
 from numpy.polynomial import legendre
 
-from continuation.persistent_jit import FAST_COMPILE, persistent_jit
+from continuation.hostcall import FAST_COMPILE, persistent_jit
 
-from ..flight.flight_coefficients import flow_coefficients
+from ..contact.kinds import contact_of_wall, flow_coefficients
 from ..flight.wall_positions import WALL_SIGNS, wall_states
 from ..output.units import FORCE, POWER, SPEED, scales_attributes
 from ..scene import check
 from ..scene.codes import Contact, Status
 from ..scene.scene import SIDES, Scene
 from ..scene.state import State, make_state_arrays
-from .contact_duration import contact_duration_of
+from .long_iteration import take_lanes
 from .sample import sample
 from .strobe import strobe
 
@@ -228,11 +228,11 @@ def _contact_loads(scene, state, impacts, is_impact, side):
     start_times, depth, depth_rate = (
         array[contact_lanes, contact_columns] for array in (start_times, depth, depth_rate)
     )
-    lane_scene, phase = _select_lanes(scene, contact_lanes), np.asarray(state.phase)[contact_lanes]
+    lane_scene, phase = take_lanes(scene, contact_lanes), np.asarray(state.phase)[contact_lanes]
     phase = phase + lane_scene.frequency * start_times
     time_remaining = 2.0 * np.pi / lane_scene.frequency - start_times
     duration_arguments = lane_scene, wall_sign + 0.0 * depth, depth, depth_rate, phase, time_remaining
-    contact_durations = _contact_durations(*_select_lanes(duration_arguments, _padded_rows(len(phase))))
+    contact_durations = _contact_durations(*take_lanes(duration_arguments, _padded_rows(len(phase))))
     wall_position, wall_velocity = _wall_motion(lane_scene, phase, side)
     entry_state = State(
         wall_position + wall_sign * depth,
@@ -242,7 +242,7 @@ def _contact_loads(scene, state, impacts, is_impact, side):
     )
 
     def forces_in_panels(contact_rows, times):
-        return _panel_forces(*_select_lanes((lane_scene, entry_state), contact_rows), times, side)
+        return _panel_forces(*take_lanes((lane_scene, entry_state), contact_rows), times, side)
 
     largest_forces, works = integrate_contacts(forces_in_panels, np.asarray(contact_durations)[: len(phase)])
     np.maximum.at(largest_force_by_lane, contact_lanes, largest_forces)
@@ -304,14 +304,14 @@ def _panel_forces(scene, entry_state, times, side):
     chunks = []
     for first_row in range(0, len(times), ROWS_PER_CHUNK):
         rows = slice(first_row, first_row + ROWS_PER_CHUNK)
-        chunks.append(_forces_at_times(*_select_lanes((scene, entry_state, times), rows), side))
+        chunks.append(_forces_at_times(*take_lanes((scene, entry_state, times), rows), side))
     return [np.concatenate(arrays) for arrays in zip(*chunks, strict=True)]
 
 
 def _forces_at_times(scene, entry_state, times, side):
     """Return the result of `_panel_forces` for one chunk."""
     wall_sign, padded_rows = WALL_SIGNS[SIDES.index(side)], _padded_rows(len(times))
-    sampled_states, _ = sample(*_select_lanes((scene, entry_state, times), padded_rows))
+    sampled_states, _ = sample(*take_lanes((scene, entry_state, times), padded_rows))
     x, v, phase = (
         np.asarray(array)[: len(times)] for array in (sampled_states.x, sampled_states.v, sampled_states.phase)
     )
@@ -329,10 +329,6 @@ def _padded_rows(n_rows):
     return np.minimum(np.arange(n_padded), n_rows - 1)
 
 
-def _select_lanes(tree, lanes):
-    return jax.tree.map(lambda leaf: np.asarray(leaf)[lanes], tree)
-
-
 def _wall_motion(scene, phase, side):
     """Return position and velocity of a wall at phases of shape (lanes, ...)."""
     broadcastable_scene = jax.tree.map(lambda leaf: np.asarray(leaf).reshape(-1, *[1] * (phase.ndim - 1)), scene)
@@ -344,23 +340,15 @@ def _contact_durations(scene, wall_sign, depth, depth_rate, phase, max_duration)
     """Compute the durations of contact phases from their initial depths and rates, at most `max_duration`."""
     coeffs = flow_coefficients(scene)
     contact_code = wall_sign * jnp.where(depth > 0, 1.0 * Contact.WITHIN, 1.0 * Contact.ENTERED)
-    return contact_duration_of(
+    return coeffs.contact.contact_duration(
         coeffs, contact_code, wall_sign * depth, wall_sign * depth_rate, jnp.cos(phase), jnp.sin(phase), max_duration
     )
 
 
 def _wall_contact_force(scene, depth, v, wall_velocity, side):
     """Return (force of a soft wall against the mass, speed into the wall) at depths of shape (lanes, points)."""
-    wall, wall_sign = getattr(scene, side), WALL_SIGNS[SIDES.index(side)]
-    depth_rate = wall_sign * (v - wall_velocity)
-    if wall.law is not None:
-        law_params = {name: np.asarray(value)[:, None] for name, value in wall.law.numbers.items()}
-        return np.asarray(wall.law.function(np.maximum(depth, 0.0), depth_rate, law_params)), depth_rate
-    damping = np.asarray(scene.parameter(f"{side}.damping"))
-    if scene.force is None:
-        damping = damping - np.asarray(scene.damping)
-    stiffness = np.asarray(scene.parameter(f"{side}.stiffness"))
-    return stiffness[:, None] * depth + 2.0 * damping[:, None] * wall_sign * v, depth_rate
+    depth_rate = WALL_SIGNS[SIDES.index(side)] * (v - wall_velocity)
+    return contact_of_wall(scene, side).wall_force(scene, side, depth, depth_rate, v), depth_rate
 
 
 def _largest_forces_of_panels(force, force_coefficients):

@@ -27,10 +27,9 @@ from jaxtyping import Float
 
 from continuation.array_type import Array
 
+from ..contact.wall_at_contact import contact_force_derivatives, wall_derivatives
 from ..flight import flow
-from ..flight.flow_dispatch import flow_of
 from ..flight.motion_in_soft_wall import restitution_of
-from .wall_at_contact import contact_force_derivatives, wall_derivatives
 
 HOP_ORDER = 12  # order of the polynomial of a bounce
 MAX_HOP_TIME = 0.4  # of `FlowCoefficients.max_step`: longer bounces do not belong to a series
@@ -91,7 +90,7 @@ def evaluate_hop(coeffs, side, phasor, speed):
     `phasor` is (cosine, sine) of the drive's phase at the start of the bounce.
     """
     wall_position, wall_velocity, *wall_derivs = wall_derivatives(coeffs, side, *phasor, HOP_ORDER)
-    motion_jet = flow_of(coeffs).jet(coeffs, wall_position, wall_velocity - side * speed, *phasor, HOP_ORDER)
+    motion_jet = coeffs.flow.jet(coeffs, wall_position, wall_velocity - side * speed, *phasor, HOP_ORDER)
     height_derivs = [
         side * (wall_deriv - mass_deriv) for wall_deriv, mass_deriv in zip(wall_derivs, motion_jet[2:], strict=False)
     ]

@@ -16,15 +16,15 @@ from jax import lax
 from jaxtyping import Bool, Float
 
 from continuation.array_type import Array
-from continuation.persistent_jit import FAST_COMPILE, persistent_jit
+from continuation.hostcall import FAST_COMPILE, persistent_jit
 
 from ..compiled.kernel_calls import call_as_kernel
+from ..contact.kinds import flow_coefficients
+from ..contact.wall_at_contact import contact_force_derivatives
 from ..flight import flow
-from ..flight.flight_coefficients import flow_coefficients
 from ..flight.motion_in_soft_wall import restitution_of
 from ..scene.codes import Contact
 from . import chatter
-from .wall_at_contact import contact_force_derivatives
 
 SCAN_STEP = 0.2  # of `FlowCoefficients.max_step`: between two samples of the contact force
 NEWTON_STEPS = 5  # to a minimum of the contact force

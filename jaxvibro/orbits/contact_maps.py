@@ -7,24 +7,13 @@ duration, an impact has none. Both maps are smooth, also where the speed is zero
 
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 from jaxtyping import Bool, Float
 
 from continuation.array_type import Array
 
-from ..compiled.lane_arithmetic import choose
-from ..flight import motion_in_soft_wall
-from ..flight.flight_coefficients import ContactLaw
-from ..flight.flow_dispatch import flow_of
-from . import force_law_contact_map, linear_contact_map
-from .wall_at_contact import wall_derivatives
-
-CONTACT_MAP_MODULES = {
-    ContactLaw.RIGID: None,
-    ContactLaw.LINEAR: linear_contact_map,
-    ContactLaw.FORCE_LAW: force_law_contact_map,
-}
+from ..contact.wall_at_contact import wall_derivatives
+from ..flight.motion_in_soft_wall import restitution_of
 
 
 class ContactMap(NamedTuple):
@@ -55,7 +44,7 @@ class ContactMap(NamedTuple):
     free_flow : tuple of Array or None
         Entries (p00, p01, p11) of the matrix of the flow within the wall over the contact phase, as in
         `contact_phase.ContactPhase`. Under a user-defined force the field contains
-        `force_law_contact_map.ContactExit.exit_derivatives` instead.
+        `phase_maps.ContactExit.exit_derivatives` instead.
     """
 
     cosine: Float[Array, "*shape"]
@@ -100,9 +89,9 @@ def evaluate_contact_map(coeffs, sides, cosine, sine, speed, grazing_mask=None, 
     """
     wall_position, wall_velocity, wall_acceleration = wall_derivatives(coeffs, sides, cosine, sine)
     approach_velocity, zero = sides * speed, jnp.zeros_like(speed)
-    restitution = motion_in_soft_wall.restitution_of(coeffs, sides) + zero
+    restitution = restitution_of(coeffs, sides) + zero
     velocity_after = wall_velocity - restitution * approach_velocity
-    acceleration_after, _ = flow_of(coeffs).acceleration_and_jerk(coeffs, wall_position, velocity_after, cosine, sine)
+    acceleration_after, _ = coeffs.flow.acceleration_and_jerk(coeffs, wall_position, velocity_after, cosine, sine)
     state_by_time, state_by_speed = (
         (restitution * approach_velocity, wall_acceleration - acceleration_after),
         (zero, -restitution * sides),
@@ -122,33 +111,7 @@ def evaluate_contact_map(coeffs, sides, cosine, sine, speed, grazing_mask=None, 
         state_by_speed,
         velocity_after - wall_velocity,
     )
-    contact_module = CONTACT_MAP_MODULES[coeffs.contact_law]
-    if contact_module is None:
-        return contact_map
-    is_soft = motion_in_soft_wall.is_soft_side(coeffs, sides)
-    is_soft = is_soft if grazing_mask is None else is_soft & (grazing_mask == 0)
-    soft_fields, free_flow = contact_module.exit_map(coeffs, sides, is_soft, speed, contact_map, min_contact_time)
-    rigid_fields = (
-        contact_map.state,
-        contact_map.phasor,
-        contact_map.state_by_time,
-        contact_map.state_by_speed,
-        contact_map.exit_velocity,
-        zero,
-    )
-    state, exit_phasor, state_by_time, state_by_speed, relative_exit_velocity, contact_time = jax.tree.map(
-        lambda soft, rigid: jnp.where(is_soft, soft, rigid), soft_fields, rigid_fields
-    )
-    return contact_map._replace(
-        contact_time=contact_time,
-        state=state,
-        phasor=exit_phasor,
-        state_by_time=state_by_time,
-        state_by_speed=state_by_speed,
-        exit_velocity=relative_exit_velocity,
-        is_soft=is_soft,
-        free_flow=free_flow,
-    )
+    return coeffs.contact.complete_contact_map(coeffs, sides, speed, contact_map, grazing_mask, min_contact_time)
 
 
 def saltation_matrices(coeffs, contact_map, sides):
@@ -174,10 +137,7 @@ def saltation_matrices(coeffs, contact_map, sides):
     determinant : Array
         Determinants of the matrices.
     """
-    contact_module, acceleration_function = (
-        CONTACT_MAP_MODULES[coeffs.contact_law],
-        flow_of(coeffs).acceleration_and_jerk,
-    )
+    acceleration_function = coeffs.flow.acceleration_and_jerk
     acceleration_before, _ = acceleration_function(
         coeffs,
         contact_map.wall_position,
@@ -191,62 +151,4 @@ def saltation_matrices(coeffs, contact_map, sides):
         + contact_map.restitution * acceleration_before
         - (1.0 + contact_map.restitution) * contact_map.wall_acceleration
     ) / contact_map.approach_velocity
-    if contact_module is not None:
-        shear = choose(contact_map.restitution < 0, 0.0, shear)  # a grazing of a soft wall has no effect
-    rigid_result = (
-        (-contact_map.restitution, jnp.zeros_like(shear), shear, -contact_map.restitution),
-        contact_map.restitution * contact_map.restitution,
-    )
-    if contact_module is None:
-        return rigid_result
-    soft_result = contact_module.contact_matrix(coeffs, sides, contact_map, acceleration_before, acceleration_after)
-    return jax.tree.map(lambda soft, rigid: jnp.where(contact_map.is_soft, soft, rigid), soft_result, rigid_result)
-
-
-def state_in_contact(coeffs, contact_map, sides, row_indices, elapsed_time, free_state):
-    """Return (x, v) some time after the impacts in rows `row_indices`, or `free_state` outside contact phases."""
-    return CONTACT_MAP_MODULES[coeffs.contact_law].state_in_contact(
-        coeffs, contact_map, sides, row_indices, elapsed_time, free_state
-    )
-
-
-def max_oscillation_rate(coeffs, contact_map, sides):
-    """Return the largest oscillation rate within soft walls.
-
-    The rate is an upper bound for linear soft walls and an estimate under a user-defined force.
-
-    Parameters
-    ----------
-    coeffs : FlowCoefficients
-        Coefficients of the scene.
-    contact_map : ContactMap
-        Effect of the impacts.
-    sides : Array
-        Sides of the impacts.
-
-    Returns
-    -------
-    Array
-        Rate, a scalar.
-    """
-    return CONTACT_MAP_MODULES[coeffs.contact_law].max_oscillation_rate(coeffs, contact_map, sides)
-
-
-def max_contact_step(coeffs, contact_map, sides):
-    """Return the longest step within contact phases.
-
-    Parameters
-    ----------
-    coeffs : FlowCoefficients
-        Coefficients of the scene.
-    contact_map : ContactMap
-        Effect of the impacts.
-    sides : Array
-        Sides of the impacts.
-
-    Returns
-    -------
-    Array
-        Step in t, a scalar.
-    """
-    return CONTACT_MAP_MODULES[coeffs.contact_law].max_contact_step(coeffs, contact_map, sides)
+    return coeffs.contact.saltation(coeffs, sides, contact_map, shear, acceleration_before, acceleration_after)

@@ -16,9 +16,9 @@ from jaxtyping import Bool, Float
 
 from continuation import newton
 from continuation.array_type import Array
-from continuation.persistent_jit import persistent_jit
+from continuation.hostcall import persistent_jit
 
-from ..flight.flight_coefficients import flow_coefficients
+from ..contact.kinds import flow_coefficients
 from . import flight_clearance, impact_equations
 
 N_SOLUTIONS = 3  # solutions from one guess
@@ -81,7 +81,7 @@ def solve_with_deflation(scenes, guesses, max_speed):
     return DeflatedSolutions(*(np.stack(fields) for fields in zip(*solutions, strict=True)))
 
 
-@persistent_jit
+@persistent_jit()
 @jax.vmap
 def _solve_lane(scene, guess, known_solutions, is_solution_known, max_speed):
     """Return (`DeflatedSolutions`, True if Newton's method has converged) of one lane."""

@@ -13,7 +13,6 @@ from jaxtyping import Float
 
 from continuation.array_type import Array
 
-from ..flight.flow_dispatch import flow_of
 from ..flight.wall_motion import subtract_optional, wall_jet
 
 SAMPLE_ANGLE = 0.1  # rad between samples, of the fastest of drive, walls and free oscillation
@@ -84,7 +83,7 @@ def sample_count(coeffs, flights):
     Array of int
         Number of samples, a scalar.
     """
-    time_scale = flow_of(coeffs).sampling_time_scale(coeffs, flights)
+    time_scale = coeffs.flow.sampling_time_scale(coeffs, flights)
     return jnp.ceil(jnp.max(flights.time) / (SAMPLE_ANGLE * time_scale)).astype(int) + 8
 
 
@@ -209,7 +208,7 @@ def state_in_flight(coeffs, flights, time):
     tuple of Array
         (x, v, cosine, sine), the last two of the drive's phase.
     """
-    return flow_of(coeffs).fly(coeffs, flights.x, flights.v, flights.cosine, flights.sine, time)
+    return coeffs.flow.fly(coeffs, flights.x, flights.v, flights.cosine, flights.sine, time)
 
 
 def relative_motion(coeffs, flights, time):
@@ -234,7 +233,7 @@ def relative_motion(coeffs, flights, time):
 
 def _motion_towards_walls(coeffs, x, v, cosine, sine):
     """Return for each wall (distance to it, speed towards it, acceleration towards it)."""
-    acceleration, _ = flow_of(coeffs).acceleration_and_jerk(coeffs, x, v, cosine, sine)
+    acceleration, _ = coeffs.flow.acceleration_and_jerk(coeffs, x, v, cosine, sine)
     motions = []
     for wall in coeffs.walls:
         wall_position, wall_velocity, wall_acceleration = wall_jet(wall, coeffs.frequency, cosine, sine, 2)
@@ -254,7 +253,7 @@ def _nearest_turning_points(coeffs, flights, sampling_interval, n_samples):
     A cell lies between two samples. The distance is inf without a turning point. Newton steps begin at the fraction of
     the cell.
     """
-    zero, advance_sample = jnp.zeros_like(sampling_interval), flow_of(coeffs).flight_map(coeffs, sampling_interval)
+    zero, advance_sample = jnp.zeros_like(sampling_interval), coeffs.flow.flight_map(coeffs, sampling_interval)
 
     def scan_cell(cell_index, carry):
         state, start_motions, nearest_points = carry

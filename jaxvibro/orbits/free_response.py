@@ -7,10 +7,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from continuation.persistent_jit import FAST_COMPILE, persistent_jit
+from continuation.hostcall import FAST_COMPILE, persistent_jit
 
+from ..contact.kinds import flow_of_scene, fly_with_matrix
 from ..flight import flow
-from ..flight.flow_matrix import fly_with_matrix, matrix_by_rows
+from ..flight.flow_matrix import matrix_by_rows
 from ..scene.codes import Status
 from ..scene.state import State
 from .orbit import OrbitError
@@ -27,7 +28,7 @@ def free_response(scene):
     with several drive terms the first Newton step gives the motion. The result is nan at a resonance without damping,
     where no such motion exists, or if Newton's method does not converge.
     """
-    if scene.force is not None or scene.drive:
+    if not flow_of_scene(scene).has_unique_free_response() or scene.drive:
         return _newton_solve_from_rest(scene)
     (p00, p01, p11), ((x, v), _) = _period_responses(scene)
     matrix = np.array([[1.0 - p00, -p01], [p01, 1.0 - p11]])
@@ -55,7 +56,7 @@ def _newton_solve_from_rest(scene):
     return State(np.nan, np.nan)
 
 
-@persistent_jit
+@persistent_jit()
 def _fly_free_period(scene, state):
     """Return ((x, v), flight matrix) after a flight of one drive period without walls."""
     return fly_with_matrix(scene, *state, jnp.zeros(()), 2.0 * jnp.pi / scene.frequency)

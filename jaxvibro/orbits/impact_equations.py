@@ -16,12 +16,11 @@ from jaxtyping import Float, Int
 from continuation.array_type import Array
 from continuation.newton import newton
 
+from ..contact.contact_duration import multiply_2x2_matrices
+from ..contact.kinds import flow_coefficients
+from ..contact.wall_at_contact import contact_force_derivatives
 from ..flight import flow_matrix
-from ..flight.flight_coefficients import flow_coefficients
-from ..flight.flow_dispatch import flow_of
-from ..maps.contact_duration import multiply_2x2_matrices
-from .contact_maps import ContactMap, evaluate_contact_map, saltation_matrices, state_in_contact
-from .wall_at_contact import contact_force_derivatives
+from .contact_maps import ContactMap, evaluate_contact_map, saltation_matrices
 
 MAX_TIME_CHANGE = 0.1  # of a drive period: largest change of a time in a Newton step
 
@@ -140,7 +139,7 @@ def compute_flights(coeffs, sequence):
     has_flight = sides != 0 if sequence.releases is None else (sides != 0) & (sequence.releases[next_row] == 0)
     time = jnp.where(has_flight, jnp.maximum(time, 0.0), 0.0)
     (x, v), (cosine, sine) = contact_map.state, contact_map.phasor
-    (end_x, end_v), matrix = flow_of(coeffs).fly_with_matrix(coeffs, x, v, cosine, sine, time)
+    (end_x, end_v), matrix = coeffs.flow.fly_with_matrix(coeffs, x, v, cosine, sine, time)
     return Flights(time, x, v, cosine, sine, end_x, end_v, matrix, next_row, mirror_sign, contact_map)
 
 
@@ -241,7 +240,7 @@ def residual_and_jacobian(coeffs, sequence, flights=None):
 
     next_side, contact_map = value_at_next_impact(sides), flights.contact_map
     relative_velocity = flights.end_v - value_at_next_impact(contact_map.wall_velocity)
-    acceleration, _ = flow_of(coeffs).acceleration_and_jerk(
+    acceleration, _ = coeffs.flow.acceleration_and_jerk(
         coeffs,
         flights.end_x,
         flights.end_v,
@@ -439,7 +438,7 @@ def states_at(coeffs, sequence, flights, query_times):
         if flights.contact_map.contact_time is None
         else jnp.maximum(elapsed_time - flights.contact_map.contact_time[last_impact_row], 0.0)
     )
-    state = flow_of(coeffs).fly(
+    state = coeffs.flow.fly(
         coeffs,
         flights.x[last_impact_row],
         flights.v[last_impact_row],
@@ -447,8 +446,6 @@ def states_at(coeffs, sequence, flights, query_times):
         flights.sine[last_impact_row],
         flight_time,
     )[:2]
-    return (
-        state
-        if flights.contact_map.contact_time is None
-        else state_in_contact(coeffs, flights.contact_map, sequence.sides, last_impact_row, elapsed_time, state)
+    return coeffs.contact.state_in_contact(
+        coeffs, flights.contact_map, sequence.sides, last_impact_row, elapsed_time, state
     )

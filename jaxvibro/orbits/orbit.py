@@ -9,6 +9,7 @@ from ..maps import itinerary as words
 from ..maps.sticking_phase_intervals import NO_STICKING
 from ..output.table_text import align_columns, column_header, multipliers_text
 from ..output.units import LENGTH, SPEED, TIME, unit_in_system
+from ..scene.codes import Status
 from ..scene.scene import SIDES, Scene
 from ..scene.state import Impacts, State
 
@@ -252,6 +253,39 @@ def make_orbit(scene, state, impacts, itinerary, multipliers, residual, unknowns
         scene=scene,
         rests=sticking_record.has_sticking,
     )
+
+
+def rotate_to_canonical_start(itinerary, section_points, times, speeds, sides, min_clearance, drive_period):
+    """Move the section of an orbit to the drive period with which its canonical itinerary begins.
+
+    Parameters
+    ----------
+    itinerary : tuple of str
+        A word for each period.
+    section_points : ndarray
+        x and v at the section of each period, array of shape (periods, 2).
+    times, speeds, sides : ndarray
+        Impacts since the section, arrays of shape (impacts,).
+    min_clearance : float
+        Least clearance of the orbit.
+    drive_period : float
+        Length of a drive period, in t.
+
+    Returns
+    -------
+    itinerary : tuple of str
+        Canonical itinerary.
+    section_state : list of float
+        x and v at the new section.
+    impacts : Impacts
+        Impacts in order since the new section.
+    """
+    period_shift = words.canonical_start_period(itinerary, section_points)
+    times_after_start = np.mod(times - period_shift * drive_period, len(itinerary) * drive_period)
+    order = np.argsort(times_after_start)
+    columns = times_after_start[order], sides[order].astype(np.int8), speeds[order]
+    impacts = Impacts(*columns, len(order), float(speeds.min()), min_clearance, Status.OK)
+    return words.rotate_periods(itinerary, period_shift), section_points[period_shift].tolist(), impacts
 
 
 def has_unit_determinants(trace, determinant):

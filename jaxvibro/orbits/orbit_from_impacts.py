@@ -15,18 +15,16 @@ from jaxtyping import Float
 
 from continuation import newton
 from continuation.array_type import Array
-from continuation.persistent_jit import FAST_COMPILE, persistent_jit
-from continuation.problem import call_directly
+from continuation.hostcall import FAST_COMPILE, persistent_jit
 
 from ..compiled.kernel_calls import call_as_kernel
-from ..flight.flight_coefficients import flow_coefficients
+from ..contact.kinds import flow_coefficients
 from ..maps import itinerary as words
 from ..maps.iterate import MAX_RECORDED_PERIODS, iterate
-from ..scene.codes import Status
-from ..scene.state import Impacts, State
+from ..scene.state import State
 from . import flight_clearance, impact_equations
 from .impact_equations import ImpactSequence
-from .orbit import OrbitError, eigenvalue_pair, make_orbit
+from .orbit import OrbitError, eigenvalue_pair, make_orbit, rotate_to_canonical_start
 from .orbit_comparison import impacts_as_points, repetition_count
 
 MIN_SECTION_GAP = 1e-3  # of a drive period: the section moves away from closer impacts
@@ -67,17 +65,12 @@ class SequenceSolution(NamedTuple):
     determinant: Float[Array, ""]
 
 
-def _solve_guess(scene, guess, call_function=call_directly):
-    newton_result = call_function(impact_equations.solve_sequence, scene, guess)
-    return call_function(
-        _diagnose_solution, scene, impact_equations.sort_sequence(scene, guess, newton_result.unknowns), newton_result
-    )
-
-
-@persistent_jit(compiler_options=FAST_COMPILE, numpy_first=_solve_guess)
+@persistent_jit(compiler_options=FAST_COMPILE, numpy_first=True)
 def solve_guess(scene, guess):
     """Return the `SequenceSolution` that Newton's method reaches from an impact sequence."""
-    return _solve_guess(scene, guess, call_as_kernel)
+    newton_result = call_as_kernel(impact_equations.solve_sequence, scene, guess)
+    sequence = impact_equations.sort_sequence(scene, guess, newton_result.unknowns)
+    return call_as_kernel(_diagnose_solution, scene, sequence, newton_result)
 
 
 def _diagnose_solution(scene, sequence, newton_result):
@@ -221,7 +214,7 @@ def _assemble_orbit(scene, times, speeds, sides, phase, periods, residual):
     )
 
 
-_diagnose_compiled = persistent_jit(_diagnose_solution, compiler_options=FAST_COMPILE, numpy_first=True)
+_diagnose_compiled = persistent_jit(compiler_options=FAST_COMPILE, numpy_first=True)(_diagnose_solution)
 
 
 def _orbit_of_solution(scene, solution, n_impacts, drive_period):
@@ -231,23 +224,14 @@ def _orbit_of_solution(scene, solution, n_impacts, drive_period):
         words.itinerary_of_impacts(times[:n_impacts], sides[:n_impacts], int(periods), drive_period),
         np.stack(solution.section_states, 1),
     )
-    period_shift = words.canonical_start_period(itinerary, section_points[: int(periods)])
-    times_after_start = np.mod(times[:n_impacts] - period_shift * drive_period, float(periods) * drive_period)
-    order = np.argsort(times_after_start)
-    impact_columns = times_after_start[order], sides[order].astype(np.int8), speeds[order]
     min_clearance = float(solution.closest_approaches[0][:n_impacts].min(initial=np.inf))
-    impacts = Impacts(*impact_columns, n_impacts, float(impact_columns[2].min()), min_clearance, Status.OK)
-    state = State(*section_points[period_shift].tolist(), float(phase), 0.0)
-    multiplier_pair = eigenvalue_pair(float(solution.trace), float(solution.determinant))
-    return make_orbit(
-        scene,
-        state,
-        impacts,
-        words.rotate_periods(itinerary, period_shift),
-        multiplier_pair,
-        float(solution.newton_result.residual),
-        "impacts",
+    impact_columns = times[:n_impacts], speeds[:n_impacts], sides[:n_impacts]
+    itinerary, section_state, impacts = rotate_to_canonical_start(
+        itinerary, section_points[: int(periods)], *impact_columns, min_clearance, drive_period
     )
+    multiplier_pair = eigenvalue_pair(float(solution.trace), float(solution.determinant))
+    state, residual = State(*section_state, float(phase), 0.0), float(solution.newton_result.residual)
+    return make_orbit(scene, state, impacts, itinerary, multiplier_pair, residual, "impacts")
 
 
 def _require_converged(solution):
@@ -355,7 +339,7 @@ def solve_guesses(scene, guesses):
     return jax.device_get(_solve_guesses_compiled(scene, guesses))
 
 
-@persistent_jit
+@persistent_jit()
 @partial(jax.vmap, in_axes=(None, 0))
 def _solve_guesses_compiled(scene, guess):
     newton_result = impact_equations.solve_sequence(scene, guess)

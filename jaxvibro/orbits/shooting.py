@@ -8,8 +8,8 @@ import jax
 import numpy as np
 
 from continuation import newton
+from continuation.hostcall import FAST_COMPILE, persistent_jit
 from continuation.linear_solver import solve
-from continuation.persistent_jit import FAST_COMPILE, persistent_jit
 
 from ..compiled.kernel_calls import call_as_kernel
 from ..compiled.lane_arithmetic import COMPILER_OPTIONS
@@ -43,7 +43,8 @@ def orbit_from_state(scene, state, periods):
         (
             n_periods
             for n_periods in range(1, periods)
-            if periods % n_periods == 0 and _are_states_close(section_points[n_periods], section_points[0], state_scale)
+            if periods % n_periods == 0
+            and abs(section_points[n_periods] - section_points[0]).max() <= 1e-8 * state_scale
         ),
         periods,
     )
@@ -76,10 +77,6 @@ def orbit_from_state(scene, state, periods):
     )
 
 
-def _are_states_close(point, other_point, state_scale):
-    return abs(point - other_point).max() <= 1e-8 * state_scale
-
-
 def strobe_period(scene, state):
     """Return (State, Impacts with the least clearance, monodromy matrix) after a drive period, as NumPy arrays."""
     state = make_state_arrays(scene, state)
@@ -99,7 +96,7 @@ def _strobe_many_impacts(scene, state):
     return call_as_kernel(strobe_with_monodromy, scene, state, periods=1, slots=MAX_SLOTS, clearance=True)
 
 
-_solve_linear = persistent_jit(solve, compiler_options=FAST_COMPILE, numpy_first=True)
+_solve_linear = persistent_jit(compiler_options=FAST_COMPILE, numpy_first=True)(solve)
 
 
 def _fly_periods(scene, state, periods):

@@ -15,8 +15,8 @@ from continuation.array_type import Array
 from continuation.implicit_function import force_forward_mode, make_implicit_root, make_lane_loop_function
 
 from ..compiled.kernel_calls import call_as_kernel
+from ..contact.kinds import flow_coefficients, fly_with_matrix
 from ..flight import flow_matrix
-from ..flight.flight_coefficients import flow_coefficients
 from ..maps import itinerary as words
 from ..maps.strobe import strobe
 from ..scene import check
@@ -322,9 +322,7 @@ def orbit_residual(structure, unknowns, scene_leaves, phase_and_guess):
 
 def _fly_without_walls(structure, scene, phase, state):
     """Return ((x, v), flight matrix) after a flight over all periods of the orbit without walls."""
-    return flow_matrix.fly_with_matrix(
-        scene, state[0], state[1], phase, structure.periods * 2.0 * jnp.pi / scene.frequency
-    )
+    return fly_with_matrix(scene, state[0], state[1], phase, structure.periods * 2.0 * jnp.pi / scene.frequency)
 
 
 def _solve_newton(structure, scene_leaves, phase_and_guess):

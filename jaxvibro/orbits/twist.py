@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from continuation.persistent_jit import persistent_jit
+from continuation.hostcall import persistent_jit
 
 from ..maps.strobe import strobe
 from ..scene import check

@@ -16,7 +16,7 @@ import shutil
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from .file_lock import LocksUnsupported, try_lock
+from .file_lock import LocksUnsupported, acquire_lock
 
 PARTIAL_SUFFIX, LOCK_SUFFIX = ".partial", ".lock"
 TOKEN_PATTERN = "[0-9a-f]{16}"
@@ -80,7 +80,7 @@ def remove_abandoned_folders(path: Path) -> None:
             lock_descriptor = os.open(lock_path, os.O_RDWR)
             try:
                 temporary_folder = lock_path.with_suffix(PARTIAL_SUFFIX)
-                if try_lock(lock_descriptor):
+                if acquire_lock(lock_descriptor):
                     shutil.rmtree(temporary_folder, ignore_errors=True)
                     if not os.path.lexists(temporary_folder):
                         os.unlink(lock_path)
@@ -104,7 +104,7 @@ def _reserve_folder_name(path):
         except OSError as error:
             raise OSError(error.errno, error.strerror, str(path)) from None
         try:
-            if try_lock(lock_descriptor) and _is_still_at_path(lock_descriptor, lock_path):
+            if acquire_lock(lock_descriptor) and _is_still_at_path(lock_descriptor, lock_path):
                 return temporary_folder, lock_path, lock_descriptor
         except LocksUnsupported:
             os.close(lock_descriptor)

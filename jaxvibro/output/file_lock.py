@@ -16,13 +16,15 @@ class LocksUnsupported(Exception):
     """Error for a system or a file system that does not support locks."""
 
 
-def try_lock(descriptor: int) -> bool:
-    """Lock an open file exclusively; return False if another process or thread holds a lock on it.
+def acquire_lock(descriptor: int, shared: bool = False) -> bool:
+    """Lock an open file; return False if another process or thread holds a lock on it.
 
     Parameters
     ----------
     descriptor : int
         Descriptor of the open file.
+    shared : bool, optional
+        If True, wait for a shared lock; else try to get an exclusive lock without waiting.
 
     Returns
     -------
@@ -37,7 +39,7 @@ def try_lock(descriptor: int) -> bool:
     if fcntl is None:
         raise LocksUnsupported
     try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        fcntl.flock(descriptor, fcntl.LOCK_SH if shared else fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError as error:
         if error.errno in (errno.EWOULDBLOCK, errno.EACCES):
             return False
@@ -46,36 +48,15 @@ def try_lock(descriptor: int) -> bool:
 
 
 @contextmanager
-def shared_lock(path):
-    """Hold a shared lock on a file within the block; continue without a lock if the file cannot be locked.
+def lock_file(path, shared):
+    """Try to hold a lock on a file within the block; continue without a lock if the file cannot be locked.
 
     Parameters
     ----------
     path : path_like
         File to lock.
-    """
-    try:
-        descriptor = os.open(path, os.O_RDONLY)
-    except OSError:
-        yield
-        return
-    try:
-        if fcntl is not None:
-            with suppress(OSError):
-                fcntl.flock(descriptor, fcntl.LOCK_SH)
-        yield
-    finally:
-        os.close(descriptor)
-
-
-@contextmanager
-def exclusive_lock(path):
-    """Try to hold an exclusive lock on a file within the block, without waiting.
-
-    Parameters
-    ----------
-    path : path_like
-        File to lock.
+    shared : bool
+        If True, wait for a shared lock; else try to get an exclusive lock without waiting.
 
     Yields
     ------
@@ -83,15 +64,14 @@ def exclusive_lock(path):
         True if the block holds the lock.
     """
     try:
-        descriptor = os.open(path, os.O_RDWR)
+        descriptor = os.open(path, os.O_RDONLY if shared else os.O_RDWR)
     except OSError:
         yield False
         return
     try:
-        try:
-            has_lock = try_lock(descriptor)
-        except LocksUnsupported:
-            has_lock = False
+        has_lock = False
+        with suppress(LocksUnsupported):
+            has_lock = acquire_lock(descriptor, shared)
         yield has_lock
     finally:
         os.close(descriptor)

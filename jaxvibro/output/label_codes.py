@@ -4,8 +4,6 @@ The label P n p q denotes an orbit with n drive periods, p impacts on the left w
 1,000,000 n + 1,000 p + q. The count 999 stands for infinitely many impacts.
 """
 
-import re
-
 import numpy as np
 from jaxtyping import ArrayLike, Int
 
@@ -83,30 +81,3 @@ def label_of(code: int | np.integer) -> str:
     label_counts = code // PERIODS_FACTOR, code // LEFT_FACTOR % 1000, code % 1000
     count_texts = ["inf" if label_count == INFINITE_COUNT else str(label_count) for label_count in label_counts]
     return "P" + ("" if all(len(count_text) == 1 for count_text in count_texts) else "-").join(count_texts)
-
-
-def code_of(label: str) -> int:
-    """Return the code of a label.
-
-    Parameters
-    ----------
-    label : str
-        Label.
-
-    Returns
-    -------
-    int
-        Code. The code of ``"undecided"`` for an invalid label.
-    """
-    for code, code_word in CODE_WORDS.items():
-        if label == code_word:
-            return code
-    label_match = re.fullmatch(r"P(\d)(\d)(\d)|P(\d+)-(\d+|inf)-(\d+|inf)", label)
-    if label_match is None:
-        return UNDECIDED
-    n_periods, n_left, n_right = (
-        INFINITE_COUNT if count_text == "inf" else int(count_text)
-        for count_text in label_match.groups()
-        if count_text is not None
-    )
-    return PERIODS_FACTOR * n_periods + LEFT_FACTOR * n_left + n_right

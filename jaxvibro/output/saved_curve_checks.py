@@ -118,6 +118,38 @@ def decode_scene(dataset_attrs, *parameter_names):
     return scene
 
 
+def decode_plane_curve(dataset_attrs):
+    """Decode the fields that the files of curves in two parameters share.
+
+    Parameters
+    ----------
+    dataset_attrs : mapping
+        Attributes of the Dataset.
+
+    Returns
+    -------
+    names : tuple of str
+        The two parameters.
+    bounds : dict of str to tuple of float
+        Bounds of each parameter.
+    scene : Scene
+        Scene of the curve.
+    reasons : tuple of str
+        Reasons for the two ends.
+
+    Raises
+    ------
+    ValueError
+        If a field is invalid.
+    """
+    bounds = decode_field(dataset_attrs, "bounds", dict[str, tuple[float, float]])
+    require_valid_field("parameters", len(bounds) == 2)
+    for parameter_bounds in bounds.values():
+        require_valid_bounds(parameter_bounds)
+    scene = decode_scene(dataset_attrs, *bounds)
+    return tuple(bounds), bounds, scene, decode_field(dataset_attrs, "reasons", tuple[str, str])
+
+
 def require_valid_bounds(bounds):
     """Raise ValueError if a sequence is not (lower, upper) with finite, increasing bounds.
 

@@ -11,17 +11,20 @@ from matplotlib.typing import ColorType
 
 from ..branches.branch import KIND_NAMES, Branch
 from ..output.label_translation import translate_label
+from ..scene.check import ArgumentError
 from .smooth_line import smooth_line
 from .style import (
     COLOURS,
     WALL_COLOUR,
     add_legend,
     axes_or_new,
+    axes_width_in_points,
     check_plot_options,
+    draw_fixed_walls,
     escape_formulas,
+    label_once,
     parameter_axis,
     rc_scaled_line_width,
-    require_axes,
     require_record,
     require_records,
     scales_of,
@@ -123,21 +126,25 @@ def branch(
     colour = colour or colour_by_label.get(branch_label, BRANCH_COLOURS[len(colour_by_label) % len(BRANCH_COLOURS)])
     covering_lines, has_uncovered_line = [], False
     for curve_piece in branch_curves.pieces:
-        line_style: dict[str, Any] = {
-            "color": colour,
-            "linewidth": rc_scaled_line_width(LINE_WIDTHS[curve_piece.stable]),
-            "linestyle": LINE_STYLES[curve_piece.stable],
-            "zorder": 3,
-        }
+        line_width = rc_scaled_line_width(LINE_WIDTHS[curve_piece.stable])
         for x_part, y_part in _split_at_sb_points(
             curve_piece, branch_curves.points.get("SB") if variable not in ("x", "v") else None
         ):
             line = smooth_line(x_part * x_axis.factor, y_part * y_axis.factor)
-            covering_line = find_covering_line(ax, line[0], line[1], line_style["linewidth"])
+            covering_line = find_covering_line(ax, line[0], line[1], line_width)
             covering_lines += [] if covering_line is None else [covering_line]
             if covering_line is None:
                 has_uncovered_line = True
-                ax.plot(*line, label="_" + branch_label, gid="branch", solid_capstyle="butt", **line_style)
+                ax.plot(
+                    *line,
+                    label="_" + branch_label,
+                    gid="branch",
+                    color=colour,
+                    linewidth=line_width,
+                    linestyle=LINE_STYLES[curve_piece.stable],
+                    solid_capstyle="butt",
+                    zorder=3,
+                )
     if branch_label not in colour_by_label:
         legend_text, legend_colour = (
             (branch_label, colour)
@@ -155,7 +162,7 @@ def branch(
     add_stability_legend(ax)
     _draw_special_points(ax, branch_curves.points, x_axis.factor, y_axis.factor, labels)
     if variable in ("x", "peak"):
-        _draw_walls(ax, one, y_axis.factor)
+        draw_fixed_walls(ax, [y_axis.factor * position for position in _positions_of_unmoved_walls(one)])
     ax.set(xlabel=x_axis.label, ylabel=y_axis.label)
     ax.margins(x=0.01)
     add_legend(ax, is_new_axes)
@@ -231,50 +238,46 @@ def add_stability_legend(ax):
     """Add the legend entries of stable and unstable lines, once in the Axes."""
     if not any(line.get_gid() == "stability" for line in ax.lines):
         for is_stable, text in ((True, "stable"), (False, "unstable")):
-            line_style = {
-                "color": WALL_COLOUR,
-                "linewidth": rc_scaled_line_width(LINE_WIDTHS[is_stable]),
-                "linestyle": LINE_STYLES[is_stable],
-            }
-            ax.plot([], [], label=text, gid="stability", **line_style)
+            ax.plot(
+                [],
+                [],
+                label=text,
+                gid="stability",
+                color=WALL_COLOUR,
+                linewidth=rc_scaled_line_width(LINE_WIDTHS[is_stable]),
+                linestyle=LINE_STYLES[is_stable],
+            )
 
 
 def _draw_special_points(ax, points_by_kind, x_factor, y_factor, label_system):
-    known_labels = [line.get_label() for line in ax.lines if line.get_gid() == "special"]
     for kind, kind_points in points_by_kind.items():
         y = y_factor * kind_points.columns
         x = np.broadcast_to(x_factor * kind_points.values[:, None], y.shape)
         kind_text = escape_formulas(
             f"{translate_label(kind, label_system)}: {KIND_NAMES[kind]}" if kind in KIND_NAMES else kind
         )
-        legend_text = kind_text if kind_text not in known_labels else "_" + kind_text
-        marker_style = {
-            "marker": _kind_marker(kind),
-            "markersize": 5.5,
-            "markerfacecolor": MARKER_COLOUR,
-            "markeredgecolor": "black",
-        }
-        ax.plot(x.ravel(), y.ravel(), label=legend_text, gid="special", linestyle="none", zorder=7, **marker_style)
+        ax.plot(
+            x.ravel(),
+            y.ravel(),
+            label=label_once(ax, "special", kind_text),
+            gid="special",
+            linestyle="none",
+            # The marker of a monitor depends only on its name and is the same in all figures.
+            marker=MARKERS.get(kind) or MONITOR_MARKERS[sum(map(ord, kind)) % len(MONITOR_MARKERS)],
+            markersize=5.5,
+            markerfacecolor=MARKER_COLOUR,
+            markeredgecolor="black",
+            zorder=7,
+        )
 
 
-def _kind_marker(kind):
-    """Return the marker of a kind; the marker of a monitor depends only on its name and is the same in all figures."""
-    return MARKERS.get(kind) or MONITOR_MARKERS[sum(map(ord, kind)) % len(MONITOR_MARKERS)]
-
-
-def _draw_walls(ax, branch, position_factor):
-    """Draw each fixed wall once as a line, unless the parameter moves the wall or the wall is far from the curves."""
-    y_min, y_max = ax.get_ylim()
-    axis_margin = (y_max - y_min) / 4
-    known_positions = [
-        line.get_ydata()[0] for line in ax.lines if line.get_color() == WALL_COLOUR and len(line.get_ydata())
+def _positions_of_unmoved_walls(branch):
+    """Return the positions of the fixed walls that the parameter of a branch does not move."""
+    return [
+        float(wall.position)
+        for side, wall in branch.scene.walls.items()
+        if wall.motion is None and branch.name != f"{side}.position"
     ]
-    for side, wall in branch.scene.walls.items():
-        if wall.motion is not None or branch.name == f"{side}.position":
-            continue
-        position = position_factor * float(wall.position)
-        if position not in known_positions and y_min - axis_margin <= position <= y_max + axis_margin:
-            ax.axhline(position, color=WALL_COLOUR, linewidth=0.8, zorder=0)
 
 
 @check_plot_options
@@ -319,7 +322,8 @@ def mark_points(
     'position'
     """
     require_records("mark_points", Branch, branches)
-    require_axes(ax)
+    if not isinstance(ax, Axes):
+        raise ArgumentError("ax", "must be an Axes of matplotlib", ax)
     x_min, x_max = ax.get_xlim()
     tick_line_spacing = _tick_width_fraction(ax) * (x_max - x_min)
     n_decimals = max(0, 3 - int(np.floor(np.log10(x_max - x_min))))  # resolves about a thousandth of the range
@@ -353,8 +357,7 @@ def mark_points(
 
 def _tick_width_fraction(ax):
     """Return the line spacing of vertical tick text, as a fraction of the width of the Axes."""
-    axes_width_inches = ax.figure.get_figwidth() * ax.get_position().width
-    return 1.3 * FontProperties(size=TICK_FONT_SIZE).get_size_in_points() / (72.0 * axes_width_inches)
+    return 1.3 * FontProperties(size=TICK_FONT_SIZE).get_size_in_points() / axes_width_in_points(ax)
 
 
 def _tick_text(text_lines):

@@ -1,7 +1,5 @@
 """Draw sweep diagrams: a coordinate of the stroboscopic section against the parameter, one colour per leg."""
 
-from typing import Any
-
 import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
@@ -9,18 +7,20 @@ from matplotlib.markers import TICKLEFT, TICKRIGHT
 
 from ..attractors.basin_fraction_bounds import format_share
 from ..attractors.find import Attractor
-from ..scene.check import require_choice
+from ..scene.check import check_finite_float, require_choice
 from .style import (
     COLOURS,
     WALL_COLOUR,
     add_legend,
     axes_or_new,
+    axes_width_in_points,
     check_plot_options,
+    draw_fixed_walls,
     escape_formulas,
+    fixed_wall_positions,
     lighten,
     parameter_axis,
     require_dataset,
-    require_finite_position,
     require_records,
     scales_of,
     variable_axis,
@@ -97,55 +97,33 @@ def diagram(
         else [swept.isel({leg_dims[0]: leg_index}) for leg_index in range(swept.sizes[leg_dims[0]])]
     )
     n_earlier_legs = sum(line.get_gid() == SWEEP_GID and np.size(line.get_xdata()) > 0 for line in ax.lines)
-    first_dot_size = float(np.clip(DOT_SPACING * _axes_width_in_points(ax) / len(swept[step_dim]), *DOT_SIZES))
+    first_dot_size = float(np.clip(DOT_SPACING * axes_width_in_points(ax) / len(swept[step_dim]), *DOT_SIZES))
     for leg_index, sweep_leg in enumerate(sweep_legs, n_earlier_legs):
         x = np.broadcast_to(x_axis.factor * sweep_leg[parameter_name].values[:, None], sweep_leg[variable].shape)
         y = y_axis.factor * sweep_leg[variable].transpose(step_dim, "period").values
-        _draw_dots(
-            ax,
-            x,
-            y,
-            leg_index,
-            first_dot_size,
-            _leg_label_prefix(sweep_leg, leg_dims) + f"from {x[0, 0]:g} to {x[-1, 0]:g}",
-            faint,
-        )
+        has_leg_label = leg_dims and leg_dims[0] in sweep_leg.coords
+        leg_label = f"{sweep_leg[leg_dims[0]].values}: " if has_leg_label else ""
+        legend_text = escape_formulas(leg_label) + f"from {x[0, 0]:g} to {x[-1, 0]:g}"
+        _draw_dots(ax, x, y, leg_index, first_dot_size, legend_text, faint)
     if variable == "x":
-        _draw_walls(ax, swept.attrs, y_axis.factor)
+        draw_fixed_walls(ax, [y_axis.factor * position for position in fixed_wall_positions(swept.attrs)])
     ax.set(xlabel=x_axis.label, ylabel=y_axis.label)
     ax.margins(x=0.01)
     add_legend(ax, is_new_axes)
     return ax
 
 
-def _leg_label_prefix(sweep_leg, leg_dims):
-    return escape_formulas(f"{sweep_leg[leg_dims[0]].values}: ") if leg_dims and leg_dims[0] in sweep_leg.coords else ""
-
-
-def _draw_walls(ax, sweep_attrs, position_factor):
-    y_min, y_max = ax.get_ylim()
-    axis_margin = (y_max - y_min) / 4
-    for side in ("left", "right"):
-        position = sweep_attrs.get(f"{side}.position")
-        is_fixed_wall = position is not None and f"{side}.motion.amplitude" not in sweep_attrs
-        if is_fixed_wall and y_min - axis_margin <= position_factor * position <= y_max + axis_margin:
-            ax.axhline(position_factor * position, color=WALL_COLOUR, linewidth=0.8, zorder=0)
-
-
-def _axes_width_in_points(ax):
-    """Return the width of Axes in points."""
-    return 72.0 * ax.figure.get_figwidth() * ax.get_position().width
-
-
 def _draw_dots(ax, x, y, leg_index, first_dot_size, legend_text, is_faint):
     dot_size, dot_colour = first_dot_size * LEG_SIZE_RATIO ** min(leg_index, 2), COLOURS[leg_index % len(COLOURS)]
+    if is_faint:
+        dot_size, dot_colour = FAINT_SIZE_RATIO * dot_size, lighten(dot_colour)
     dot_style = {
         "linestyle": "none",
         "marker": "o",
         "markeredgewidth": 0,
-        "color": lighten(dot_colour) if is_faint else dot_colour,
+        "color": dot_colour,
+        "zorder": 2.0 if is_faint else 4.0,
     }
-    dot_size, dot_style["zorder"] = (FAINT_SIZE_RATIO * dot_size, 2.0) if is_faint else (dot_size, 4.0)
     ax.plot(
         x.ravel(), y.ravel(), markersize=dot_size, rasterized=True, label="_" + legend_text, gid=SWEEP_GID, **dot_style
     )
@@ -207,39 +185,63 @@ def mark(
     True
     """
     require_records("mark", Attractor, attractors)
-    require_finite_position(value)
+    return mark_motions(attractors, value, variable, ax, units, MARKERS, _attractor_mark)
+
+
+def _attractor_mark(attractor, marker, is_first_image, has_mirror_image):
+    """Return (points on the section, style) of an attractor in a diagram; None if it is not drawn."""
+    if attractor.kind == "unresolved":
+        return None
+    mark_style = {"color": "black", "label": f"{attractor.label}, {format_share(attractor)}"}
+    if attractor.kind == "chaotic":
+        mark_style |= {"marker": TICKLEFT if is_first_image else TICKRIGHT, "markeredgewidth": 0.3, "zorder": 4}
+    else:
+        mark_style |= {"marker": marker, "markerfacecolor": "white" if is_first_image else "black", "zorder": 5}
+    return attractor.points, mark_style
+
+
+def mark_motions(motions, value, variable, ax, units, markers, describe_mark):
+    """Draw the points of motions on the section into a sweep diagram; return the Axes.
+
+    Parameters
+    ----------
+    motions : sequence of Attractor or Orbit
+        Motions of one scene. Mirror images of each other have the same marker.
+    value : float
+        Value of the swept parameter, in the units of the Axes.
+    variable : {"x", "v"}
+        Position or velocity on the section.
+    ax : Axes or None
+        Axes of the diagram. None makes a new figure.
+    units : {"scene", "physical"}
+        Units of the axes.
+    markers : str
+        Markers of the motions, in order.
+    describe_mark : callable
+        Function of a motion, its marker and two bools: True for the first of two mirror images, and True if another
+        motion is the mirror image. It returns the points, shape (points, 2), and the style of the markers, or None for
+        a motion that is not drawn.
+
+    Raises
+    ------
+    ArgumentError
+        If `value` is not finite, or if `variable` or `units` is unknown.
+    """
+    check_finite_float("value", value)
     require_choice("variable", variable, ("x", "v"))
-    y_factor_by_attractor = [variable_axis(scales_of(attractor, units), variable).factor for attractor in attractors]
+    y_factors = [variable_axis(scales_of(motion, units), variable).factor for motion in motions]
     ax = axes_or_new(ax)
-    marker_by_index: dict[int, Any] = {}
     ax.axvline(value, color=WALL_COLOUR, linewidth=0.8, linestyle=":", zorder=0)
-    for attractor_index, attractor in enumerate(attractors):
-        if attractor.kind == "unresolved":
-            continue
-        mirror_index = attractor_index if attractor.mirror_of is None else attractor.mirror_of
-        first_image_index = min(attractor_index, mirror_index)
-        marker = marker_by_index.setdefault(first_image_index, MARKERS[len(marker_by_index) % len(MARKERS)])
-        y = y_factor_by_attractor[attractor_index] * attractor.points[:, "xv".index(variable)]
-        if attractor.kind == "chaotic":
-            marker_style: dict[str, Any] = {
-                "marker": TICKLEFT if attractor_index == first_image_index else TICKRIGHT,
-                "markeredgewidth": 0.3,
-                "zorder": 4,
-            }
-        else:
-            marker_style = {
-                "marker": marker,
-                "markerfacecolor": "white" if attractor_index == first_image_index else "black",
-                "zorder": 5,
-            }
-        legend_text = f"{attractor.label}, {format_share(attractor)}"
-        ax.plot(
-            np.full(len(y), value),
-            y,
-            color="black",
-            markersize=5.5,
-            linestyle="none",
-            label=legend_text,
-            **marker_style,
-        )
+    marker_by_index: dict[int, str] = {}  # of the first of two mirror images
+    for index, (motion, y_factor) in enumerate(zip(motions, y_factors, strict=True)):
+        mirror_index = index if motion.mirror_of is None else motion.mirror_of
+        first_index = min(index, mirror_index)
+        is_first_image = first_index not in marker_by_index
+        marker = marker_by_index.get(first_index, markers[len(marker_by_index) % len(markers)])
+        points_and_style = describe_mark(motion, marker, is_first_image, mirror_index != index)
+        if points_and_style is not None:
+            marker_by_index[first_index] = marker
+            points, mark_style = points_and_style
+            y = y_factor * points[:, "xv".index(variable)]
+            ax.plot(np.full(len(y), value), y, markersize=5.5, linestyle="none", **mark_style)
     return ax

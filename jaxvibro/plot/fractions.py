@@ -84,27 +84,12 @@ def fractions(
     attractor_order, attractor_colours = _order_and_colours(found)
     for band_number, attractor_index in enumerate(attractor_order, 1):
         band_top = band_bottom + basin_shares[:, attractor_index]
-        ax.stairs(
-            band_top,
-            bar_borders,
-            baseline=band_bottom,
-            fill=True,
-            color=attractor_colours[attractor_index],
-            linewidth=0,
-            gid="attractor",
-        )
+        _fill_band(ax, bar_borders, band_bottom, band_top, color=attractor_colours[attractor_index], gid="attractor")
         is_chaotic = found["kind"].values[:, attractor_index] == "chaotic"
         if is_chaotic.any():
-            chaotic_band_top = np.where(is_chaotic, band_top, band_bottom)
-            ax.stairs(
-                chaotic_band_top,
-                bar_borders,
-                baseline=band_bottom,
-                fill=True,
-                facecolor="none",
-                edgecolor="black",
-                hatch=CHAOS_HATCH,
-                lw=0,
+            chaotic_top = np.where(is_chaotic, band_top, band_bottom)
+            _fill_band(
+                ax, bar_borders, band_bottom, chaotic_top, facecolor="none", edgecolor="black", hatch=CHAOS_HATCH
             )
         ax.stairs(
             np.where(basin_shares[:, attractor_index] > 0, band_top, np.nan), bar_borders, baseline=None, **EDGE_STYLE
@@ -118,21 +103,17 @@ def fractions(
                 ax, bound_positions[has_visible_edge], band_bottom[has_visible_edge], found.attrs["starts"]
             )
     band_top = band_bottom + found["unresolved"].values
-    ax.stairs(
-        band_top,
-        bar_borders,
-        baseline=band_bottom,
-        fill=True,
-        facecolor=GREY,
-        edgecolor="0.3",
-        hatch=UNRESOLVED_HATCH,
-        lw=0,
-    )
+    _fill_band(ax, bar_borders, band_bottom, band_top, facecolor=GREY, edgecolor="0.3", hatch=UNRESOLVED_HATCH)
     ax.set(xlabel=x_axis.label, ylabel="share of starts", xlim=bar_borders[[0, -1]], ylim=(0.0, 1.0))
     if legend:
         handles = _legend_handles(found, attractor_order, attractor_colours)
         ax.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.18), ncols=2, frameon=False)
     return ax
+
+
+def _fill_band(ax, bar_borders, band_bottom, band_top, **patch_style):
+    """Fill a band between two step functions, without an edge."""
+    ax.stairs(band_top, bar_borders, baseline=band_bottom, fill=True, linewidth=0, **patch_style)
 
 
 def _order_and_colours(dataset):

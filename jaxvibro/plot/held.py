@@ -1,7 +1,5 @@
 """Draw branches with one held quantity in the plane of their two parameters."""
 
-from typing import Any
-
 from matplotlib.axes import Axes
 from matplotlib.typing import ColorType
 
@@ -72,17 +70,14 @@ def held(one: HeldBranch, ax: Axes | None = None, colour: ColorType | None = Non
     line_points, is_stable_interval = one.values * axis_factors, one.stable[:-1] & one.stable[1:]
     for first_row, last_row in find_equal_runs(is_stable_interval):
         is_stable_run = bool(is_stable_interval[first_row])
-        line_style: dict[str, Any] = {
-            "color": colour,
-            "linewidth": rc_scaled_line_width(LINE_WIDTHS[is_stable_run]),
-            "linestyle": LINE_STYLES[is_stable_run],
-            "zorder": 4,
-        }
         ax.plot(
             *smooth_line(*line_points[first_row : last_row + 1].T),
             label="_" + legend_text,
             gid=artist_gid(HELD_GID, one.names),
-            **line_style,
+            color=colour,
+            linewidth=rc_scaled_line_width(LINE_WIDTHS[is_stable_run]),
+            linestyle=LINE_STYLES[is_stable_run],
+            zorder=4,
         )
     if legend_text not in colour_by_label:
         ax.plot(

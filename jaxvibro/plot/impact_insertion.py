@@ -2,7 +2,7 @@
 
 import numpy as np
 
-SIDE_NAMES = {-1: "left", 1: "right"}
+SIDE_SIGNS = {"left": -1, "right": 1}
 
 
 def insert_impacts(trajectory, scene):
@@ -13,9 +13,13 @@ def insert_impacts(trajectory, scene):
     time, x, v = (trajectory[name].values for name in ("time", "x", "v"))
     impact_times, impact_positions = (trajectory[name].values for name in ("impact_time", "position"))
     impact_sides, impact_speeds = (trajectory[name].values for name in ("side", "speed"))
-    wall_velocities, restitutions = _walls_at_impacts(
-        scene, impact_sides, impact_times, float(trajectory["phase"].values[0])
-    )
+    drive_frequency = float(scene.frequency)
+    impact_phases = float(trajectory["phase"].values[0]) + drive_frequency * impact_times
+    wall_velocities, restitutions = np.zeros(impact_times.shape), np.zeros(impact_times.shape)
+    for side, wall in scene.walls.items():
+        is_at_wall = impact_sides == SIDE_SIGNS[side]
+        restitutions[is_at_wall] = float(scene.bounce(side))
+        wall_velocities[is_at_wall] = wall_position_velocity(wall, drive_frequency, impact_phases[is_at_wall])[1]
     nan_breaks = np.full(impact_times.shape, np.nan)
     velocities_before, velocities_after = (
         wall_velocities + impact_sides * impact_speeds,
@@ -37,31 +41,13 @@ def insert_impacts(trajectory, scene):
     )
 
 
-def _walls_at_impacts(scene, impact_sides, impact_times, start_phase):
-    """Return (velocities, restitutions) of the walls at impacts on given sides at given times."""
-    wall_velocities, restitutions = np.zeros(impact_times.shape), np.zeros(impact_times.shape)
-    for side_sign, side_name in SIDE_NAMES.items():
-        wall, is_at_wall = getattr(scene, side_name), impact_sides == side_sign
-        if wall is None:
-            continue
-        restitutions[is_at_wall] = float(scene.bounce(side_name))
-        if wall.motion is not None:
-            wall_velocities[is_at_wall] = wall_velocity(
-                wall, float(scene.frequency), start_phase + float(scene.frequency) * impact_times[is_at_wall]
-            )
-    return wall_velocities, restitutions
-
-
-def wall_position(wall, drive_phase):
-    """Return the position of a wall at phases of the drive."""
-    wall_displacement = 0.0 if wall.motion is None else _wall_motion_term(wall, np.cos, drive_phase)
-    return float(wall.position) + wall_displacement + 0.0 * drive_phase
-
-
-def wall_velocity(wall, drive_frequency, drive_phase):
-    """Return the velocity of a moving wall at phases of the drive."""
-    return -wall.motion.harmonic * drive_frequency * _wall_motion_term(wall, np.sin, drive_phase)
-
-
-def _wall_motion_term(wall, waveform, drive_phase):
-    return float(wall.motion.amplitude) * waveform(wall.motion.harmonic * drive_phase + float(wall.motion.phase))
+def wall_position_velocity(wall, drive_frequency, drive_phase):
+    """Return (position, velocity) of a wall at phases of the drive."""
+    fixed_position = np.full(np.shape(drive_phase), float(wall.position))
+    if wall.motion is None:
+        return fixed_position, np.zeros(fixed_position.shape)
+    amplitude, harmonic = float(wall.motion.amplitude), wall.motion.harmonic
+    motion_phase = harmonic * drive_phase + float(wall.motion.phase)
+    return fixed_position + amplitude * np.cos(motion_phase), -harmonic * drive_frequency * (
+        amplitude * np.sin(motion_phase)
+    )

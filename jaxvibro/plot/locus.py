@@ -1,7 +1,6 @@
 """Draw loci in the plane of their two parameters, and the regions between them."""
 
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -18,6 +17,7 @@ from .style import (
     axes_or_new,
     check_plot_options,
     escape_formulas,
+    label_once,
     rc_scaled_line_width,
     require_record,
     scales_of,
@@ -104,25 +104,19 @@ def locus(
     same_name_lines = [line for line in locus_lines if line.get_label().lstrip("_") == legend_text]
     other_locus_names = {line.get_label().lstrip("_") for line in locus_lines} - {legend_text}
     n_earlier_loci = sum(other_locus_name.startswith(f"{one.kind} ") for other_locus_name in other_locus_names)
-    line_style: dict[str, Any] = {
-        "color": colour or kind_colour,
-        "linestyle": kind_dash_pattern,
-        "linewidth": rc_scaled_line_width(LINE_WIDTHS[min(n_earlier_loci, len(LINE_WIDTHS) - 1)]),
-    }
+    line_width = rc_scaled_line_width(LINE_WIDTHS[min(n_earlier_loci, len(LINE_WIDTHS) - 1)])
     if same_name_lines:
-        line_style = {
-            "linestyle": kind_dash_pattern,
-            "color": colour or same_name_lines[0].get_color(),
-            "linewidth": same_name_lines[0].get_linewidth(),
-        }
-    is_in_legend = any(line.get_color() == line_style["color"] for line in same_name_lines)
-    line = smooth_line(*(one.values * axis_factors).T)
+        kind_colour, line_width = same_name_lines[0].get_color(), same_name_lines[0].get_linewidth()
+    line_colour = colour or kind_colour
+    is_in_legend = any(line.get_color() == line_colour for line in same_name_lines)
     ax.plot(
-        *line,
+        *smooth_line(*(one.values * axis_factors).T),
         label=f"_{legend_text}" if is_in_legend else legend_text,
         gid=artist_gid(LOCUS_GID, one.names),
+        color=line_colour,
+        linestyle=kind_dash_pattern,
+        linewidth=line_width,
         zorder=3,
-        **line_style,
     )
     _draw_codim2_points(ax, one, axis_factors, labels)
     add_legend(ax, is_new_axes)
@@ -146,18 +140,22 @@ def locus_name(locus):
 
 
 def _draw_codim2_points(ax, locus, axis_factors, label_system):
-    known_labels = [line.get_label() for line in ax.lines if line.get_gid() == "codimension two"]
     for kind in dict.fromkeys(special.kind for special in locus.special if special.kind != "EP"):
         x, y = (np.array([list(special.values.values()) for special in locus.points(kind)]) * axis_factors).T
         kind_text = f"{translate_label(kind, label_system)}: {MEANINGS.get(kind, f'end of a locus of {kind}')}"
-        legend_text = f"_{kind_text}" if kind_text in known_labels else kind_text
-        marker_style = {
-            "marker": MARKERS[kind],
-            "markersize": MARKER_SIZES.get(kind, 6.0),
-            "zorder": 7 - 0.1 * MARKER_SIZES.get(kind, 6.0),
-        }
-        marker_style |= {"markerfacecolor": MARKER_COLOUR, "markeredgecolor": "black", "linestyle": "none"}
-        ax.plot(x, y, label=legend_text, gid="codimension two", **marker_style)
+        marker_size = MARKER_SIZES.get(kind, 6.0)
+        ax.plot(
+            x,
+            y,
+            label=label_once(ax, "codimension two", kind_text),
+            gid="codimension two",
+            linestyle="none",
+            marker=MARKERS[kind],
+            markersize=marker_size,
+            markerfacecolor=MARKER_COLOUR,
+            markeredgecolor="black",
+            zorder=7 - 0.1 * marker_size,
+        )
 
 
 @check_plot_options
@@ -229,15 +227,17 @@ def region(
     n_earlier_regions = len(
         {region_patch.get_label() for region_patch in artists_of_kind(ax.patches, REGION_GID)} - {"_"}
     )
-    patch_style: dict[str, Any] = {
-        "facecolor": colour or "0.5",
-        "edgecolor": colour or "0.35",
-        "hatch": HATCHES[n_earlier_regions % len(HATCHES)],
-    }
     for index, outline in enumerate(outlines):
         legend_text = escape_formulas(text) if index == 0 else "_"
         region_patch = ax.fill(
-            *outline.T, label=legend_text, gid=artist_gid(REGION_GID, first.names), alpha=0.22, zorder=1, **patch_style
+            *outline.T,
+            label=legend_text,
+            gid=artist_gid(REGION_GID, first.names),
+            facecolor=colour or "0.5",
+            edgecolor=colour or "0.35",
+            hatch=HATCHES[n_earlier_regions % len(HATCHES)],
+            alpha=0.22,
+            zorder=1,
         )[0]
         region_patch.set_linewidth(0.0)
     x, y = _label_position(outlines)

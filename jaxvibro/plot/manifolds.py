@@ -1,7 +1,5 @@
 """Draw invariant manifolds in the plane of the stroboscopic section."""
 
-from typing import Any
-
 import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
@@ -10,10 +8,13 @@ from matplotlib.typing import ColorType
 from .style import (
     COLOURS,
     WALL_COLOUR,
+    WALL_GID,
     add_legend,
     axes_or_new,
     check_plot_options,
     escape_formulas,
+    fixed_wall_positions,
+    label_once,
     phase_plane_axes,
     require_dataset,
     scales_of,
@@ -84,25 +85,30 @@ def manifold(
     piece_breaks = np.flatnonzero(np.diff(dataset["piece"].values)) + 1
     scaled_coordinates = x_axis.factor * dataset["x"].values, y_axis.factor * dataset["v"].values
     x, v = (np.insert(coordinate, piece_breaks, np.nan) for coordinate in scaled_coordinates)
-    legend_text = f"{dataset.attrs['kind']} manifold of {escape_formulas(dataset.attrs['label'])}"
-    line_style: dict[str, Any] = {"color": colour or kind_colour, "linestyle": kind_dash_pattern, "linewidth": 0.9}
-    ax.plot(x, v, label=legend_text, gid="manifold", zorder=2, **line_style)
+    line_colour = colour or kind_colour
+    ax.plot(
+        x,
+        v,
+        label=f"{dataset.attrs['kind']} manifold of {escape_formulas(dataset.attrs['label'])}",
+        gid="manifold",
+        color=line_colour,
+        linestyle=kind_dash_pattern,
+        linewidth=0.9,
+        zorder=2,
+    )
     if saddle:
         saddle_row_indices = np.flatnonzero(dataset["arc"].values == 0)
-        marker_style: dict[str, Any] = {
-            "linestyle": "none",
-            "marker": "X",
-            "markersize": 8,
-            "color": "white",
-            "markeredgecolor": "black",
-        }
         ax.plot(
             *(coordinate[saddle_row_indices] for coordinate in scaled_coordinates),
             gid="saddle",
+            linestyle="none",
+            marker="X",
+            markersize=8,
+            color="white",
+            markeredgecolor="black",
             zorder=4,
-            **marker_style,
         )
-    _mark_piece_ends(ax, dataset, scaled_coordinates, line_style["color"])
+    _mark_piece_ends(ax, dataset, scaled_coordinates, line_colour)
     _draw_walls(ax, dataset.attrs, x_axis.factor)
     ax.set(xlabel=x_axis.label, ylabel=y_axis.label)
     add_legend(ax, is_new_axes)
@@ -112,7 +118,6 @@ def manifold(
 def _mark_piece_ends(ax, dataset, scaled_coordinates, colour):
     """Mark the ends of the curve, with a separate marker for each reason in `END_MARKERS`."""
     piece_numbers = dataset["piece"].values
-    known_labels = {line.get_label() for line in ax.lines if line.get_gid() == "end"}
     first_rows, last_rows = (
         np.searchsorted(piece_numbers, np.unique(piece_numbers)),
         np.searchsorted(piece_numbers, np.unique(piece_numbers), "right") - 1,
@@ -120,25 +125,24 @@ def _mark_piece_ends(ax, dataset, scaled_coordinates, colour):
     end_rows = np.append(first_rows, last_rows)
     end_reasons = np.append(*(dataset[name].values.astype(str) for name in ("began", "ended")))
     for end_reason, marker in END_MARKERS.items():
-        reason_rows, legend_text = end_rows[end_reasons == end_reason], f"end: {end_reason}"
+        reason_rows = end_rows[end_reasons == end_reason]
         if not len(reason_rows):
             continue
-        marker_style = {"marker": marker, "markersize": 4.5, "markerfacecolor": "white"}
-        marker_style |= {
-            "linestyle": "none",
-            "markeredgecolor": colour,
-            "label": f"_{legend_text}" if legend_text in known_labels else legend_text,
-        }
-        ax.plot(*(coordinate[reason_rows] for coordinate in scaled_coordinates), gid="end", zorder=3.5, **marker_style)
+        ax.plot(
+            *(coordinate[reason_rows] for coordinate in scaled_coordinates),
+            label=label_once(ax, "end", f"end: {end_reason}"),
+            gid="end",
+            linestyle="none",
+            marker=marker,
+            markersize=4.5,
+            markerfacecolor="white",
+            markeredgecolor=colour,
+            zorder=3.5,
+        )
 
 
 def _draw_walls(ax, manifold_attrs, position_factor):
-    known_positions = [line.get_xdata()[0] for line in ax.lines if line.get_gid() == "wall"]
-    for side in ("left", "right"):
-        position = manifold_attrs.get(f"{side}.position")
-        if (
-            position is not None
-            and f"{side}.motion.amplitude" not in manifold_attrs
-            and position_factor * position not in known_positions
-        ):
-            ax.axvline(position_factor * position, color=WALL_COLOUR, linewidth=0.8, zorder=1, gid="wall")
+    known_positions = [line.get_xdata()[0] for line in ax.lines if line.get_gid() == WALL_GID]
+    for position in fixed_wall_positions(manifold_attrs):
+        if position_factor * position not in known_positions:
+            ax.axvline(position_factor * position, color=WALL_COLOUR, linewidth=0.8, zorder=1, gid=WALL_GID)

@@ -5,7 +5,7 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Ellipse
 
 from ..branches.branch import KIND_NAMES
-from ..design.margin import REACHED, Margin
+from ..design.margin_result import REACHED, Margin
 from .locus import KIND_STYLES, MARKERS
 from .style import COLOURS, axes_or_new, check_plot_options, escape_formulas, parameter_axis, require_record, scales_of
 
@@ -79,23 +79,24 @@ def _draw_plane(margin, ax, scales):
             )
         )
     for nearest_point in margin.points:
-        point_position, (colour, _) = (
-            _plane_position(nearest_point.scene, parameter_axes),
-            KIND_STYLES[nearest_point.kind],
-        )
+        point_position = _plane_position(nearest_point.scene, parameter_axes)
+        colour = KIND_STYLES[nearest_point.kind][0]
         ax.plot(
             *zip(orbit_position, point_position, strict=True),
             color=colour,
             linestyle=LINE_STYLES[nearest_point.status == REACHED],
             linewidth=1.2,
         )
-        marker_style = {
-            "marker": MARKERS[nearest_point.kind],
-            "markersize": 8.0,
-            "markeredgecolor": "black",
-            "linestyle": "none",
-        }
-        ax.plot(*point_position, color=colour, label=_point_label(nearest_point), zorder=5, **marker_style)
+        ax.plot(
+            *point_position,
+            label=_point_label(nearest_point),
+            linestyle="none",
+            marker=MARKERS[nearest_point.kind],
+            markersize=8.0,
+            color=colour,
+            markeredgecolor="black",
+            zorder=5,
+        )
     ax.set(**dict(zip(("xlabel", "ylabel"), (axis.label for axis in parameter_axes.values()), strict=True)))
     ax.margins(0.12)
     ax.legend(fontsize="small")
@@ -117,17 +118,14 @@ def _draw_parameter_changes(margin, ax):
         scaled_changes = [point.change[parameter_name] / parameter_unit for point in margin.points]
         colour = COLOURS[parameter_index % len(COLOURS)]
         ax.vlines(x, 0.0, scaled_changes, color=colour, linewidth=1.5)
-        marker_style = {
-            "marker": PARAMETER_MARKERS[parameter_index % len(PARAMETER_MARKERS)],
-            "markeredgecolor": "black",
-            "linestyle": "none",
-        }
         ax.plot(
             x,
             scaled_changes,
-            color=colour,
             label=f"{escape_formulas(parameter_name)}, unit {parameter_unit:g}",
-            **marker_style,
+            linestyle="none",
+            marker=PARAMETER_MARKERS[parameter_index % len(PARAMETER_MARKERS)],
+            color=colour,
+            markeredgecolor="black",
         )
     ax.set_xticks(
         tick_positions,

@@ -1,25 +1,13 @@
 """Draw one periodic orbit in the phase plane, or many in a sweep diagram."""
 
-from typing import Any
-
 import numpy as np
 from matplotlib.axes import Axes
 
 from ..maps.simulate import simulate
 from ..orbits.orbit import Orbit
-from ..scene.check import require_choice
+from .diagram import mark_motions
 from .portrait import portrait
-from .style import (
-    COLOURS,
-    WALL_COLOUR,
-    axes_or_new,
-    check_plot_options,
-    require_finite_position,
-    require_record,
-    require_records,
-    scales_of,
-    variable_axis,
-)
+from .style import COLOURS, check_plot_options, require_record, require_records
 
 SAMPLES_PER_PERIOD = 400  # samples per drive period
 ORBIT_COLOUR, MARKERS = COLOURS[5], "^dv<>pXP"  # in a sweep diagram
@@ -148,39 +136,27 @@ def mark_orbits(
     ['P111, stable']
     """
     require_records("mark_orbits", Orbit, orbits)
-    require_finite_position(value)
-    require_choice("variable", variable, ("x", "v"))
-    y_factor_by_orbit = [variable_axis(scales_of(orbit, units), variable).factor for orbit in orbits]
-    ax = axes_or_new(ax)
-    marker_by_index: dict[int, Any] = {}
-    ax.axvline(value, color=WALL_COLOUR, linewidth=0.8, linestyle=":", zorder=0)
-    for orbit_index, orbit in enumerate(orbits):
-        mirror_index = orbit_index if orbit.mirror_of is None else orbit.mirror_of
-        first_image_index = min(orbit_index, mirror_index)
-        is_first_image = first_image_index not in marker_by_index
-        marker = marker_by_index.setdefault(first_image_index, MARKERS[len(marker_by_index) % len(MARKERS)])
-        y = y_factor_by_orbit[orbit_index] * _section_coordinates(orbit)["xv".index(variable)]
-        marker_style = {"marker": marker, "markerfacecolor": ORBIT_COLOUR if orbit.stable else "white", "zorder": 6}
-        mirror_image_text = " and mirror image" if mirror_index != orbit_index else ""
-        legend_text = f"{orbit.label}{mirror_image_text}, {_stability_word(orbit)}" if is_first_image else None
-        ax.plot(
-            np.full(len(y), value),
-            y,
-            color=ORBIT_COLOUR,
-            markersize=5.5,
-            linestyle="none",
-            label=legend_text,
-            **marker_style,
-        )
-    return ax
+    return mark_motions(orbits, value, variable, ax, units, MARKERS, _orbit_mark)
 
 
-def _section_coordinates(orbit):
-    """Return x and v at phase 0 of each period, from the nearest samples, as two arrays of shape (periods,)."""
+def _orbit_mark(orbit, marker, is_first_image, has_mirror_image):
+    """Return (points on the section, style) of an orbit in a diagram."""
+    mirror_image_text = " and mirror image" if has_mirror_image else ""
+    return _section_points(orbit), {
+        "color": ORBIT_COLOUR,
+        "marker": marker,
+        "markerfacecolor": ORBIT_COLOUR if orbit.stable else "white",
+        "label": f"{orbit.label}{mirror_image_text}, {_stability_word(orbit)}" if is_first_image else None,
+        "zorder": 6,
+    }
+
+
+def _section_points(orbit):
+    """Return (x, v) at phase 0 of each period, from the nearest samples; shape (periods, 2)."""
     trajectory = simulate(orbit.scene, orbit.state, orbit.periods, SAMPLES_PER_PERIOD)
     phase_in_periods = trajectory["phase"].values[:-1] / (2 * np.pi)
     section_rows = (
         abs(phase_in_periods - np.round(phase_in_periods)).reshape(orbit.periods, SAMPLES_PER_PERIOD).argmin(axis=1)
     )
     section_rows += SAMPLES_PER_PERIOD * np.arange(orbit.periods)
-    return trajectory["x"].values[section_rows], trajectory["v"].values[section_rows]
+    return np.stack([trajectory[name].values[section_rows] for name in ("x", "v")], axis=-1)

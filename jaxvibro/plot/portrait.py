@@ -1,7 +1,5 @@
 """Draw phase portraits: velocity against position along a trajectory, with its impacts."""
 
-from typing import Any
-
 import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
@@ -85,18 +83,15 @@ def portrait(
     section_rows = np.flatnonzero(
         abs(phase_in_periods - phase_in_periods[0] - np.round(phase_in_periods - phase_in_periods[0])) < 1e-6
     )[1:]
-    marker_style: dict[str, Any] = {
-        "linestyle": "none",
-        "marker": "o",
-        "markersize": 4,
-        "color": COLOURS[2],
-        "zorder": 3,
-    }
-    marker_style["markerfacecolor"] = COLOURS[2] if stable else "white"
     ax.plot(
         x_axis.factor * trajectory["x"].values[section_rows],
         y_axis.factor * trajectory["v"].values[section_rows],
-        **marker_style,
+        linestyle="none",
+        marker="o",
+        markersize=4,
+        color=COLOURS[2],
+        markerfacecolor=COLOURS[2] if stable else "white",
+        zorder=3,
     )
     ax.set(xlabel=x_axis.label, ylabel=y_axis.label)
     ax.locator_params(axis="x", nbins=6)

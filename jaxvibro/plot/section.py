@@ -1,16 +1,14 @@
 """Draw Poincaré sections of a motion: states at one phase of the drive, or impacts on one wall."""
 
-from typing import Any
-
 import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.typing import ColorType
 
 from ..scene.check import ArgumentError
+from ..scene.scene import SIDES
 from .style import COLOURS, axes_or_new, check_plot_options, phase_plane_axes, require_dataset, scales_of
 
-SIDES = ("left", "right")
 MIN_RELATIVE_RANGE = 0.01  # relative to the middle value of an axis
 
 
@@ -66,24 +64,16 @@ def section(
     require_dataset("section", "sections", ("x", "v"), dataset)
     x_axis, y_axis = phase_plane_axes(scales_of(dataset, units))
     ax = axes_or_new(ax)
-    marker_style: dict[str, Any] = {
-        "linestyle": "none",
-        "marker": ".",
-        "markersize": 2.0,
-        "color": colour or COLOURS[0],
-        "rasterized": True,
-    }
     if which == "sigma":
-        ax.plot(x_axis.factor * dataset["x"].values, y_axis.factor * dataset["v"].values, **marker_style)
+        x, v = x_axis.factor * dataset["x"].values, y_axis.factor * dataset["v"].values
         ax.set(xlabel=x_axis.label, ylabel=y_axis.label)
-        return _widen_narrow_axes(ax)
-    if which not in SIDES:
+    elif which in SIDES:
+        x, v = dataset[f"{which}_phase"].values / np.pi, y_axis.factor * dataset[f"{which}_velocity"].values
+        ax.set(xlabel=r"phase of the drive at the impact $\,/\,\pi$", xlim=(0.0, 2.0))
+        ax.set_ylabel(y_axis.label.replace("velocity", "velocity after it"))
+    else:
         raise ArgumentError("which", 'must be "sigma", "left" or "right"', which)
-    ax.plot(
-        dataset[f"{which}_phase"].values / np.pi, y_axis.factor * dataset[f"{which}_velocity"].values, **marker_style
-    )
-    ax.set(xlabel=r"phase of the drive at the impact $\,/\,\pi$", xlim=(0.0, 2.0))
-    ax.set_ylabel(y_axis.label.replace("velocity", "velocity after it"))
+    ax.plot(x, v, linestyle="none", marker=".", markersize=2.0, color=colour or COLOURS[0], rasterized=True)
     return _widen_narrow_axes(ax)
 
 

@@ -1,11 +1,10 @@
 """Draw Lyapunov exponents against a parameter, with chaotic ranges shaded."""
 
-from typing import Any
-
 import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 
+from ..output.equal_runs import find_equal_runs
 from .style import (
     COLOURS,
     WALL_COLOUR,
@@ -76,68 +75,57 @@ def spectrum(found: xr.Dataset, ax: Axes | None = None, units: str = "scene") ->
         found["error"].values,
     )
     ax.axhline(0.0, color=WALL_COLOUR, linewidth=0.8, zorder=0)
-    for range_lower, range_upper in _ranges_where_true(x, exponents[:, 0] > CHAOS_SIGMAS * standard_errors[:, 0]):
-        ax.axvspan(range_lower, range_upper, color=CHAOS_SHADE, linewidth=0, zorder=-1, label="_chaotic")
-    for exponent_index, (dash_pattern, line_width, colour) in enumerate(LINE_STYLES):
-        finite_exponents = np.where(np.isfinite(exponents[:, exponent_index]), exponents[:, exponent_index], np.nan)
-        band_half_width = np.where(
-            np.isfinite(standard_errors[:, exponent_index]), BAND_SIGMAS * standard_errors[:, exponent_index], 0.0
-        )
-        ax.fill_between(
-            x,
-            finite_exponents - band_half_width,
-            finite_exponents + band_half_width,
-            color=colour,
-            alpha=BAND_ALPHA,
-            linewidth=0,
-        )
-        ax.plot(
-            x, finite_exponents, dash_pattern, linewidth=line_width, color=colour, label=EXPONENT_NAMES[exponent_index]
-        )
-        is_isolated = _is_isolated(np.isfinite(finite_exponents))
-        if is_isolated.any():
-            ax.plot(x[is_isolated], finite_exponents[is_isolated], "o", markersize=3, color=colour, label="_alone")
-        minus_infinity_x = x[np.isneginf(exponents[:, exponent_index])]
-        tick_style: dict[str, Any] = {
-            "linestyle": "none",
-            "marker": "v",
-            "markersize": 4,
-            "color": colour,
-            "clip_on": False,
-        }
-        ax.plot(
-            minus_infinity_x,
-            np.zeros(len(minus_infinity_x)),
-            transform=ax.get_xaxis_transform(),
-            label="_-inf",
-            **tick_style,
-        )
+    is_chaotic = exponents[:, 0] > CHAOS_SIGMAS * standard_errors[:, 0]
+    cell_borders = np.concatenate([x[:1], 0.5 * (x[1:] + x[:-1]), x[-1:]])
+    for first_index, end_index in find_equal_runs(is_chaotic):
+        if is_chaotic[first_index]:
+            chaotic_range = cell_borders[first_index], cell_borders[end_index]
+            ax.axvspan(*chaotic_range, color=CHAOS_SHADE, linewidth=0, zorder=-1, label="_chaotic")
+    for index, line_style in enumerate(LINE_STYLES):
+        _draw_exponent(ax, x, exponents[:, index], standard_errors[:, index], EXPONENT_NAMES[index], *line_style)
     if "between" in found and np.isfinite(found["between"]).any():
-        sticking_growth_style: dict[str, Any] = {
-            "linestyle": "none",
-            "marker": "o",
-            "markersize": 4,
-            "markerfacecolor": "none",
-            "color": COLOURS[5],
-        }
-        ax.plot(x, found["between"].values, label="growth between rests", **sticking_growth_style)
+        ax.plot(
+            x,
+            found["between"].values,
+            label="growth between rests",
+            linestyle="none",
+            marker="o",
+            markersize=4,
+            markerfacecolor="none",
+            color=COLOURS[5],
+        )
     ax.set(xlabel=x_axis.label, ylabel="Lyapunov exponents per drive period")
     ax.margins(x=0.01)
     add_legend(ax, is_new_axes)
     return ax
 
 
-def _is_isolated(is_finite):
-    """Return a mask of the finite values without a finite neighbour, to which no line can be drawn."""
-    padded_is_finite = np.pad(is_finite, 1)
-    return is_finite & ~padded_is_finite[:-2] & ~padded_is_finite[2:]
-
-
-def _ranges_where_true(x, condition):
-    """Return the ranges of x in which a condition holds, extended half way to the neighbouring values."""
-    cell_borders = np.concatenate([x[:1], 0.5 * (x[1:] + x[:-1]), x[-1:]])
-    change_indices = np.flatnonzero(np.diff(np.concatenate([[0], condition.astype(int), [0]])))
-    return [
-        (cell_borders[start], cell_borders[stop])
-        for start, stop in zip(change_indices[::2], change_indices[1::2], strict=True)
-    ]
+def _draw_exponent(ax, x, exponents, standard_errors, legend_text, dash_pattern, line_width, colour):
+    """Draw one exponent: its line and band, isolated values as dots, and triangles where it is -inf."""
+    is_finite, is_minus_infinity = np.isfinite(exponents), np.isneginf(exponents)
+    finite_exponents = np.where(is_finite, exponents, np.nan)
+    band_half_width = np.where(np.isfinite(standard_errors), BAND_SIGMAS * standard_errors, 0.0)
+    ax.fill_between(
+        x,
+        finite_exponents - band_half_width,
+        finite_exponents + band_half_width,
+        color=colour,
+        alpha=BAND_ALPHA,
+        linewidth=0,
+    )
+    ax.plot(x, finite_exponents, dash_pattern, linewidth=line_width, color=colour, label=legend_text)
+    has_finite_neighbour = np.pad(is_finite, 1)
+    is_isolated = is_finite & ~has_finite_neighbour[:-2] & ~has_finite_neighbour[2:]
+    if is_isolated.any():
+        ax.plot(x[is_isolated], finite_exponents[is_isolated], "o", markersize=3, color=colour, label="_alone")
+    ax.plot(
+        x[is_minus_infinity],
+        np.zeros(is_minus_infinity.sum()),
+        transform=ax.get_xaxis_transform(),
+        label="_-inf",
+        linestyle="none",
+        marker="v",
+        markersize=4,
+        color=colour,
+        clip_on=False,
+    )

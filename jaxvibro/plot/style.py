@@ -15,6 +15,7 @@ from ..output.units import LENGTH, SPEED, TIME, display_unit, quantity_text, rea
 from ..scene import check
 from ..scene.check import ArgumentError
 from ..scene.scales import require_scales
+from ..scene.scene import SIDES
 
 # Colours of Okabe and Ito for colour-blind readers, ordered so that neighbours also differ in lightness.
 COLOURS = ("#0072B2", "#E69F00", "#000000", "#CC79A7", "#F0E442", "#009E73", "#56B4E9", "#D55E00")
@@ -29,6 +30,7 @@ check_plot_options = check_arguments(
 )
 
 LEGEND_GID = "legend"  # group id of legends that `add_legend` makes
+WALL_GID = "wall"  # group id of the lines of fixed walls
 DEFAULT_LINE_WIDTH = 1.5  # points, the default of matplotlib
 
 SYMBOLS = {"amplitude": "$A$", "frequency": r"$\omega$", "damping": r"$\gamma$", "restitution": "$R$"}
@@ -250,9 +252,40 @@ def cell_edges(cell_centres):
     )
 
 
+def fixed_wall_positions(attributes):
+    """Return the positions of the fixed walls in the attributes of a Dataset, in scene units."""
+    return [
+        attributes[f"{side}.position"]
+        for side in SIDES
+        if f"{side}.position" in attributes and f"{side}.motion.amplitude" not in attributes
+    ]
+
+
+def draw_fixed_walls(ax, positions):
+    """Draw each wall once as a horizontal line, unless it is far from the curves."""
+    y_min, y_max = ax.get_ylim()
+    axis_margin = (y_max - y_min) / 4
+    for position in positions:
+        if y_min - axis_margin <= position <= y_max + axis_margin and not any(
+            line.get_gid() == WALL_GID and line.get_ydata()[0] == position for line in ax.lines
+        ):
+            ax.axhline(position, color=WALL_COLOUR, linewidth=0.8, zorder=0, gid=WALL_GID)
+
+
+def label_once(ax, gid, legend_text):
+    """Return a text as a label, hidden in the legend if a line of this group id already has the text as its label."""
+    is_labelled = any(line.get_gid() == gid and line.get_label() == legend_text for line in ax.lines)
+    return f"_{legend_text}" if is_labelled else legend_text
+
+
 def axes_or_new(ax: Axes | None) -> Axes:
     """Return the given Axes, or the Axes of a new figure for None."""
     return plt.subplots(layout="constrained")[1] if ax is None else ax
+
+
+def axes_width_in_points(ax):
+    """Return the width of Axes in points."""
+    return 72.0 * ax.figure.get_figwidth() * ax.get_position().width
 
 
 def add_legend(ax, is_new_axes):
@@ -304,14 +337,3 @@ def _plot_function_hint(value):
         if type_name in PICTURE_OF_TYPE
         else ""
     )
-
-
-def require_finite_position(value):
-    """Raise ArgumentError unless a position along an axis is a finite number."""
-    check.check_finite_float("value", value)
-
-
-def require_axes(ax):
-    """Raise ArgumentError unless `ax` is an Axes."""
-    if not isinstance(ax, Axes):
-        raise ArgumentError("ax", "must be an Axes of matplotlib", ax)

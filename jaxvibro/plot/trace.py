@@ -1,12 +1,10 @@
 """Draw the time series of a trajectory between its walls."""
 
-from typing import Any
-
 import xarray as xr
 from matplotlib.axes import Axes
 
 from ..scene.scene import Scene
-from .impact_insertion import insert_impacts, wall_position
+from .impact_insertion import insert_impacts, wall_position_velocity
 from .style import (
     COLOURS,
     WALL_COLOUR,
@@ -59,22 +57,23 @@ def trace(trajectory: xr.Dataset, scene: Scene, ax: Axes | None = None, units: s
     """
     require_dataset("trace", "simulate", ("x", "v", "phase", "impact_time"), trajectory)
     require_record("trace", Scene, scene)
-    scales = scales_of(trajectory, units)
-    x_axis, y_axis, ax = time_axis(scales, float(scene.frequency)), variable_axis(scales, "x"), axes_or_new(ax)
+    scales, drive_frequency = scales_of(trajectory, units), float(scene.frequency)
+    x_axis, y_axis, ax = time_axis(scales, drive_frequency), variable_axis(scales, "x"), axes_or_new(ax)
     for wall in scene.walls.values():
-        wall_positions = y_axis.factor * wall_position(wall, trajectory["phase"].values)
-        ax.plot(x_axis.factor * trajectory["time"].values, wall_positions, color=WALL_COLOUR, linewidth=1.5)
+        wall_positions, _ = wall_position_velocity(wall, drive_frequency, trajectory["phase"].values)
+        ax.plot(
+            x_axis.factor * trajectory["time"].values, y_axis.factor * wall_positions, color=WALL_COLOUR, linewidth=1.5
+        )
     time, x, _, _ = insert_impacts(trajectory, scene)
     ax.plot(x_axis.factor * time, y_axis.factor * x, color=COLOURS[0], linewidth=1.0)
-    marker_style: dict[str, Any] = {
-        "linestyle": "none",
-        "marker": "o",
-        "markersize": 3.5,
-        "color": COLOURS[1],
-        "zorder": 3,
-    }
     ax.plot(
-        x_axis.factor * trajectory["impact_time"].values, y_axis.factor * trajectory["position"].values, **marker_style
+        x_axis.factor * trajectory["impact_time"].values,
+        y_axis.factor * trajectory["position"].values,
+        linestyle="none",
+        marker="o",
+        markersize=3.5,
+        color=COLOURS[1],
+        zorder=3,
     )
     ax.set(xlabel=x_axis.label, ylabel=y_axis.label)
     return ax

@@ -5,25 +5,21 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from continuation import event_search
-from continuation.arclength import Point, StepControl
+from continuation.arclength import Point
 
-from .branches_from_grazing import make_padded_sequence
 from .grazing_contact import (
     GRAZING_TOLERANCE,
-    arclength_weights,
     are_admissible,
     contact_durations_at,
     flight_durations_at,
     locate_grazing,
-    orbit_duration_at,
     refine_turning_point,
     scene_wall_sides,
     set_slow_speeds_to_zero,
 )
 from .orbit_diagnostics import diagnose
-from .orbit_equations import OrbitEquations, continuation_problem
-from .orbit_point import OrbitPoint
+from .orbit_point import OrbitPoint, point_of_solution
+from .orbit_problem import OrbitProblem
 
 N_STEPS = 8  # steps to the speed that the square-root map predicts
 MAX_SPEED_RATIO = 3.0  # largest speed relative to the prediction
@@ -36,7 +32,7 @@ class AddedImpactOrbits(NamedTuple):
 
     Attributes
     ----------
-    problem : OrbitEquations
+    problem : OrbitProblem
         Equations of the orbits.
     grazing_z : ndarray
         Unknowns at the grazing, where the speed of the additional impact is zero.
@@ -45,24 +41,16 @@ class AddedImpactOrbits(NamedTuple):
     pass_locations : tuple
         (row, wall, fraction) of each return to the grazing contact without an impact. The mass passes the wall at this
         fraction of the flight that begins at the row.
-    control : StepControl
-        Weights of the arclength.
-    length_scale : float
-        Length of the scene.
     """
 
-    problem: OrbitEquations
+    problem: OrbitProblem
     grazing_z: Float[np.ndarray, " unknowns"]
     speed_index: int
     pass_locations: tuple[tuple[int, int, float], ...]
-    control: StepControl
-    length_scale: float
 
     def point_at_speed(self, z: Float[np.ndarray, " unknowns"], speed: float) -> Point:
         """Solve for the `Point` near z at which the additional impact has the given speed."""
-        return event_search.solve_with_fixed_entry(
-            continuation_problem(self.problem), z, self.speed_index, speed, self.control, self.problem
-        )
+        return self.problem.solve_at(z, self.speed_index, speed)
 
     def closest_approach(self, z: Float[np.ndarray, " unknowns"]) -> tuple[bool, tuple[int, int, float]]:
         """Return (True if the orbit is admissible, location at which the distance from a wall is least).
@@ -82,7 +70,7 @@ class AddedImpactOrbits(NamedTuple):
         ]
         flight_durations, return_time = (
             flight_durations_at(self.problem, z),
-            orbit_duration_at(self.problem, z) / (len(self.pass_locations) + 1),
+            self.problem.duration(z) / (len(self.pass_locations) + 1),
         )
         for row, wall, flight_fraction in self.pass_locations:
             guess_time = flight_fraction * flight_durations[row]
@@ -96,17 +84,12 @@ class AddedImpactOrbits(NamedTuple):
 
     def orbit_point_at(self, z: Float[np.ndarray, " unknowns"], residual: float) -> OrbitPoint:
         """Return the `OrbitPoint` of z."""
-        n_rows, impact_row_indices = len(self.problem.sequence.sides), self.problem.impact_rows
-        diagnostics = diagnose(self.problem, z[None])
-        times = np.mod(z[impact_row_indices], orbit_duration_at(self.problem, z))
+        times, speeds, sides = self.problem.impacts(z)
+        times = np.mod(times, self.problem.duration(z))
         time_order = np.argsort(times)
-        sorted_impacts = (
-            times[time_order],
-            z[n_rows + impact_row_indices][time_order],
-            np.asarray(self.problem.sequence.sides)[impact_row_indices][time_order],
-        )
-        x, v, n_periods = float(diagnostics.x[0, 0]), float(diagnostics.v[0, 0]), int(self.problem.sequence.periods)
-        return OrbitPoint(float(z[-1]), *sorted_impacts, n_periods, x, v, float(residual))
+        sorted_columns = times[time_order], speeds[time_order], sides[time_order]
+        problem, z = self.problem.with_impacts(z, list(zip(*sorted_columns, strict=True)))
+        return point_of_solution(problem, z, (np.nan, np.nan), residual).with_section_state()
 
 
 def grazing_traversal_count(grazing_return, n_returns):
@@ -148,7 +131,7 @@ def added_impact_indices(grazing_return, n_returns):
     return [(0, 0), (n_returns, 1)] if grazing_return.is_half_orbit and n_returns % 2 else [(0, 0)]
 
 
-def added_impact_orbits(grazing_return, n_returns, length_scale):
+def added_impact_orbits(grazing_return, n_returns):
     """Set up the orbits with one additional impact in n returns.
 
     Parameters
@@ -157,8 +140,6 @@ def added_impact_orbits(grazing_return, n_returns, length_scale):
         Return map at the grazing.
     n_returns : int
         Number of returns.
-    length_scale : float
-        Length of the scene.
 
     Returns
     -------
@@ -172,7 +153,7 @@ def added_impact_orbits(grazing_return, n_returns, length_scale):
     )
     n_reduced_rows, orbit_duration, n_traversals = (
         len(reduced_problem.sequence.sides),
-        orbit_duration_at(reduced_problem, reduced_z),
+        reduced_problem.duration(reduced_z),
         grazing_traversal_count(grazing_return, n_returns),
     )
     impacts = [
@@ -189,12 +170,8 @@ def added_impact_orbits(grazing_return, n_returns, length_scale):
             )
             for traversal_index in range(n_traversals)
         ]
-    impacts = sorted(impacts)
-    sequence = make_padded_sequence(reduced_problem, impacts)._replace(
-        periods=np.asarray(float(n_traversals) * float(reduced_problem.sequence.periods))
-    )
-    problem, n_rows = reduced_problem._replace(sequence=sequence), len(sequence.sides)
-    grazing_z = np.concatenate([sequence.times, sequence.speeds, reduced_z[-1:]])
+    impacts, n_periods = sorted(impacts), float(n_traversals) * float(reduced_problem.sequence.periods)
+    problem, grazing_z = reduced_problem.with_impacts(reduced_z, impacts, periods=n_periods)
     flight_durations, wall_sides, pass_locations = (
         flight_durations_at(problem, grazing_z),
         scene_wall_sides(problem.scene),
@@ -215,15 +192,7 @@ def added_impact_orbits(grazing_return, n_returns, length_scale):
                     float((event_time - impacts[row][0] - contact_durations[row]) / flight_durations[row]),
                 )
             )
-    step_control_values = (np.float64(value) for value in (0.0, 1.0, 1.0, -np.inf, np.inf))
-    return AddedImpactOrbits(
-        problem,
-        grazing_z,
-        n_rows,
-        tuple(pass_locations),
-        StepControl(arclength_weights(problem, length_scale), *step_control_values),
-        length_scale,
-    )
+    return AddedImpactOrbits(problem, grazing_z, problem.n_rows, tuple(pass_locations))
 
 
 def locate_next_grazing(orbit_family, predicted_speed):
@@ -269,10 +238,10 @@ def _locate_grazing_between(orbit_family, admissible_z, inadmissible_z, deepest_
             < solution.z[orbit_family.speed_index]
             <= inadmissible_z[orbit_family.speed_index]
         ):
-            grazing_z = set_slow_speeds_to_zero(orbit_family.problem, solution.z, orbit_family.length_scale)
+            grazing_z = set_slow_speeds_to_zero(orbit_family.problem, solution.z)
             least_clearance = diagnose(orbit_family.problem, grazing_z[None]).clearance.min()
             if (
-                least_clearance > -GRAZING_TOLERANCE * orbit_family.length_scale
+                least_clearance > -GRAZING_TOLERANCE * orbit_family.problem.length_scale
                 and grazing_z[n_rows + orbit_family.problem.impact_rows].min() > 0
             ):
                 return grazing_z, scene_wall_sides(orbit_family.problem.scene)[deepest_location[1]]

@@ -6,29 +6,26 @@ force (`soft_wall_grazing`). A direction of the branch is admissible if the spee
 clearances at the omitted contacts become positive.
 """
 
-from functools import singledispatch
 from itertools import product
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
-from continuation import augmented_systems, event_search
-from continuation.arclength import Point, StepControl
-from continuation.intermediate_points import make_start_point
+from continuation import augmented_systems
+from continuation.arclength import Point, make_control, make_start_point
 
 from .grazing_contact import (
-    arclength_weights,
+    GrazingContact,
     are_admissible,
     contact_durations_at,
-    find_grazing_contacts,
-    orbit_duration_at,
     scene_wall_sides,
     wall_distance_and_speed,
 )
 from .orbit_diagnostics import Diagnostics, diagnose
-from .orbit_equations import OrbitEquations, are_releases, continuation_problem, sides_with_release_codes
+from .orbit_equations import sides_with_release_codes
 from .orbit_equivalence import match_repeated_contacts
+from .orbit_problem import OrbitProblem
 
 EXIT_STEPS = 1e-5, 1e-7  # arclengths at which a branch that emanates from a grazing is checked
 TIGHT_TOLERANCE, LOOSE_TOLERANCE = (
@@ -36,8 +33,6 @@ TIGHT_TOLERANCE, LOOSE_TOLERANCE = (
     1e-10,
 )  # Newton's tolerance with and without added impacts; slow impacts amplify rounding
 ZERO_RATE = 1e-6  # derivatives of speeds and distances along a branch below this count as zero
-NEWTON_STEPS = 12  # Newton steps to an orbit without impacts
-SINGULAR_RATIO = 1e-7  # relative to the largest singular value; directions below this are not solved for
 MAX_FREE_CHOICES = 4  # number of grazing contacts up to which every choice is tried
 
 
@@ -46,7 +41,7 @@ class BranchFromGrazing(NamedTuple):
 
     Attributes
     ----------
-    problem : OrbitEquations
+    problem : OrbitProblem
         Equations of the orbits of the branch.
     point : Point
         The grazing, with the tangent that leads away from it.
@@ -58,45 +53,46 @@ class BranchFromGrazing(NamedTuple):
         True for each grazing contact that counts as an impact.
     """
 
-    problem: OrbitEquations
+    problem: OrbitProblem
     point: Point
     z_near_grazing: Float[np.ndarray, " unknowns"]
     diagnostics: Diagnostics
     inclusion_mask: tuple[bool, ...]
 
 
-def try_contact_choices(problem, z, grazing_contacts, length_scale):
+class GrazingPoint(NamedTuple):
+    """Details of a GR, CH or RL.
+
+    Attributes
+    ----------
+    grazing_contacts : tuple of GrazingContact
+        Grazing contacts.
+    exits : tuple of BranchFromGrazing
+        Branches that emanate from the point.
+    complete : bool
+        True if all exits are known.
+    not_followed : tuple of bool
+        True for each exit along which the branch does not continue.
+    """
+
+    grazing_contacts: tuple[GrazingContact, ...]
+    exits: tuple[BranchFromGrazing, ...]
+    complete: bool
+    not_followed: tuple[bool, ...] = ()
+
+
+def try_contact_choices(problem, z, grazing_contacts):
     """Yield the results of `check_exit_along_tangent` for all choices of grazing contacts and for both directions."""
     for inclusion_mask in _contact_choices(problem, z, grazing_contacts):
         problem_with_choice, grazing_z, omitted_locations = include_grazing_contacts(
             problem, z, grazing_contacts, inclusion_mask
         )
-        tangent = event_search.unit_tangent(
-            continuation_problem(problem_with_choice),
-            grazing_z,
-            arclength_weights(problem_with_choice, length_scale),
-            problem_with_choice,
-        )
+        tangent = problem_with_choice.tangent(grazing_z)
         growth_rates_along = contact_growth_rates(problem_with_choice, grazing_z, tangent, omitted_locations)
         for sign in (1.0, -1.0):
             yield check_exit_along_tangent(
-                problem_with_choice, grazing_z, sign * tangent, sign * growth_rates_along, length_scale, inclusion_mask
+                problem_with_choice, grazing_z, sign * tangent, sign * growth_rates_along, inclusion_mask
             )
-
-
-def find_grazing_exits(problem, z, length_scale, generate_exits=try_contact_choices):
-    """Find the admissible branches that emanate from a grazing.
-
-    Returns (list of `GrazingContact`, list of `BranchFromGrazing`, True if all exits are known). The exits include the
-    branch that led to the grazing. An exit is unknown if Newton's method fails. `generate_exits` is a function with the
-    arguments and results of `try_contact_choices`."""
-    grazing_contacts = find_grazing_contacts(problem, z, length_scale)
-    outcomes = list(generate_exits(problem, z, grazing_contacts, length_scale))
-    return (
-        grazing_contacts,
-        [grazing_exit for grazing_exit, _ in outcomes if grazing_exit],
-        all(is_certain for _, is_certain in outcomes),
-    )
 
 
 def include_grazing_contacts(problem, z, grazing_contacts, inclusion_mask):
@@ -108,41 +104,8 @@ def include_grazing_contacts(problem, z, grazing_contacts, inclusion_mask):
 
 
 def replace_impacts(problem, z, new_impacts, old_rows=()):
-    """Return the equations of orbits with these impacts, and the unknowns of the orbit with their times and speeds.
-
-    `old_rows` are the rows of `problem` that contain these impacts.
-    """
-    new_problem = replace_sequence(
-        problem,
-        make_padded_sequence(problem, [(impact.time, impact.speed, impact.side) for impact in new_impacts]),
-        old_rows,
-    )
-    if not new_impacts:
-        return new_problem, solve_impact_free_orbit(new_problem, z[-1], _section_state(problem, z))
-    return new_problem, np.concatenate(
-        [new_problem.sequence.times, new_problem.sequence.speeds, z[2 * len(problem.sequence.sides) or 2 :]]
-    )
-
-
-@singledispatch
-def replace_sequence(problem, sequence, source_rows):
-    """Replace the impact sequence of the equations.
-
-    Parameters
-    ----------
-    problem : OrbitEquations
-        Equations; other classes are registered.
-    sequence : ImpactSequence
-        New sequence.
-    source_rows : sequence of int
-        Rows of `problem` that contain the impacts of `sequence`.
-
-    Returns
-    -------
-    OrbitEquations
-        Equations with the new sequence.
-    """
-    return problem._replace(sequence=sequence)
+    """Return the problem with these `OrbitImpact`s and its unknowns; `old_rows` are the rows that contain them."""
+    return problem.with_impacts(z, [(impact.time, impact.speed, impact.side) for impact in new_impacts], old_rows)
 
 
 def _contact_choices(problem, z, grazing_contacts):
@@ -246,7 +209,7 @@ def locate_omitted_contacts(problem, z, all_impacts, included_impacts):
         [],
         contact_durations_at(problem, z),
     )
-    orbit_duration = orbit_duration_at(problem, z)
+    orbit_duration = problem.duration(z)
     previous_row = len(included_impacts) - 1  # grazings before the first impact follow the last one
     for orbit_impact in all_impacts:
         if orbit_impact.is_included:
@@ -266,73 +229,12 @@ def locate_omitted_contacts(problem, z, all_impacts, included_impacts):
     return omitted_locations
 
 
-def make_padded_sequence(problem, impacts):
-    """Make an impact sequence whose number of rows is a power of two.
-
-    Parameters
-    ----------
-    problem : OrbitEquations
-        Equations with the phase and the number of periods.
-    impacts : sequence of tuple
-        (time, speed, side) of each impact. The side is +-2 for a release, and +-3 if the mass lifts before that
-        sticking phase (``ImpactSequence.releases``).
-
-    Returns
-    -------
-    ImpactSequence
-        Sequence. It has no rows if there are no impacts.
-    """
-    n_rows = 0 if not impacts else max(2, 1 << (len(impacts) - 1).bit_length())
-    impact_columns = np.zeros((3, n_rows))
-    for k, impact in enumerate(impacts):
-        impact_columns[:, k] = impact
-    times, speeds, coded_sides = impact_columns
-    release_codes = np.where(are_releases(coded_sides), abs(coded_sides) - 1.0, 0.0)
-    releases = release_codes if release_codes.any() else None
-    return problem.sequence._replace(times=times, speeds=speeds, sides=np.sign(coded_sides), releases=releases)
-
-
-def _section_state(problem, z):
-    """Return (x, v) at the section as a guess, which is used only under a user-defined force."""
-    if problem.scene.force is None or not len(problem.sequence.sides):
-        return z[:2]
-    diagnostics = diagnose(problem, z[None])
-    return diagnostics.x[0, 0], diagnostics.v[0, 0]
-
-
-def solve_impact_free_orbit(problem, parameter_value, guess_state):
-    """Return the unknowns z of the orbit without impacts.
-
-    With the linear spring and damper this orbit is unique. Under a user-defined force Newton's method starts from
-    `guess_state`, a guess of (x, v).
-    """
-    has_user_force = problem.scene.force is not None
-    z = np.array([*(guess_state if has_user_force and np.isfinite(guess_state).all() else (0.0, 0.0)), parameter_value])
-    for _ in range(NEWTON_STEPS if has_user_force else 1):
-        residual, jacobian = (
-            np.asarray(system_array)
-            for system_array in augmented_systems.evaluate_problem(continuation_problem(problem), z, problem)
-        )
-        state_jacobian = jacobian[
-            :, :2
-        ]  # under a force it may be singular, at a fold or branch point; no step is taken along the null vector
-        newton_step = (
-            np.linalg.lstsq(state_jacobian, residual, SINGULAR_RATIO)[0]
-            if has_user_force
-            else np.linalg.solve(state_jacobian, residual)
-        )
-        z[:2] -= newton_step
-        if abs(newton_step).max() <= augmented_systems.STEP_TOLERANCE * (1.0 + abs(z).max()):
-            break
-    return z
-
-
 def distance_growth_rate(problem, z, z_direction, row, wall_index, time_in_flight):
     """Return the derivative of the distance from a wall in a direction of z.
 
     Parameters
     ----------
-    problem : OrbitEquations
+    problem : OrbitProblem
         Equations of the orbit.
     z : ndarray
         Unknowns.
@@ -371,7 +273,7 @@ def contact_growth_rates(problem, z, tangent, omitted_locations):
     )
 
 
-def check_exit_along_tangent(problem, z, tangent, growth_rates_along, length_scale, inclusion_mask):
+def check_exit_along_tangent(problem, z, tangent, growth_rates_along, inclusion_mask):
     """Return (`BranchFromGrazing` along a tangent or None, True if this result is certain).
 
     `growth_rates_along` is the result of `contact_growth_rates` for this tangent.
@@ -382,7 +284,6 @@ def check_exit_along_tangent(problem, z, tangent, growth_rates_along, length_sca
         problem,
         z,
         tangent,
-        length_scale,
         inclusion_mask,
         TIGHT_TOLERANCE if any(inclusion_mask) else LOOSE_TOLERANCE,
         EXIT_STEPS,
@@ -390,18 +291,15 @@ def check_exit_along_tangent(problem, z, tangent, growth_rates_along, length_sca
     return grazing_exit, has_converged or growth_rates_along.min(initial=0.0) <= 0
 
 
-def step_along_exit(problem, z, tangent, length_scale, inclusion_mask, newton_tolerance, trial_arclengths):
+def step_along_exit(problem, z, tangent, inclusion_mask, newton_tolerance, trial_arclengths):
     """Return (`BranchFromGrazing` along a tangent or None, True if Newton's method converged).
 
     `trial_arclengths` are arclengths, tried in order until the orbit is admissible.
     """
-    grazing_point = make_start_point(z, tangent)
-    step_control_values = (np.float64(value) for value in (0.0, 1.0, newton_tolerance, -np.inf, np.inf))
-    step_control, has_converged = StepControl(arclength_weights(problem, length_scale), *step_control_values), False
+    grazing_point, has_converged = make_start_point(z, tangent), False
+    step_control = make_control(problem.weights(), 0.0, 1.0, newton_tolerance, (-np.inf, np.inf))
     for trial_arclength in trial_arclengths:
-        nearby_point = event_search.take_step(
-            continuation_problem(problem), grazing_point, trial_arclength, step_control, problem
-        )
+        nearby_point = problem.take_step(grazing_point, trial_arclength, step_control)
         has_converged |= bool(nearby_point.converged)
         diagnostics = diagnose(problem, nearby_point.z[None])
         if nearby_point.converged and are_admissible(problem, nearby_point.z, diagnostics)[0]:

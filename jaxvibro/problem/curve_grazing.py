@@ -4,17 +4,18 @@ import numpy as np
 
 from continuation import event_search
 from continuation.augmented_systems import RootAndResidual
-from continuation.continuation_loop import EventDetector
+from continuation.branch_segment import SpecialIndex
+from continuation.continuation_loop import EventDetector, Termination
 from continuation.intermediate_points import point_at_length, point_from_z
 from continuation.point_rows import first_rows, insert_row, row_at
 
 from . import soft_wall_grazing, sticking_limits
+from .end import End
 from .grazing_contact import (
     GRAZING_TOLERANCE,
     are_admissible,
     locate_grazing,
     set_slow_speeds_to_zero,
-    sticking_margins,
 )
 from .missed_grazings import insert_missed_grazings
 from .orbit_diagnostics import diagnose
@@ -27,26 +28,35 @@ class OrbitEventDetector(EventDetector):
 
     Parameters
     ----------
-    equations : OrbitEquations
-        Equations of the orbits, or those of a locus.
-    length_scale : float
-        Length of the scene.
+    problem : OrbitProblem
+        Problem of the orbits.
     """
 
-    def __init__(self, equations, length_scale):
-        self.equations, self.length_scale = equations, length_scale
+    def __init__(self, problem):
+        self.problem = problem
 
     def refine_points(self, task, points, diagnostics):
         return insert_missed_grazings(task, points, diagnostics)
 
     def diagnose(self, zs):
-        return diagnose(self.equations, zs)
+        return diagnose(self.problem, zs)
 
     def is_admissible(self, zs, diagnostics):
-        return are_admissible(self.equations, zs, diagnostics)
+        return are_admissible(self.problem, zs, diagnostics)
+
+    def find_boundary_end(self, task, points, diagnostics, first_bad):
+        """End the curve at the grazing before the first inadmissible point."""
+        points, residual = truncate_at_grazing(task, points, diagnostics, first_bad)
+        if residual is None:
+            return None
+        return Termination(points, SpecialIndex(0, self.end_kind(points.z[-1]), residual), End.GRAZE)
+
+    def end_kind(self, z):
+        """Return the kind of special point at which the orbits become inadmissible."""
+        return "GR"
 
 
-def truncate_at_grazing(task, points, diagnostics, first_inadmissible, length_scale):
+def truncate_at_grazing(task, points, diagnostics, first_inadmissible):
     """Truncate points at the grazing before the first inadmissible point.
 
     Parameters
@@ -59,8 +69,6 @@ def truncate_at_grazing(task, points, diagnostics, first_inadmissible, length_sc
         Diagnostics of the points.
     first_inadmissible : int
         Index of the first inadmissible point.
-    length_scale : float
-        Length of the scene.
 
     Returns
     -------
@@ -84,7 +92,6 @@ def truncate_at_grazing(task, points, diagnostics, first_inadmissible, length_sc
             inadmissible_diagnostics,
             lower_arclength,
             upper_arclength,
-            length_scale,
         )
         if located_grazing is not None or task.limits.expired:
             break
@@ -110,7 +117,7 @@ def truncate_at_grazing(task, points, diagnostics, first_inadmissible, length_sc
 
 
 def _locate_first_grazing(
-    task, admissible_point, inadmissible_point, inadmissible_diagnostics, lower_arclength, upper_arclength, length_scale
+    task, admissible_point, inadmissible_point, inadmissible_diagnostics, lower_arclength, upper_arclength
 ):
     """Return (z, residual) of the first grazing between two arclengths from an admissible point.
 
@@ -122,7 +129,7 @@ def _locate_first_grazing(
     squared_weights, candidate_solutions = task.control.scale**2, []
     for row in impact_row_indices:
         if inadmissible_point.z[n_rows + row] <= 0:
-            candidate_solutions.append(_locate_zero_speed(task, middle_z, int(row), length_scale))
+            candidate_solutions.append(_locate_zero_speed(task, middle_z, int(row)))
     if not candidate_solutions or not (inadmissible_point.z[n_rows + impact_row_indices] <= 0).any():
         for row, wall_index in zip(*np.nonzero(inadmissible_diagnostics.clearance < 0), strict=True):
             candidate_solutions.append(
@@ -151,8 +158,8 @@ def _locate_first_grazing(
             nearest_candidate = candidate_arclength, candidate
     if nearest_candidate is None:
         return None
-    grazing_z = set_slow_speeds_to_zero(problem, nearest_candidate[1].z, length_scale)
-    diagnostics, min_allowed_clearance = diagnose(problem, grazing_z[None]), -GRAZING_TOLERANCE * length_scale
+    grazing_z = set_slow_speeds_to_zero(problem, nearest_candidate[1].z)
+    diagnostics, min_allowed_clearance = diagnose(problem, grazing_z[None]), -GRAZING_TOLERANCE * problem.length_scale
     has_earlier_grazing = (
         diagnostics.clearance.min(initial=0.0) < min_allowed_clearance
         or grazing_z[n_rows : 2 * n_rows].min(initial=0.0) < min_allowed_clearance
@@ -164,7 +171,7 @@ def _locate_sticking_ends(problem, z, inadmissible_diagnostics):
     """Locate the points near z at which sticking phases that are missing at the inadmissible point cease to exist."""
     functions_with_margins = zip(
         (sticking_limits.excess_speeds, sticking_limits.min_contact_forces),
-        sticking_margins(problem, inadmissible_diagnostics),
+        problem.condition.sticking_margins(inadmissible_diagnostics),
         strict=True,
     )
     return [
@@ -174,13 +181,13 @@ def _locate_sticking_ends(problem, z, inadmissible_diagnostics):
     ]
 
 
-def _locate_zero_speed(task, z, impact_row, length_scale):
+def _locate_zero_speed(task, z, impact_row):
     """Locate the point near z at which the speed of an impact is zero."""
     problem = task.args
     n_rows = len(problem.sequence.sides)
     if len(z) > 2 * n_rows + 1 and soft_wall_grazing.is_smooth_soft_wall(
         problem.scene, problem.sequence.sides[impact_row]
     ):  # singular, for a locus
-        return soft_wall_grazing.locate_soft_grazing(problem, z, [impact_row], length_scale)
+        return soft_wall_grazing.locate_soft_grazing(problem, z, [impact_row])
     point = event_search.solve_with_fixed_entry(task.problem, z, n_rows + impact_row, 0.0, task.control, problem)
     return RootAndResidual(point.z if point.converged else None, float(point.residual))

@@ -18,24 +18,18 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from continuation import augmented_systems, event_search
-from continuation.persistent_jit import FAST_COMPILE, persistent_jit
+from continuation import augmented_systems
+from continuation.hostcall import FAST_COMPILE, persistent_jit
 
 from ..compiled.kernel_calls import call_as_kernel
+from ..contact.kinds import flow_coefficients, kinds_of_scene
 from ..flight import flow, motion_in_soft_wall
-from ..flight.flight_coefficients import flow_coefficients
-from ..flight.flow_dispatch import flow_of
 from ..scene.codes import Contact
 from . import branches_from_grazing
-from .branches_from_grazing import LOOSE_TOLERANCE, OrbitImpact, replace_impacts
-from .grazing_contact import (
-    GrazingContact,
-    arclength_weights,
-    contact_durations_at,
-    flight_durations_at,
-    orbit_duration_at,
-)
-from .orbit_equations import OrbitEquations, continuation_problem, scene_at, sequence_at
+from .branches_from_grazing import LOOSE_TOLERANCE, GrazingPoint
+from .grazing_contact import GrazingContact, contact_durations_at, flight_durations_at
+from .orbit_equations import scene_at, sequence_at
+from .orbit_problem import OrbitProblem
 from .soft_wall_grazing import OFFSET_SPEEDS, is_smooth_soft_wall
 
 PROXIMITY = 1e-2  # relative to the scene's length or speed; a nearer or slower contact may split or merge
@@ -51,7 +45,7 @@ def is_pressed_into_wall(problem, z, row):
 
     Parameters
     ----------
-    problem : OrbitEquations
+    problem : OrbitProblem
         Equations of the orbit.
     z : ndarray
         Unknowns.
@@ -92,7 +86,7 @@ class GrazingInsideWall(NamedTuple):
 
     Attributes
     ----------
-    extended_problem : OrbitEquations
+    extended_problem : OrbitProblem
         Equations whose contact phase is extended past the grazing.
     z : ndarray
         Unknowns.
@@ -110,7 +104,7 @@ class GrazingInsideWall(NamedTuple):
         Largest residual.
     """
 
-    extended_problem: OrbitEquations
+    extended_problem: OrbitProblem
     z: Float[np.ndarray, " unknowns"]
     row: int
     time_in_contact: float
@@ -133,7 +127,7 @@ def _contact_motion_kernel(z, times_in_contact, problem, row):
         contact_coeffs, wall_code, contact_response, (zeros, side * sequence.speeds[row]), start_cosine, start_sine
     )
     current_phasor = flow.rotate_phasor_by_angle(start_cosine, start_sine, coeffs.frequency * times_in_contact)
-    relative_acceleration, _ = flow_of(contact_coeffs).acceleration_and_jerk(
+    relative_acceleration, _ = contact_coeffs.flow.acceleration_and_jerk(
         contact_coeffs,
         relative_displacement,
         relative_velocity,
@@ -143,7 +137,7 @@ def _contact_motion_kernel(z, times_in_contact, problem, row):
     return jnp.stack([side * relative_displacement, side * relative_velocity, side * relative_acceleration])
 
 
-@persistent_jit(compiler_options=FAST_COMPILE, numpy_first=_contact_motion_kernel)
+@persistent_jit(compiler_options=FAST_COMPILE, numpy_first=True)
 def _contact_motion(z, times_in_contact, problem, row):
     return call_as_kernel(_contact_motion_kernel, z, times_in_contact, problem, row)
 
@@ -156,7 +150,7 @@ def _contact_motion_at(problem, z, row, time_in_contact):
 def turning_points_in_wall(problem, z):
     """Return the nearest `TurningPointInsideWall` of each contact with a linear soft wall whose force is continuous."""
     scene, turning_points = problem.scene, []
-    if not scene.soft_sides or scene.force is not None or not len(problem.sequence.sides):
+    if not kinds_of_scene(scene).contact.is_linear() or not len(problem.sequence.sides):
         return turning_points
     contact_durations = contact_durations_at(problem, z)
     for row in problem.impact_rows:
@@ -219,35 +213,17 @@ def extend_contact(problem, row, time_in_contact, extra_duration):
     return problem._replace(sequence=problem.sequence._replace(min_contact_time=min_contact_times))
 
 
-def locate_grazing_inside(problem, z, row, time_in_contact, length_scale):
+def locate_grazing_inside(problem, z, row, time_in_contact):
     """Locate the `GrazingInsideWall` near z and near a time of a contact phase; None if Newton's method fails."""
     oscillation_rate, _ = _contact_oscillation(problem, z, int(problem.sequence.sides[row]))
     extended_problem = extend_contact(problem, row, time_in_contact, 1.0 / oscillation_rate)
     depth_and_depth_rate = partial(_depth_and_depth_rate, problem, row)
-
-    def evaluate_extended_system(z_and_time):
-        residual, jacobian = (
-            np.asarray(system_array)
-            for system_array in augmented_systems.evaluate_problem(
-                continuation_problem(extended_problem), z_and_time[:-1], extended_problem
-            )
-        )
-        extended_jacobian = np.vstack(
-            [
-                np.pad(jacobian, ((0, 0), (0, 1))),
-                augmented_systems.two_point_derivative(depth_and_depth_rate, z_and_time),
-            ]
-        )
-        return np.concatenate([residual, depth_and_depth_rate(z_and_time)]), extended_jacobian
-
-    solution = augmented_systems.solve_newton(evaluate_extended_system, np.append(z, time_in_contact))
+    solution = extended_problem.locate_zero(np.append(z, time_in_contact), depth_and_depth_rate, n_extra=1)
     if solution.z is None or not np.isfinite(solution.z).all():
         return None
     z, time_in_contact = solution.z[:-1], float(solution.z[-1])
     inward_acceleration = float(_contact_motion_at(problem, z, row, time_in_contact)[2])
-    tangent = event_search.unit_tangent(
-        continuation_problem(extended_problem), z, arclength_weights(problem, length_scale), extended_problem
-    )
+    tangent = extended_problem.tangent(z)
     depth_growth_rate = _depth_growth_rate(problem, z, tangent, row, time_in_contact)
     if not (time_in_contact > 0 and inward_acceleration > 0 and abs(depth_growth_rate) > 0):
         return None
@@ -277,73 +253,43 @@ def _depth_growth_rate(problem, z, z_direction, row, time_in_contact):
     return float(np.subtract(*offset_depths) / (2.0 * augmented_systems.DIFFERENCE_STEP))
 
 
-class UpcomingGrazingInWall(NamedTuple):
-    """Grazing within a contact phase that lies on a branch shortly ahead of its points.
-
-    Attributes
-    ----------
-    z : ndarray
-        Unknowns at the end of the branch.
-    step : float
-        Arclength from the last point to the grazing.
-    residual : float
-        Largest residual.
-    grazing_contacts : list of GrazingContact
-        Grazing contacts, as in `branches_from_grazing.find_grazing_exits`.
-    exits : list of BranchFromGrazing
-        Branch that emanates from the grazing; an empty list if this branch is not known.
-    has_all_exits : bool
-        True if all exits are known.
-    """
-
-    z: Float[np.ndarray, " unknowns"]
-    step: float
-    residual: float
-    grazing_contacts: list[GrazingContact]
-    exits: list[branches_from_grazing.BranchFromGrazing]
-    has_all_exits: bool
-
-
-def find_upcoming_grazing(problem, points, step_control, length_scale):
+def find_upcoming_grazing(problem, points, step_control):
     """Find a grazing within a contact phase ahead of a branch.
 
     Parameters
     ----------
-    problem : OrbitEquations
+    problem : OrbitProblem
         Equations of the orbits.
     points : continuation.arclength.Point
         Points of the branch, up to a point from which a step has failed or has not been tried.
     step_control : continuation.arclength.StepControl
         Weights of the arclength.
-    length_scale : float
-        Length of the scene.
 
     Returns
     -------
     tuple or None
-        (index of the last point before the grazing, `UpcomingGrazingInWall`); None if no grazing is near.
+        (index of the last point before the grazing, (unknowns at the end of the branch, arclength from that point,
+        largest residual, `GrazingPoint`)); None if no grazing is near.
     """
-    if problem.scene.force is not None or not problem.scene.soft_sides or not len(problem.sequence.sides):
+    if not kinds_of_scene(problem.scene).contact.is_linear() or not len(problem.sequence.sides):
         return None
     for k in range(1, len(points.z)):
-        upcoming_grazing = _find_contact_merger(problem, points.z[k], points.tangent[k], step_control, length_scale)
+        upcoming_grazing = _find_contact_merger(problem, points.z[k], points.tangent[k], step_control)
         if upcoming_grazing is not None:
             return k, upcoming_grazing
     last_index = len(points.z) - 1
-    upcoming_grazing = _find_contact_split(
-        problem, points.z[last_index], points.tangent[last_index], step_control, length_scale
-    )
+    upcoming_grazing = _find_contact_split(problem, points.z[last_index], points.tangent[last_index], step_control)
     return upcoming_grazing and (last_index, upcoming_grazing)
 
 
-def _find_contact_split(problem, z, tangent, step_control, length_scale):
-    """Return the `UpcomingGrazingInWall` at which one contact becomes two; None if none is near."""
+def _find_contact_split(problem, z, tangent, step_control):
+    """Return (z, arclength, residual, `GrazingPoint`) where one contact becomes two; None if none is near."""
     for turning_point in turning_points_in_wall(problem, z):
-        if not 0 < turning_point.depth < PROXIMITY * length_scale:
+        if not 0 < turning_point.depth < PROXIMITY * problem.length_scale:
             continue
         depth_rate = _depth_growth_rate(problem, z, tangent, turning_point.row, turning_point.time_in_contact)
         inside_grazing = (
-            locate_grazing_inside(problem, z, turning_point.row, turning_point.time_in_contact, length_scale)
+            locate_grazing_inside(problem, z, turning_point.row, turning_point.time_in_contact)
             if depth_rate < 0
             else None
         )
@@ -352,40 +298,24 @@ def _find_contact_split(problem, z, tangent, step_control, length_scale):
         arclength = float(np.sum(step_control.scale**2 * tangent * (inside_grazing.z - z)))
         if abs(arclength + turning_point.depth / depth_rate) < -0.5 * turning_point.depth / depth_rate:
             branch_end_z = (
-                inside_grazing.z + END_DEPTH * length_scale / inside_grazing.depth_rate * inside_grazing.tangent
+                inside_grazing.z + END_DEPTH * problem.length_scale / inside_grazing.depth_rate * inside_grazing.tangent
             )
-            grazing_contacts = [
-                GrazingContact(
-                    inside_grazing.row,
-                    int(problem.sequence.sides[inside_grazing.row]),
-                    inside_grazing.time_in_contact,
-                    False,
-                )
-            ]
-            grazing_exit = _two_contact_exit(problem, inside_grazing, length_scale)
-            return UpcomingGrazingInWall(
-                branch_end_z,
-                arclength,
-                inside_grazing.residual,
-                grazing_contacts,
-                [grazing_exit] if grazing_exit else [],
-                grazing_exit is not None,
-            )
+            side = int(problem.sequence.sides[inside_grazing.row])
+            contact = GrazingContact(inside_grazing.row, side, inside_grazing.time_in_contact, False)
+            grazing_exit = _two_contact_exit(problem, inside_grazing)
+            grazing_point = GrazingPoint((contact,), (grazing_exit,) if grazing_exit else (), grazing_exit is not None)
+            return branch_end_z, arclength, inside_grazing.residual, grazing_point
     return None
 
 
-def _two_contact_exit(problem, inside_grazing, length_scale):
+def _two_contact_exit(problem, inside_grazing):
     """Return the `BranchFromGrazing` along orbits with two contacts; None if Newton's method fails."""
     merged_z, row, n_rows = inside_grazing.z, inside_grazing.row, len(problem.sequence.sides)
     side, grazing_time = int(problem.sequence.sides[row]), merged_z[row] + inside_grazing.time_in_contact
-    impacts = [
-        OrbitImpact(merged_z[k], merged_z[n_rows + k], int(problem.sequence.sides[k]), True)
-        for k in problem.impact_rows
-    ]
-    impacts.insert(row + 1, OrbitImpact(grazing_time, 0.0, side, True))
-    split_problem, split_z = replace_impacts(
-        problem._replace(sequence=problem.sequence._replace(min_contact_time=None)), merged_z, impacts
-    )
+    impacts = [(merged_z[k], merged_z[n_rows + k], int(problem.sequence.sides[k])) for k in problem.impact_rows]
+    impacts.insert(row + 1, (grazing_time, 0.0, side))
+    problem = problem._replace(sequence=problem.sequence._replace(min_contact_time=None))
+    split_problem, split_z = problem.with_impacts(merged_z, impacts)
     n_split_rows, split_z_rate = len(split_problem.sequence.sides), np.zeros(len(split_z))
     split_rows = [k + (k > row) for k in problem.impact_rows]
     split_z_rate[split_rows], split_z_rate[np.add(n_split_rows, split_rows)] = (
@@ -394,7 +324,7 @@ def _two_contact_exit(problem, inside_grazing, length_scale):
     )
     split_z_rate[row + 1], split_z_rate[-1] = -inside_grazing.tangent[row], -inside_grazing.tangent[-1]
     for relative_speed in (10.0 * OFFSET_SPEEDS[0], *OFFSET_SPEEDS):
-        entry_speed = relative_speed * length_scale
+        entry_speed = relative_speed * problem.length_scale
         z_guess = (
             split_z
             + entry_speed**2 / (2.0 * inside_grazing.inward_acceleration * inside_grazing.depth_rate) * split_z_rate
@@ -403,31 +333,25 @@ def _two_contact_exit(problem, inside_grazing, length_scale):
         z_guess[n_split_rows + row + 1] = entry_speed
         tangent = np.zeros(len(split_z))
         tangent[row + 1], tangent[n_split_rows + row + 1] = 1.0 / inside_grazing.inward_acceleration, 1.0
-        tangent /= np.linalg.norm(arclength_weights(split_problem, length_scale) * tangent)
+        tangent /= np.linalg.norm(split_problem.weights() * tangent)
         grazing_exit, _ = branches_from_grazing.step_along_exit(
-            split_problem, z_guess, tangent, length_scale, (True,), LOOSE_TOLERANCE, (0.0,)
+            split_problem, z_guess, tangent, (True,), LOOSE_TOLERANCE, (0.0,)
         )
         if grazing_exit:
-            tangent = event_search.unit_tangent(
-                continuation_problem(split_problem),
-                grazing_exit.z_near_grazing,
-                arclength_weights(split_problem, length_scale),
-                split_problem,
-                tangent,
-            )
+            tangent = split_problem.tangent(grazing_exit.z_near_grazing, tangent)
             return grazing_exit._replace(
                 point=grazing_exit.point._replace(z=grazing_exit.z_near_grazing, tangent=tangent)
             )
     return None
 
 
-def _find_contact_merger(problem, z, tangent, step_control, length_scale):
-    """Return the `UpcomingGrazingInWall` at which two consecutive contacts become one; None if none is near."""
+def _find_contact_merger(problem, z, tangent, step_control):
+    """Return (z, arclength, residual, `GrazingPoint`) where two contacts become one; None if none is near."""
     n_rows, sides = len(problem.sequence.sides), problem.sequence.sides
     impact_row_indices = [int(k) for k in problem.impact_rows]
     for impact_index, row in enumerate(impact_row_indices):
         previous_row = impact_row_indices[impact_index - 1]
-        is_losing_speed = 0 < z[n_rows + row] < PROXIMITY * length_scale and tangent[n_rows + row] < 0
+        is_losing_speed = 0 < z[n_rows + row] < PROXIMITY * problem.length_scale and tangent[n_rows + row] < 0
         if (
             not is_losing_speed
             or previous_row == row
@@ -439,9 +363,7 @@ def _find_contact_merger(problem, z, tangent, step_control, length_scale):
         _, _, inward_acceleration = _contact_motion_at(problem, z, row, 0.0)
         if not inward_acceleration > 0 or flight_durations[previous_row] > 4.0 * z[n_rows + row] / inward_acceleration:
             continue
-        merged_result = _locate_merged_grazing(
-            problem, z, row, previous_row, contact_durations, flight_durations, length_scale
-        )
+        merged_result = _locate_merged_grazing(problem, z, row, previous_row, contact_durations, flight_durations)
         if merged_result is None:
             continue
         merged_problem, solution, old_and_new_rows = merged_result
@@ -451,7 +373,7 @@ def _find_contact_merger(problem, z, tangent, step_control, length_scale):
                 solution.z[merged_row],
                 solution.z[len(merged_problem.sequence.sides) + merged_row],
             )
-        orbit_duration = orbit_duration_at(problem, z)
+        orbit_duration = problem.duration(z)
         two_contact_z[row] = solution.z[solution.row] + solution.time_in_contact
         two_contact_z[row] -= orbit_duration * np.round((two_contact_z[row] - z[row]) / orbit_duration)
         two_contact_z[n_rows + row], two_contact_z[-1] = 0.0, solution.z[-1]
@@ -460,14 +382,7 @@ def _find_contact_merger(problem, z, tangent, step_control, length_scale):
         if not abs(arclength - expected_arclength) < 0.5 * expected_arclength:
             continue
         end_point_candidates = (
-            event_search.solve_with_fixed_entry(
-                continuation_problem(problem),
-                two_contact_z,
-                n_rows + row,
-                relative_speed * length_scale,
-                step_control,
-                problem,
-            )
+            problem.solve_at(two_contact_z, n_rows + row, relative_speed * problem.length_scale)
             for relative_speed in END_SPEEDS
         )
         end_point = next((solution for solution in end_point_candidates if solution.converged), None)
@@ -475,33 +390,24 @@ def _find_contact_merger(problem, z, tangent, step_control, length_scale):
             continue
         exit_problem = merged_problem._replace(sequence=merged_problem.sequence._replace(min_contact_time=None))
         grazing_exit, is_certain = branches_from_grazing.check_exit_along_tangent(
-            exit_problem, solution.z, solution.tangent, np.array([solution.depth_rate]), length_scale, (False,)
+            exit_problem, solution.z, solution.tangent, np.array([solution.depth_rate]), (False,)
         )
         grazing_exit = grazing_exit and grazing_exit._replace(
             point=grazing_exit.point._replace(z=grazing_exit.z_near_grazing)
         )
-        grazing_contacts = [GrazingContact(row, int(sides[row]), 0.0, True)]
-        return UpcomingGrazingInWall(
-            end_point.z,
-            arclength,
-            solution.residual,
-            grazing_contacts,
-            [grazing_exit] if grazing_exit else [],
-            is_certain,
-        )
+        contact = GrazingContact(row, int(sides[row]), 0.0, True)
+        grazing_point = GrazingPoint((contact,), (grazing_exit,) if grazing_exit else (), is_certain)
+        return end_point.z, arclength, solution.residual, grazing_point
     return None
 
 
-def _locate_merged_grazing(problem, z, row, previous_row, contact_durations, flight_durations, length_scale):
+def _locate_merged_grazing(problem, z, row, previous_row, contact_durations, flight_durations):
     """Return (equations without the contact of a row, `GrazingInsideWall`, pairs of old and new rows), or None."""
-    n_rows, sides = len(problem.sequence.sides), problem.sequence.sides
     other_rows = [int(k) for k in problem.impact_rows if k != row]
-    merged_problem, merged_z = replace_impacts(
-        problem, z, [OrbitImpact(z[k], z[n_rows + k], int(sides[k]), True) for k in other_rows], other_rows
-    )
+    merged_problem, merged_z = problem.with_rows(z, other_rows)
     time_in_contact = contact_durations[previous_row] + 0.5 * flight_durations[previous_row]
     inside_grazing = locate_grazing_inside(
-        merged_problem, merged_z, other_rows.index(previous_row), float(time_in_contact), length_scale
+        merged_problem, merged_z, other_rows.index(previous_row), float(time_in_contact)
     )
     return inside_grazing and (
         merged_problem,

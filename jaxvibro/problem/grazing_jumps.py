@@ -3,7 +3,7 @@
 Let d be the depth and a the acceleration away from the wall at the grazing. At a rigid wall the mass has the speed
 sqrt(2 a d), and the impact changes the velocity by (1 + R) sqrt(2 a d). All other changes are smooth (Nordmark, J.
 Sound Vib. 145, 279, 1991). A soft wall with a continuous force changes the velocity in proportion to a higher power of
-d (`contact_effect_exponent`), for a spring and a damper d^(3/2). If a soft wall moves and has a separate damping, the
+d (`grazing_exponent`), for a spring and a damper d^(3/2). If a soft wall moves and has a separate damping, the
 force jumps by j at the wall, and the acceleration within is a + j. If a + j > 0, the contact lasts
 2 sqrt(2 a d) / (a + j) and changes the velocity by j times this duration.
 """
@@ -12,17 +12,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from continuation import event_search
-
 from .branches_from_grazing import distance_growth_rate, include_grazing_contacts
 from .grazing_contact import (
-    arclength_weights,
     contact_durations_at,
     find_grazing_contacts,
     refine_turning_point,
     scene_wall_sides,
 )
-from .orbit_equations import continuation_problem
 from .soft_wall_grazing import is_smooth_soft_wall
 
 
@@ -48,32 +44,30 @@ class GrazingJump(NamedTuple):
     acceleration: float
 
 
-def grazing_jumps(scene, problem, z, length_scale):
+def grazing_jumps(scene, problem, z):
     """Compute the velocity jump and the depth of each contact beyond a grazing.
 
     Parameters
     ----------
     scene : Scene
         Scene at the point.
-    problem : OrbitEquations
+    problem : OrbitProblem
         Equations of the orbit.
     z : ndarray
         Unknowns at the grazing.
-    length_scale : float
-        Length of the scene.
 
     Returns
     -------
     tuple of GrazingJump
         One entry for each grazing contact, in order along the orbit.
     """
-    grazing_contacts = find_grazing_contacts(problem, z, length_scale)
+    grazing_contacts = find_grazing_contacts(problem, z)
     reduced_problem, reduced_z, omitted_locations = include_grazing_contacts(
         problem, z, grazing_contacts, (False,) * len(grazing_contacts)
     )
     return tuple(
         omitted_grazing.depth
-        for omitted_grazing in find_omitted_grazings(scene, reduced_problem, reduced_z, omitted_locations, length_scale)
+        for omitted_grazing in find_omitted_grazings(scene, reduced_problem, reduced_z, omitted_locations)
     )
 
 
@@ -98,14 +92,9 @@ class OmittedGrazing(NamedTuple):
     depth: GrazingJump
 
 
-def find_omitted_grazings(scene, reduced_problem, reduced_z, omitted_locations, length_scale):
+def find_omitted_grazings(scene, reduced_problem, reduced_z, omitted_locations):
     """Locate the `OmittedGrazing` of each contact that `include_grazing_contacts` omits."""
-    tangent = event_search.unit_tangent(
-        continuation_problem(reduced_problem),
-        reduced_z,
-        arclength_weights(reduced_problem, length_scale),
-        reduced_problem,
-    )
+    tangent = reduced_problem.tangent(reduced_z)
     wall_sides, omitted_grazings, contact_durations = (
         scene_wall_sides(reduced_problem.scene),
         [],

@@ -6,23 +6,22 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from continuation import augmented_systems
-from continuation.persistent_jit import FAST_COMPILE, persistent_jit
+from continuation.hostcall import FAST_COMPILE, persistent_jit
 
 from ..compiled.kernel_calls import call_as_kernel
+from ..contact.kinds import flow_coefficients
 from ..flight import flow_matrix
-from ..flight.flight_coefficients import flow_coefficients
-from ..flight.flow_dispatch import flow_of
 from ..orbits import impact_equations
 from ..orbits.contact_maps import saltation_matrices
 from ..orbits.flight_clearance import OVERLAP_FACTOR, state_in_flight
 from ..scene.symmetry import stays_symmetric
-from .branches_from_grazing import OrbitImpact, include_grazing_contacts, replace_impacts
-from .grazing_contact import contact_durations_at, find_grazing_contacts, orbit_duration_at
+from .branches_from_grazing import include_grazing_contacts
+from .grazing_contact import contact_durations_at, find_grazing_contacts
 from .grazing_jumps import OmittedGrazing, find_omitted_grazings
 from .orbit_diagnostics import flight_without_impacts
-from .orbit_equations import OrbitEquations, continuation_problem, mark_impact_rows, scene_at, sequence_at
-from .orbit_point import OrbitPoint, is_own_mirror_image
+from .orbit_equations import scene_at, sequence_at
+from .orbit_point import is_own_mirror_image
+from .orbit_problem import OrbitProblem
 
 HALF_TOLERANCE = 1e-6  # relative to the orbit's duration; applies to contacts half of it apart or identical
 REPEAT_TOLERANCE = 1e-6  # relative to the scene's length; residual of an orbit with fewer periods
@@ -33,7 +32,7 @@ class GrazingReturn(NamedTuple):
 
     Attributes
     ----------
-    reduced_problem : OrbitEquations
+    reduced_problem : OrbitProblem
         Equations of the orbit.
     z : ndarray
         Unknowns of the orbit.
@@ -48,7 +47,7 @@ class GrazingReturn(NamedTuple):
         Duration from one contact to the next.
     """
 
-    reduced_problem: OrbitEquations
+    reduced_problem: OrbitProblem
     z: Float[np.ndarray, " unknowns"]
     omitted_grazings: tuple[OmittedGrazing, ...]
     matrix: Float[np.ndarray, "2 2"]
@@ -56,7 +55,7 @@ class GrazingReturn(NamedTuple):
     return_time: float
 
 
-def compute_grazing_return(scene, parameter_name, problem, z, length_scale):
+def compute_grazing_return(scene, parameter_name, problem, z):
     """Compute the return map at a grazing.
 
     Parameters
@@ -65,28 +64,24 @@ def compute_grazing_return(scene, parameter_name, problem, z, length_scale):
         Scene at the point.
     parameter_name : str
         Parameter of the branch.
-    problem : OrbitEquations
+    problem : OrbitProblem
         Equations of the orbit.
     z : ndarray
         Unknowns at the grazing.
-    length_scale : float
-        Length of the scene.
 
     Returns
     -------
     GrazingReturn or None
         Return map; None if the point has no grazing contacts.
     """
-    grazing_contacts = find_grazing_contacts(problem, z, length_scale)
+    grazing_contacts = find_grazing_contacts(problem, z)
     if not grazing_contacts:
         return None
     reduced_problem, reduced_z, omitted_locations = include_grazing_contacts(
         problem, z, grazing_contacts, (False,) * len(grazing_contacts)
     )
-    omitted_grazings = find_omitted_grazings(scene, reduced_problem, reduced_z, omitted_locations, length_scale)
-    reduced_problem, reduced_z, omitted_grazings = _reduce_repeated_orbit(
-        reduced_problem, reduced_z, omitted_grazings, length_scale
-    )
+    omitted_grazings = find_omitted_grazings(scene, reduced_problem, reduced_z, omitted_locations)
+    reduced_problem, reduced_z, omitted_grazings = _reduce_repeated_orbit(reduced_problem, reduced_z, omitted_grazings)
     is_half_orbit = _are_mirror_images(scene, parameter_name, reduced_problem, reduced_z, omitted_grazings)
     first_and_next_contact = (
         (omitted_grazings[0], omitted_grazings[1]) if is_half_orbit else (omitted_grazings[0], omitted_grazings[0])
@@ -100,38 +95,25 @@ def compute_grazing_return(scene, parameter_name, problem, z, length_scale):
         omitted_grazings,
         return_matrix,
         is_half_orbit,
-        orbit_duration_at(reduced_problem, reduced_z) * (0.5 if is_half_orbit else 1.0),
+        reduced_problem.duration(reduced_z) * (0.5 if is_half_orbit else 1.0),
     )
 
 
-def _reduce_repeated_orbit(reduced_problem, reduced_z, omitted_grazings, length_scale):
+def _reduce_repeated_orbit(reduced_problem, reduced_z, omitted_grazings):
     """Reduce a repeated orbit, with its grazing contacts, to a single traversal of the shorter orbit."""
-    n_periods, impact_row_indices = (
-        int(reduced_problem.sequence.periods),
-        reduced_problem.impact_rows if len(reduced_problem.sequence.sides) else (),
-    )
+    n_periods, n_impacts = int(reduced_problem.sequence.periods), len(reduced_problem.impact_rows)
     for n_short_periods in (
         period_divisor
         for period_divisor in range(1, n_periods)
-        if n_periods % period_divisor == 0 and len(impact_row_indices) * period_divisor % n_periods == 0
+        if n_periods % period_divisor == 0 and n_impacts * period_divisor % n_periods == 0
     ):
-        impacts = [
-            OrbitImpact(
-                reduced_z[k],
-                reduced_z[len(reduced_problem.sequence.sides) + k],
-                reduced_problem.sequence.sides[k],
-                True,
-            )
-            for k in impact_row_indices
-        ]
-        short_problem, short_z = replace_impacts(
-            reduced_problem, reduced_z, impacts[: len(impact_row_indices) * n_short_periods // n_periods]
-        )
+        short_rows = reduced_problem.impact_rows[: n_impacts * n_short_periods // n_periods]
+        short_problem, short_z = reduced_problem.with_rows(reduced_z, short_rows)
         short_problem = short_problem._replace(
             sequence=short_problem.sequence._replace(periods=np.asarray(float(n_short_periods)))
         )
-        residual, _ = augmented_systems.evaluate_problem(continuation_problem(short_problem), short_z, short_problem)
-        if abs(np.asarray(residual)).max() <= REPEAT_TOLERANCE * length_scale:
+        residual, _ = short_problem.evaluate(short_z)
+        if abs(residual).max() <= REPEAT_TOLERANCE * reduced_problem.length_scale:
             return short_problem, short_z, _contacts_in_traversal(short_problem, short_z, omitted_grazings)
     return reduced_problem, reduced_z, omitted_grazings
 
@@ -139,7 +121,7 @@ def _reduce_repeated_orbit(reduced_problem, reduced_z, omitted_grazings, length_
 def _contacts_in_traversal(short_problem, short_z, omitted_grazings):
     """Return the grazing contacts of a repeated orbit relative to a single traversal, without duplicates."""
     orbit_duration, contact_durations, distinct_contacts = (
-        orbit_duration_at(short_problem, short_z),
+        short_problem.duration(short_z),
         contact_durations_at(short_problem, short_z),
         [],
     )
@@ -174,25 +156,13 @@ def _are_mirror_images(scene, parameter_name, reduced_problem, reduced_z, omitte
         or not stays_symmetric(scene, parameter_name)
     ):
         return False
-    orbit_duration = orbit_duration_at(reduced_problem, reduced_z)
+    orbit_duration = reduced_problem.duration(reduced_z)
     if (
         abs((omitted_grazings[1].time - omitted_grazings[0].time) % orbit_duration - 0.5 * orbit_duration)
         > HALF_TOLERANCE * orbit_duration
     ):
         return False
-    n_rows, impact_row_indices = (
-        len(reduced_problem.sequence.sides),
-        np.flatnonzero(mark_impact_rows(reduced_problem.sequence)),
-    )
-    section_state = (0.0, 0.0) if n_rows else reduced_z[:2]
-    impact_columns = (
-        reduced_z[impact_row_indices],
-        reduced_z[n_rows + impact_row_indices],
-        np.asarray(reduced_problem.sequence.sides)[impact_row_indices],
-    )
-    return is_own_mirror_image(
-        scene, OrbitPoint(reduced_z[-1], *impact_columns, int(reduced_problem.sequence.periods), *section_state, 0.0)
-    )
+    return is_own_mirror_image(reduced_problem, reduced_z)
 
 
 def _matrix_between(reduced_problem, reduced_z, start_contact, end_contact):
@@ -241,13 +211,13 @@ def _flight_impact_matrices(problem, z, flight_start_times, flight_end_times):
         identity_entries, durations = jnp.ones_like(flights.time), flights.time / OVERLAP_FACTOR
         impact_matrices = identity_entries, 0.0 * identity_entries, 0.0 * identity_entries, identity_entries
     x, v, cosine, sine = state_in_flight(coeffs, flights, flight_start_times)
-    _, matrix = flow_of(coeffs).fly_with_matrix(
+    _, matrix = coeffs.flow.fly_with_matrix(
         coeffs, x, v, cosine, sine, jnp.minimum(flight_end_times, durations) - flight_start_times
     )
     return jnp.stack(flow_matrix.matrix_by_rows(matrix)), jnp.stack(impact_matrices)
 
 
-@persistent_jit(compiler_options=FAST_COMPILE, numpy_first=_flight_impact_matrices)
+@persistent_jit(compiler_options=FAST_COMPILE, numpy_first=True)
 def _compiled_matrices(problem, z, flight_start_times, flight_end_times):
     return call_as_kernel(_flight_impact_matrices, problem, z, flight_start_times, flight_end_times)
 

@@ -20,10 +20,9 @@ from jaxtyping import Float
 
 from continuation import augmented_systems
 
-from ..scene.typical_scales import frequency_and_damping, typical_length
-from .branches_from_grazing import make_padded_sequence
-from .grazing_contact import arclength_weights, contact_durations_at, orbit_duration_at
-from .orbit_equations import OrbitEquations, continuation_problem
+from ..contact.kinds import contact_of_wall, flow_of_scene
+from .grazing_contact import contact_durations_at
+from .orbit_problem import OrbitProblem
 
 NODE_SPACING = 0.05  # spacing of the stencil, divided by the fastest rate
 MAX_FLIGHT_FRACTION = 0.05  # largest shift relative to a flight, and to a speed if a wall is soft
@@ -59,7 +58,7 @@ class _NullVectorDerivatives(NamedTuple):
 
     Attributes
     ----------
-    problem : OrbitEquations
+    problem : OrbitProblem
         Equations of the orbit.
     closure_sign : float
         1, or -1 if a perturbation returns with the opposite sign.
@@ -73,7 +72,7 @@ class _NullVectorDerivatives(NamedTuple):
         w F_uuu v v v.
     """
 
-    problem: OrbitEquations
+    problem: OrbitProblem
     closure_sign: float
     right_null: Float[np.ndarray, " unknowns"]
     left_null: Float[np.ndarray, " unknowns"]
@@ -89,7 +88,7 @@ def unfold_saddle_node(scene, problem, z):
     ----------
     scene : Scene
         Scene at the point.
-    problem : OrbitEquations
+    problem : OrbitProblem
         Equations of the orbit.
     z : ndarray
         Unknowns at the point.
@@ -117,7 +116,7 @@ def unfold_symmetry_breaking(scene, problem, z):
     ----------
     scene : Scene
         Scene at the point.
-    problem : OrbitEquations
+    problem : OrbitProblem
         Equations of the orbit.
     z : ndarray
         Unknowns at the point.
@@ -140,7 +139,7 @@ def unfold_period_doubling(scene, problem, z):
     ----------
     scene : Scene
         Scene at the point.
-    problem : OrbitEquations
+    problem : OrbitProblem
         Equations of the orbit.
     z : ndarray
         Unknowns at the point.
@@ -153,19 +152,7 @@ def unfold_period_doubling(scene, problem, z):
     if len(problem.impact_rows) > 1:
         null_derivatives = _derivatives_along_null(scene, problem, z, -1.0)
         return _unfold_pitchfork(null_derivatives, _impact_components(problem, null_derivatives.right_null))
-    second_impact_time, speed = z[0] + orbit_duration_at(problem, z), z[len(problem.sequence.sides)]
-    sequence = problem.sequence._replace(periods=np.asarray(2.0 * problem.sequence.periods))
-    doubled_problem = problem._replace(sequence=sequence)
-    side = problem.sequence.sides[0]
-    doubled_problem = doubled_problem._replace(
-        sequence=make_padded_sequence(doubled_problem, [(z[0], speed, side), (second_impact_time, speed, side)])
-    )
-    null_derivatives = _derivatives_along_null(
-        scene,
-        doubled_problem,
-        np.concatenate([doubled_problem.sequence.times, doubled_problem.sequence.speeds, z[-1:]]),
-        1.0,
-    )
+    null_derivatives = _derivatives_along_null(scene, *problem.repeat(z, 2), 1.0)
     doubled_unfolding = _unfold_pitchfork(null_derivatives, null_derivatives.right_null[[0, 2]])
     # the multiplier of the doubled orbit is the square
     return doubled_unfolding._replace(multiplier_rate=-0.5 * doubled_unfolding.multiplier_rate)
@@ -179,9 +166,8 @@ def _impact_components(problem, unknowns_vector):
 
 def _derivatives_along_null(scene, problem, z, closure_sign):
     """Compute the `_NullVectorDerivatives` at a point; `closure_sign` is 1, or -1 for antiperiodic perturbations."""
-    continuation_arguments = continuation_problem(problem), z, problem
-    jacobian = augmented_systems.jacobian_at(*continuation_arguments)
-    unknown_weights = arclength_weights(problem, typical_length(scene))[:-1]
+    _, jacobian = problem.evaluate(z)
+    unknown_weights = problem.weights()[:-1]
     closed_jacobian = _multiply_by_closure(problem, jacobian[None], closure_sign)[0][:, :-1]
     right_null, left_null = (
         augmented_systems.null_vector(closed_jacobian),
@@ -191,13 +177,13 @@ def _derivatives_along_null(scene, problem, z, closure_sign):
     right_null = right_null * np.sign(right_null[np.flatnonzero(abs(right_null) > 0.5 * abs(right_null).max())[0]])
     node_spacing = _stencil_spacing(scene, problem, z, right_null)
     stencil_jacobians = augmented_systems.jacobians_at(
-        continuation_problem(problem), z + np.outer(STENCIL_NODES * node_spacing, np.append(right_null, 0.0)), problem
+        problem.equations, z + np.outer(STENCIL_NODES * node_spacing, np.append(right_null, 0.0)), problem
     )
     if closure_sign < 0:  # the flight back to the first impact sees that impact moved in the opposite direction
         antiperiodic_direction = np.append(right_null, 0.0)
         antiperiodic_direction[_closure_indices(problem)[0]] *= -1.0
         antiperiodic_jacobians = augmented_systems.jacobians_at(
-            continuation_problem(problem), z + np.outer(STENCIL_NODES * node_spacing, antiperiodic_direction), problem
+            problem.equations, z + np.outer(STENCIL_NODES * node_spacing, antiperiodic_direction), problem
         )
         stencil_jacobians = np.array(stencil_jacobians)
         return_flight_rows = _closure_indices(problem)[1]
@@ -273,10 +259,10 @@ def _multiply_by_closure(problem, open_jacobians, closure_sign):
 
 def _stencil_spacing(scene, problem, z, z_direction):
     """Return the spacing along v for which the equations are smooth over the whole stencil."""
-    n_rows, impact_row_indices, length_scale = len(problem.sequence.sides), problem.impact_rows, typical_length(scene)
+    n_rows, impact_row_indices, length_scale = problem.n_rows, problem.impact_rows, problem.length_scale
     time_changes, speed_changes = abs(z_direction[impact_row_indices]), abs(z_direction[n_rows + impact_row_indices])
     flight_durations = (
-        np.append(z[impact_row_indices[1:]], z[impact_row_indices[0]] + orbit_duration_at(problem, z))
+        np.append(z[impact_row_indices[1:]], z[impact_row_indices[0]] + problem.duration(z))
         - z[impact_row_indices]
         - contact_durations_at(problem, z)[impact_row_indices]
     )
@@ -303,17 +289,10 @@ def _half_oscillation_rates(scene, problem, z):
 
 def _fastest_equation_rate(scene):
     """Return the fastest rate of oscillation or decay in the equations of an orbit."""
-    frequency = float(scene.frequency)
-    if scene.force is None:
-        scene_damping = float(scene.damping)
-        equation_rates = [1.0, frequency, 2.0 * scene_damping]
-    else:
-        equation_rates = [frequency, *frequency_and_damping(scene)]
+    frequency, equation_rates = float(scene.frequency), flow_of_scene(scene).rates(scene)
     equation_rates += [drive_term.harmonic * frequency for drive_term in scene.drive]
-    for wall in scene.walls.values():
-        if wall.soft and scene.force is None:
-            contact_damping = scene_damping if wall.damping is None else scene_damping + float(wall.damping)
-            equation_rates += [np.sqrt(1.0 + float(wall.stiffness)), 2.0 * contact_damping]
+    for side, wall in scene.walls.items():
+        equation_rates += contact_of_wall(scene, side).rates(scene, side)
         if wall.motion is not None:
             equation_rates.append(wall.motion.harmonic * frequency)
     return max(equation_rates)

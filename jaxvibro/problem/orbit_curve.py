@@ -14,7 +14,8 @@ from ..orbits.orbit import Orbit
 from ..output.atomic_write import atomic_file
 from ..scene.check import ArgumentError
 from ..scene.scene import Scene
-from .orbit_point import OrbitPoint, label_of_point, orbit_from_point
+from .orbit_conversion import orbit_from_point
+from .orbit_point import OrbitPoint, label_of_point, make_orbit_point
 
 SpecialType = TypeVar("SpecialType", bound="SpecialOrbit")  # class of the special points of a curve
 
@@ -29,7 +30,7 @@ class SpecialOrbit:
     scene : Scene
         Scene at the point.
     spot : OrbitPoint
-        The orbit as plain numbers.
+        The orbit.
     itinerary : tuple of str
         Walls hit, one word for each drive period.
     """
@@ -171,28 +172,59 @@ def dataset_row(curve_data, point_index):
     return {column_name: column.values[point_index] for column_name, column in curve_data.variables.items()}
 
 
-def parse_orbit_point(point_entries, parameter_name):
+def parse_orbit_point(problem, name, point_entries, periods, tangent=None):
     """Return the orbit of one point of a branch or a locus.
 
     Parameters
     ----------
+    problem : OrbitProblem
+        Problem of an orbit without impacts of the same curve.
+    name : str
+        Its parameter.
     point_entries : dict of str to ndarray
         Entries from `dataset_row`.
-    parameter_name : str
-        Name of the parameter.
+    periods : int
+        Number of drive periods.
+    tangent : ndarray, optional
+        Tangent, as `make_orbit_point` takes it.
 
     Returns
     -------
     OrbitPoint
-        The orbit as plain numbers.
+        The orbit.
     """
     is_impact = point_entries["side"] != 0
-    impact_columns = (point_entries[column_name][is_impact].astype(float) for column_name in ("time", "speed", "side"))
-    state = (float(point_entries[column_name][0]) for column_name in ("x", "v"))
-    return OrbitPoint(
-        float(point_entries[parameter_name]),
-        *impact_columns,
-        len(point_entries["x"]),
-        *state,
-        float(point_entries["residual"]),
-    )
+    impact_columns = (point_entries[key][is_impact].astype(float) for key in ("time", "speed", "side"))
+    state = tuple(float(point_entries[key][0]) if key in point_entries else np.nan for key in ("x", "v"))
+    value, residual = float(point_entries[name]), float(point_entries["residual"])
+    impacts = list(zip(*impact_columns, strict=True))
+    return make_orbit_point(problem, value, impacts, periods, state, residual, tangent)
+
+
+def unknowns_of_rows(curve_data, name, problem):
+    """Return the unknowns of orbits with one itinerary.
+
+    Parameters
+    ----------
+    curve_data : xarray.Dataset
+        Data of the points.
+    name : str
+        Parameter of the orbits.
+    problem : OrbitProblem
+        Problem of the orbits.
+
+    Returns
+    -------
+    ndarray
+        Unknowns, array of shape (points, unknowns).
+    """
+    n_rows, n_impacts = problem.n_rows, problem.n_used_rows
+    zs = np.zeros((curve_data.sizes["point"], problem.n_orbit_unknowns + 1))
+    zs[:, -1] = curve_data[name].values
+    if not n_rows:
+        zs[:, 0], zs[:, 1] = curve_data["x"].values[:, 0], curve_data["v"].values[:, 0]
+        return zs
+    is_impact = curve_data["side"].values[0] != 0
+    zs[:, :n_impacts] = curve_data["time"].values[:, is_impact]
+    zs[:, n_rows : n_rows + n_impacts] = curve_data["speed"].values[:, is_impact]
+    return zs

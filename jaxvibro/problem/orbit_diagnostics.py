@@ -9,14 +9,13 @@ from jax import lax
 from jaxtyping import Float
 
 from continuation.array_type import Array
-from continuation.persistent_jit import FAST_COMPILE, persistent_jit
+from continuation.hostcall import FAST_COMPILE, persistent_jit
 
 from ..compiled.kernel_calls import call_as_kernel
+from ..contact.kinds import flow_coefficients
+from ..contact.wall_at_contact import wall_derivatives
 from ..flight import flow_matrix
-from ..flight.flight_coefficients import flow_coefficients
-from ..flight.flow_dispatch import flow_of
 from ..orbits import chatter_and_release, cyclic_system, flight_clearance, impact_equations
-from ..orbits.wall_at_contact import wall_derivatives
 from .orbit_equations import scene_at, sequence_at
 
 POINTS_PER_CALL = 144  # block size of the compiled call
@@ -69,7 +68,7 @@ def diagnose(problem, zs):
 
     Parameters
     ----------
-    problem : OrbitEquations
+    problem : OrbitProblem
         Equations of the orbits.
     zs : ndarray
         Unknowns, array of shape (points, unknowns).
@@ -99,7 +98,7 @@ def evaluate_at_points(point_kernel, problem, zs, n_periods):
     ----------
     point_kernel : callable
         Module-level function that maps (problem, z, n_periods) to a tuple of arrays.
-    problem : OrbitEquations
+    problem : OrbitProblem
         Equations of the orbits.
     zs : ndarray
         Unknowns, array of shape (points, unknowns).
@@ -123,11 +122,7 @@ def evaluate_at_points(point_kernel, problem, zs, n_periods):
     return tuple(np.concatenate(result_arrays) for result_arrays in zip(*block_results, strict=True))
 
 
-def _evaluate_uncompiled(point_kernel, problem, zs, n_points, n_periods):
-    return _loop_over_points(problem, zs, n_points, jax.jit(point_kernel, static_argnums=2), n_periods)
-
-
-@persistent_jit(static_argnums=(0, 4), numpy_first=_evaluate_uncompiled)
+@persistent_jit(static_argnums=(0, 4), numpy_first=True)
 def _evaluate_compiled(point_kernel, problem, zs, n_points, n_periods):
     """Evaluate the points in a loop within one kernel.
 
@@ -144,6 +139,7 @@ def _evaluate_sticking(point_kernel, problem, zs, n_points, n_periods):
 
 def _loop_over_points(problem, zs, n_points, point_kernel, n_periods):
     """Evaluate the kernel in a loop over the points."""
+    point_kernel = jax.jit(point_kernel, static_argnums=2)  # traced once for the shapes and the loop
 
     def store_result(point_index, point_results):
         point_result = point_kernel(problem, lax.dynamic_index_in_dim(zs, point_index, keepdims=False), n_periods)
@@ -250,9 +246,7 @@ def impact_free_diagnostics(problem, z, n_periods):
     """Compute the `Diagnostics` at one point of orbits without impacts."""
     coeffs, flight = flight_without_impacts(problem, z)
     orbit_duration = flight.time / flight_clearance.OVERLAP_FACTOR
-    _, monodromy = flow_of(coeffs).fly_with_matrix(
-        coeffs, flight.x, flight.v, flight.cosine, flight.sine, orbit_duration
-    )
+    _, monodromy = coeffs.flow.fly_with_matrix(coeffs, flight.x, flight.v, flight.cosine, flight.sine, orbit_duration)
     p00, _, _, p11 = flow_matrix.matrix_by_rows(monodromy)
     x, v = jnp.full(n_periods, z[0]), jnp.full(n_periods, z[1])
     clearances = flight_clearance.impact_free_clearances(coeffs, flight)
@@ -276,7 +270,7 @@ def flight_without_impacts(problem, z):
 
     Parameters
     ----------
-    problem : OrbitEquations
+    problem : OrbitProblem
         Equations of the orbit.
     z : Array
         Unknowns (x, v, parameters).

@@ -4,54 +4,19 @@ With impacts the unknowns are z = (times, speeds, parameters), see `impact_equat
 z = (x and v at the section, parameters). A branch has one free parameter. A locus (see `locus_equations`) has two.
 """
 
-from functools import singledispatch
-from typing import NamedTuple
-
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Int
 
 from continuation.arclength import solve_bordered
 from continuation.problem import Problem, TestFunction
 
 from ..compiled.kernel_calls import call_as_kernel
-from ..flight import flow_matrix
-from ..flight.flight_coefficients import flow_coefficients
+from ..contact.kinds import flow_coefficients, fly_with_matrix
 from ..orbits import cyclic_system, impact_equations
-from ..orbits.impact_equations import ImpactSequence
 from ..scene.codes import Contact
-from ..scene.scene import Scene
 
 MIN_SPEED_RATIO = 1e-10  # relative to the drive's amplitudes, per t; smaller speeds count as zero
-
-
-class OrbitEquations(NamedTuple):
-    """Parameters and itinerary that define a branch.
-
-    Attributes
-    ----------
-    scene : Scene
-        Scene; the values of the free parameters are ignored.
-    parameter_marks : Scene
-        Copy of the scene with 1 in place of the first free parameter, 2 for the second, and 0 elsewhere.
-    sequence : ImpactSequence
-        Sides, phase and periods. The times and speeds are ignored.
-    """
-
-    scene: Scene
-    parameter_marks: Scene
-    sequence: ImpactSequence
-
-    @property
-    def impact_rows(self) -> Int[np.ndarray, " impacts"]:
-        """Indices of the rows that are impacts, whose speeds must be positive."""
-        return np.flatnonzero(mark_impact_rows(self.sequence))
-
-    @property
-    def slack(self) -> float:
-        """Depth behind a wall that an admissible flight may have; positive on a locus of grazings, for rounding."""
-        return 0.0
 
 
 def mark_impact_rows(sequence):
@@ -74,7 +39,7 @@ def mark_impact_rows(sequence):
 def sides_with_release_codes(sequence):
     """Return the sides of the rows, multiplied by 2 or 3 for releases.
 
-    `branches_from_grazing.make_padded_sequence` takes sides in this form.
+    `OrbitProblem.with_impacts` takes sides in this form.
 
     Parameters
     ----------
@@ -110,7 +75,7 @@ def scene_at(problem, z):
 
     Parameters
     ----------
-    problem : OrbitEquations
+    problem : OrbitProblem
         Equations of the orbit.
     z : Array
         Unknowns.
@@ -130,29 +95,7 @@ def scene_at(problem, z):
     return jax.tree.map(substitute_parameter, problem.scene, problem.parameter_marks)
 
 
-def parameter_value_at(problem, z, parameter_name):
-    """Return a parameter of the scene at z as a float.
-
-    Parameters
-    ----------
-    problem : OrbitEquations
-        Equations of the orbit.
-    z : ndarray
-        Unknowns.
-    parameter_name : str
-        Name of a field of the scene.
-
-    Returns
-    -------
-    float
-        Value of the parameter.
-    """
-    return _free_or_fixed_value(
-        problem, z, getattr(problem.parameter_marks, parameter_name), getattr(problem.scene, parameter_name)
-    )
-
-
-def _free_or_fixed_value(problem, z, parameter_mark, fixed_value):
+def free_or_fixed_value(problem, z, parameter_mark, fixed_value):
     """Return the entry of z for a free parameter, whose mark is positive, or else the fixed value."""
     mark_number = int(parameter_mark)
     return float(z[(2 * len(problem.sequence.sides) or 2) + mark_number - 1] if mark_number else fixed_value)
@@ -163,7 +106,7 @@ def sequence_at(problem, z):
 
     Parameters
     ----------
-    problem : OrbitEquations
+    problem : OrbitProblem
         Equations of the orbit.
     z : Array
         Unknowns.
@@ -185,7 +128,7 @@ def evaluate_impact_system(z, problem):
     ----------
     z : Array
         Unknowns.
-    problem : OrbitEquations
+    problem : OrbitProblem
         Equations of the orbit.
 
     Returns
@@ -205,7 +148,7 @@ def evaluate_with_variations(z, problem):
     ----------
     z : Array
         Unknowns.
-    problem : OrbitEquations
+    problem : OrbitProblem
         Equations of the orbit.
 
     Returns
@@ -262,10 +205,10 @@ def _has_positive_speeds(z, problem):
     """Test whether every impact has a positive speed; otherwise the equations are singular."""
     speeds, total_drive_amplitude = (
         z[len(problem.sequence.sides) :][problem.impact_rows],
-        abs(parameter_value_at(problem, z, "amplitude")),
+        abs(problem.parameter_value(z, "amplitude")),
     )
     for term_marks, drive_term in zip(problem.parameter_marks.drive, problem.scene.drive, strict=True):
-        total_drive_amplitude += abs(_free_or_fixed_value(problem, z, term_marks.amplitude, drive_term.amplitude))
+        total_drive_amplitude += abs(free_or_fixed_value(problem, z, term_marks.amplitude, drive_term.amplitude))
     return bool((speeds > MIN_SPEED_RATIO * total_drive_amplitude).all())
 
 
@@ -276,7 +219,7 @@ def _impact_free_system(z, problem):
     def periodicity_residual(z):
         scene, sequence = scene_at(problem, z), problem.sequence
         orbit_duration = sequence.periods * 2.0 * jnp.pi / scene.frequency
-        x, v = flow_matrix.fly_with_matrix(scene, z[0], z[1], sequence.phase, orbit_duration)[0]
+        x, v = fly_with_matrix(scene, z[0], z[1], sequence.phase, orbit_duration)[0]
         residual = jnp.stack([x - z[0], v - z[1]])
         return residual, residual
 
@@ -307,22 +250,3 @@ FREE_PROBLEM = Problem(
     (TestFunction("PD", _impact_free_flip_matrix),),
     call_as_kernel,
 )
-
-
-@singledispatch
-def continuation_problem(problem):
-    """Return the continuation problem for the equations of an orbit.
-
-    Parameters
-    ----------
-    problem : OrbitEquations
-        Equations of the orbits; other classes are registered.
-
-    Returns
-    -------
-    continuation.problem.Problem
-        Problem of orbits without impacts, with impacts, or with sticking.
-    """
-    if not len(problem.sequence.sides):
-        return FREE_PROBLEM
-    return IMPACT_PROBLEM if problem.sequence.releases is None else STICKING_PROBLEM

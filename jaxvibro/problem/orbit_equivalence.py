@@ -3,22 +3,21 @@
 import numpy as np
 
 from ..orbits.orbit_comparison import impacts_as_points, repetition_count
-from .orbit_equations import parameter_value_at
 
 REPEAT_TOLERANCE = 1e-6  # largest difference of identical times and speeds
 
 
-def equivalent_unknowns(problem, sequence, parameter_value, near_z):
+def equivalent_unknowns(problem, given_problem, given_z, near_z):
     """Yield unknowns near a point that describe a given orbit, for each possible first impact.
 
     Parameters
     ----------
-    problem : OrbitEquations
+    problem : OrbitProblem
         Equations of the orbits.
-    sequence : ImpactSequence
-        Impacts of the given orbit.
-    parameter_value : float
-        Parameter value of the given orbit.
+    given_problem : OrbitProblem
+        Problem of the given orbit.
+    given_z : ndarray
+        Unknowns of the given orbit.
     near_z : ndarray
         Unknowns of the point.
 
@@ -27,16 +26,15 @@ def equivalent_unknowns(problem, sequence, parameter_value, near_z):
     ndarray
         Unknowns of the given orbit.
     """
-    n_impacts, orbit_duration = int(np.sum(sequence.sides != 0)), float(sequence.periods) * 2.0 * np.pi
-    n_rows = len(problem.sequence.sides)
+    n_rows, n_impacts, sequence = problem.n_rows, problem.n_used_rows, given_problem.sequence
     if len(sequence.sides) != n_rows or sequence.periods != problem.sequence.periods or not n_rows:
         return
-    sides, problem_sides = np.asarray(sequence.sides[:n_impacts]), np.asarray(problem.sequence.sides)
-    if n_impacts != int(np.sum(problem_sides != 0)):
+    if given_problem.n_used_rows != n_impacts:
         return
-    frequency = float(parameter_value) if bool(problem.parameter_marks.frequency) else float(problem.scene.frequency)
-    orbit_duration, drive_period = orbit_duration / frequency, 2.0 * np.pi / frequency
-    times, speeds = sequence.times[:n_impacts], sequence.speeds[:n_impacts]
+    sides, problem_sides = np.asarray(sequence.sides[:n_impacts]), np.asarray(problem.sequence.sides)
+    orbit_duration = given_problem.duration(given_z)
+    drive_period = 2.0 * np.pi / given_problem.parameter_value(given_z, "frequency")
+    times, speeds, _ = given_problem.impacts(given_z)
     for first_impact_index in range(n_impacts):
         if not np.array_equal(np.roll(sides, -first_impact_index), problem_sides[:n_impacts]):
             continue
@@ -47,7 +45,7 @@ def equivalent_unknowns(problem, sequence, parameter_value, near_z):
             z[:n_impacts], z[n_rows : n_rows + n_impacts], z[-1] = (
                 shifted_times + period_shift,
                 np.roll(speeds, -first_impact_index),
-                parameter_value,
+                given_z[-1],
             )
             yield z
 
@@ -57,7 +55,7 @@ def is_repeated(problem, z):
 
     Parameters
     ----------
-    problem : OrbitEquations
+    problem : OrbitProblem
         Equations of the orbit.
     z : ndarray
         Unknowns.
@@ -78,7 +76,7 @@ def match_repeated_contacts(problem, z, contact_times, contact_sides):
     """
     n_periods = int(problem.sequence.periods)
     n_traversals = repetition_count(comparison_points(problem, z), n_periods, REPEAT_TOLERANCE)
-    orbit_duration = n_periods * 2.0 * np.pi / parameter_value_at(problem, z, "frequency")
+    orbit_duration = problem.duration(z)
     time_differences = (
         contact_times - contact_times[:, None] - orbit_duration / n_traversals * np.arange(n_traversals)[:, None, None]
     )
@@ -93,7 +91,7 @@ def comparison_points(problem, z, speed_scale=None):
 
     Parameters
     ----------
-    problem : OrbitEquations
+    problem : OrbitProblem
         Equations of the orbit.
     z : ndarray
         Unknowns.
@@ -105,9 +103,7 @@ def comparison_points(problem, z, speed_scale=None):
     ndarray
         Points.
     """
-    n_rows = len(problem.sequence.sides)
-    times, speeds = z[:n_rows], z[n_rows : 2 * n_rows]
+    times, speeds, _ = problem.impacts(z)
+    sides = np.asarray(problem.sequence.sides[: len(times)])
     speed_scale = speed_scale or speeds.max(initial=0.0) or 1.0
-    return impacts_as_points(
-        parameter_value_at(problem, z, "frequency"), times, problem.sequence.sides, speeds, speed_scale
-    )
+    return impacts_as_points(problem.parameter_value(z, "frequency"), times, sides, speeds, speed_scale)

@@ -1,88 +1,170 @@
-"""Orbits as plain numbers, and conversions that need no Newton iteration and so apply at singular points as well."""
+"""Represent a periodic orbit as a solution of an `OrbitProblem`; name it and compare it with its mirror image."""
 
 from typing import NamedTuple
 
-import jax
 import numpy as np
 from jaxtyping import Float
 
-from continuation import augmented_systems
-
-from ..flight.wall_positions import wall_states
+from ..contact.kinds import flow_of_scene
 from ..maps import itinerary as words
 from ..maps.sticking_phase_intervals import NO_STICKING
-from ..orbits.impact_equations import ImpactSequence
-from ..orbits.orbit import eigenvalue_pair, make_orbit
-from ..orbits.orbit_comparison import impacts_as_points, is_same_orbit, mirror_points
-from ..orbits.orbit_from_impacts import orbit_of_exact_impacts
-from ..scene.codes import Contact, Status
+from ..orbits.orbit_comparison import is_same_orbit, mirror_points
+from ..scene.codes import Contact
 from ..scene.scene import SIDES
-from ..scene.scene_parameters import mark_parameters
-from ..scene.state import Impacts, State
-from .branches_from_grazing import make_padded_sequence, solve_impact_free_orbit
 from .orbit_diagnostics import diagnose
-from .orbit_equations import OrbitEquations, are_releases, continuation_problem
+from .orbit_equations import are_releases
+from .orbit_equivalence import comparison_points
+from .orbit_problem import OrbitProblem
 
 IMPACT_TOLERANCE = 1e-6  # relative to the largest speed; closer impacts are identical
 
 
 class OrbitPoint(NamedTuple):
-    """Orbit as plain numbers.
+    """Periodic orbit as a point of a branch or a locus.
 
     Attributes
     ----------
-    value : float
-        Value of the branch's parameter.
-    times, speeds, sides : ndarray
-        Times since phase 0, speeds and sides of the impacts, arrays of shape (impacts,). Releases at the end of a
-        sticking phase have side +-2, or +-3 if the mass lifts before that phase.
-    periods : int
-        Number of drive periods.
+    problem : OrbitProblem
+        Problem of the orbit. The scene has the values of the parameters at this orbit.
+    z : ndarray
+        Unknowns.
     x, v : float
         State at phase 0.
     residual : float
-        Largest residual of the equations of the orbit.
+        Largest residual of the equations.
+    tangent : ndarray or None
+        Unit tangent of the branch. The components of x and v are 0 where the branch has been read from a file.
     """
 
-    value: float
-    times: Float[np.ndarray, " impacts"]
-    speeds: Float[np.ndarray, " impacts"]
-    sides: Float[np.ndarray, " impacts"]
-    periods: int
+    problem: OrbitProblem
+    z: Float[np.ndarray, " unknowns"]
     x: float
     v: float
     residual: float
+    tangent: Float[np.ndarray, " unknowns"] | None = None
+
+    @property
+    def value(self) -> float:
+        """Value of the parameter of the branch; on a locus, of the first parameter."""
+        return float(self.z[self.problem.n_orbit_unknowns])
+
+    @property
+    def times(self) -> Float[np.ndarray, " impacts"]:
+        """Times of the impacts and releases since phase 0."""
+        return np.asarray(self.problem.impacts(self.z)[0])
+
+    @property
+    def speeds(self) -> Float[np.ndarray, " impacts"]:
+        """Speeds of the impacts; 0 for releases."""
+        return np.asarray(self.problem.impacts(self.z)[1])
+
+    @property
+    def sides(self) -> Float[np.ndarray, " impacts"]:
+        """Sides of the impacts. Releases have side +-2, or +-3 if the mass lifts before the sticking phase."""
+        return self.problem.impacts(self.z)[2]
+
+    @property
+    def periods(self) -> int:
+        """Number of drive periods."""
+        return int(self.problem.sequence.periods)
+
+    @property
+    def frequency(self) -> float:
+        """Drive frequency."""
+        return self.problem.parameter_value(self.z, "frequency")
+
+    @property
+    def itinerary(self) -> tuple[str, ...]:
+        """Walls hit, one word for each drive period, without the infinitely many bounces before sticking."""
+        times, sides = impact_times_and_sides(self)
+        return words.itinerary_of_orbit(times, sides, self.periods, 2.0 * np.pi / self.frequency)
+
+    def mirror(self) -> "OrbitPoint":
+        """Return the mirror image, whose state at phase 0 is unknown; an orbit without impacts is returned as it is."""
+        if not self.problem.n_rows:
+            return self
+        times, speeds, sides = self.problem.impacts(self.z)
+        mirrored_impacts = list(zip(times + np.pi / self.frequency, speeds, -sides, strict=True))
+        problem, z = self.problem.with_impacts(self.z, mirrored_impacts)
+        return OrbitPoint(problem, z, np.nan, np.nan, self.residual)
+
+    def with_section_state(self) -> "OrbitPoint":
+        """Return the orbit with its state at phase 0."""
+        diagnostics = diagnose(self.problem, self.z[None])
+        return self._replace(x=float(diagnostics.x[0, 0]), v=float(diagnostics.v[0, 0]))
 
 
-def itinerary_of_point(orbit_point, frequency):
-    """Return the itinerary of an orbit, without the infinitely many bounces before sticking.
+def make_orbit_point(problem, value, impacts, periods, state=(np.nan, np.nan), residual=0.0, tangent=None):
+    """Make an `OrbitPoint` of numbers, without a correction by Newton's method.
 
     Parameters
     ----------
-    orbit_point : OrbitPoint
-        Orbit.
-    frequency : float
-        Drive frequency.
+    problem : OrbitProblem
+        Problem of an orbit without impacts of the same branch, as `make_orbit_problem` returns it.
+    value : float
+        Value of the parameter.
+    impacts : sequence of tuple
+        Time, speed and side of each impact and release, as `OrbitProblem.with_impacts` takes them.
+    periods : int
+        Number of drive periods.
+    state : tuple of float, optional
+        State at phase 0.
+    residual : float, optional
+        Largest residual of the equations.
+    tangent : ndarray, optional
+        Tangent of the branch: entries of the times, of the speeds and of the parameter, without empty rows.
 
     Returns
     -------
-    tuple of str
-        Walls hit, one word for each drive period.
+    OrbitPoint
+        The orbit.
     """
-    times, sides = impact_times_and_sides(orbit_point)
-    return words.itinerary_of_orbit(times, sides, orbit_point.periods, 2.0 * np.pi / frequency)
+    z = np.array([*state, value])
+    if impacts:
+        problem, z = problem.with_impacts(z, impacts, periods=float(periods))
+    else:
+        problem = problem._replace(sequence=problem.sequence._replace(periods=np.asarray(float(periods))))
+    padded_tangent = None
+    if tangent is not None:
+        padded_tangent, n_impacts = np.zeros(len(z)), len(impacts)
+        padded_tangent[:n_impacts], padded_tangent[-1] = tangent[:n_impacts], tangent[-1]
+        padded_tangent[problem.n_rows : problem.n_rows + n_impacts] = tangent[n_impacts:-1]
+    return point_of_solution(problem, z, state, residual, padded_tangent)
+
+
+def point_of_solution(problem, z, state, residual, tangent=None):
+    """Make the `OrbitPoint` of a solution, with the values of its parameters in the scene.
+
+    Parameters
+    ----------
+    problem : OrbitProblem
+        Problem of the orbit.
+    z : ndarray
+        Unknowns.
+    state : tuple of float
+        State at phase 0.
+    residual : float
+        Largest residual.
+    tangent : ndarray, optional
+        Tangent of the curve.
+
+    Returns
+    -------
+    OrbitPoint
+        The orbit.
+    """
+    return OrbitPoint(problem.with_scene_at(z), z, *map(float, state), float(residual), tangent)
 
 
 def impact_times_and_sides(orbit_point):
     """Return (times, sides) of the impacts; a mass that lifts off before it sticks has an additional impact at once."""
-    is_impact = ~are_releases(orbit_point.sides)
-    lifts_before_sticking = np.roll(abs(orbit_point.sides) > Contact.STUCK, -1)
-    time_order = np.argsort(
-        np.concatenate([orbit_point.times[is_impact], orbit_point.times[lifts_before_sticking]]), kind="stable"
-    )
+    times, _, sides = orbit_point.problem.impacts(orbit_point.z)
+    is_impact = ~are_releases(sides)
+    lifts_before_sticking = np.roll(abs(sides) > Contact.STUCK, -1)
+    time_order = np.argsort(np.concatenate([times[is_impact], times[lifts_before_sticking]]), kind="stable")
     return tuple(
         np.concatenate([impact_column[is_impact], impact_column[lifts_before_sticking]])[time_order]
-        for impact_column in (orbit_point.times, orbit_point.sides)
+        for impact_column in (times, sides)
     )
 
 
@@ -117,192 +199,34 @@ def label_of_point(scene, orbit_point, itinerary_words):
     return words.format_label(itinerary_words, sticking_record_of(scene, orbit_point).chatter_walls)
 
 
-def comparison_points(orbit_point, frequency, speed_scale=None):
-    """Return the impacts of an orbit in order as points for `orbit_comparison`.
-
-    Parameters
-    ----------
-    orbit_point : OrbitPoint
-        Orbit.
-    frequency : float
-        Drive frequency.
-    speed_scale : float, optional
-        Unit of the speeds. None means the largest speed.
-
-    Returns
-    -------
-    ndarray
-        Points.
-    """
-    return impacts_as_points(
-        frequency,
-        orbit_point.times,
-        orbit_point.sides,
-        orbit_point.speeds,
-        speed_scale or orbit_point.speeds.max(initial=0.0) or 1.0,
-    )
-
-
-def is_own_mirror_image(scene, orbit_point):
+def is_own_mirror_image(problem, z):
     """Test whether an orbit of a symmetric scene is its own mirror image.
 
     Parameters
     ----------
-    scene : Scene
-        Symmetric scene at the orbit.
-    orbit_point : OrbitPoint
-        Orbit.
+    problem : OrbitProblem
+        Problem of the orbit.
+    z : ndarray
+        Unknowns.
 
     Returns
     -------
     bool
         True if the orbit equals its mirror image.
     """
-    if not len(orbit_point.times) and scene.force is not None:
-        return _is_antiperiodic(scene, orbit_point)
-    impact_points_array = comparison_points(orbit_point, float(scene.frequency))
+    if not problem.n_rows and not flow_of_scene(problem.scene).has_unique_free_response():
+        return _is_antiperiodic(problem, z)
+    impact_points_array = comparison_points(problem, z)
     return is_same_orbit(impact_points_array, mirror_points(impact_points_array), IMPACT_TOLERANCE)
 
 
-def _is_antiperiodic(scene, orbit_point):
+def _is_antiperiodic(problem, z):
     """Test whether an orbit without impacts has the state (-x, -v) after half of its periods.
 
     An orbit with an even number of periods is never its own mirror image.
     """
-    if orbit_point.periods % 2 == 0:
+    if int(problem.sequence.periods) % 2 == 0:
         return False
-    empty_array, amplitude = np.zeros(0), float(scene.amplitude)
-    sequence = ImpactSequence(empty_array, empty_array, empty_array, *_scalar_arrays(0.0, 0.5 * orbit_point.periods))
-    half_duration_problem, initial_state = (
-        OrbitEquations(*mark_parameters(scene, "amplitude"), sequence),
-        np.array([orbit_point.x, orbit_point.v]),
-    )
-    residual, _ = augmented_systems.evaluate_problem(
-        continuation_problem(half_duration_problem), np.append(initial_state, amplitude), half_duration_problem
-    )
-    return bool(
-        abs(np.asarray(residual) + 2.0 * initial_state).max() <= IMPACT_TOLERANCE * (1.0 + abs(initial_state).max())
-    )
-
-
-def orbit_from_point(scene, orbit_point):
-    """Make an `Orbit` from an `OrbitPoint`.
-
-    Parameters
-    ----------
-    scene : Scene
-        Scene of the orbit.
-    orbit_point : OrbitPoint
-        Orbit as plain numbers.
-
-    Returns
-    -------
-    Orbit
-        The orbit.
-    """
-    if are_releases(orbit_point.sides).any():
-        return _sticking_orbit(scene, orbit_point)
-    if len(orbit_point.times):
-        return orbit_of_exact_impacts(
-            scene, orbit_point.times, orbit_point.speeds, orbit_point.sides, orbit_point.periods, orbit_point.residual
-        )
-    empty_array = np.zeros(0)
-    problem = OrbitEquations(
-        scene,
-        jax.tree.map(lambda leaf: np.int32(0), scene),
-        ImpactSequence(*[empty_array] * 3, *_scalar_arrays(0.0, orbit_point.periods)),
-    )
-    diagnostics = diagnose(problem, np.array([[orbit_point.x, orbit_point.v, orbit_point.value]]))
-    clearance = float(diagnostics.clearance.min(initial=np.inf))
-    impacts = Impacts(empty_array, empty_array.astype(np.int8), empty_array, 0, np.inf, clearance, Status.OK)
-    floquet_multipliers = eigenvalue_pair(float(diagnostics.trace[0]), float(diagnostics.determinant[0]))
-    itinerary_words = ("",) * orbit_point.periods
-    return make_orbit(
-        scene,
-        State(orbit_point.x, orbit_point.v),
-        impacts,
-        itinerary_words,
-        floquet_multipliers,
-        orbit_point.residual,
-        "state",
-    )
-
-
-def _sticking_orbit(scene, orbit_point):
-    """Make an `Orbit` that sticks from an `OrbitPoint`, without the bounces just before sticking."""
-    problem, z = set_up_equations(scene, "amplitude", orbit_point._replace(value=float(scene.amplitude)))
-    diagnostics, drive_period = diagnose(problem, z[None]), 2.0 * np.pi / float(scene.frequency)
-    is_impact, orbit_duration, section_points = (
-        abs(orbit_point.sides) == 1,
-        orbit_point.periods * drive_period,
-        np.stack([diagnostics.x[0], diagnostics.v[0]], 1),
-    )
-    impact_times, wall_sides = impact_times_and_sides(orbit_point)
-    impact_times = np.mod(impact_times, orbit_duration)
-    time_order = np.argsort(impact_times, kind="stable")
-    itinerary_words = words.itinerary_of_impacts(
-        impact_times[time_order], wall_sides[time_order], orbit_point.periods, drive_period
-    )
-    first_period_index = words.canonical_start_period(itinerary_words, section_points)
-    times_from_start = np.mod(orbit_point.times[is_impact] - first_period_index * drive_period, orbit_duration)
-    time_order = np.argsort(times_from_start)
-    impact_columns = (
-        times_from_start[time_order],
-        orbit_point.sides[is_impact][time_order].astype(np.int8),
-        orbit_point.speeds[is_impact][time_order],
-    )
-    clearance = float(diagnostics.clearance.min(initial=np.inf))
-    impacts = Impacts(*impact_columns, len(times_from_start), float(impact_columns[2].min()), clearance, Status.OK)
-    x, v = section_points[first_period_index].tolist()
-    wall_states_at_phase_0 = zip((-1.0, 1.0), wall_states(scene, 0.0), strict=True)
-    sticking_sides = [
-        wall_sign
-        for wall_sign, (position, velocity) in wall_states_at_phase_0
-        if (x, v) == (float(position), float(velocity))
-    ]
-    state = State(x, v, 0.0, sticking_sides[0] * Contact.STUCK if sticking_sides else 0.0)
-    orbit_fields = (
-        words.rotate_periods(itinerary_words, first_period_index),
-        np.zeros(2, complex),
-        orbit_point.residual,
-        "state",
-    )
-    return make_orbit(scene, state, impacts, *orbit_fields, sticking_record_of(scene, orbit_point))
-
-
-def _scalar_arrays(*values):
-    return (np.asarray(value, float) for value in values)
-
-
-def set_up_equations(scene, parameter_name, orbit_point):
-    """Set up the equations and the unknowns z of an orbit.
-
-    Parameters
-    ----------
-    scene : Scene
-        Scene.
-    parameter_name : str
-        Free parameter.
-    orbit_point : OrbitPoint
-        Orbit as plain numbers.
-
-    Returns
-    -------
-    problem : OrbitEquations
-        Equations of the orbit.
-    z : ndarray
-        Unknowns.
-    """
-    empty_array = np.zeros(0)
-    sequence = ImpactSequence(
-        empty_array, empty_array, empty_array, np.asarray(0.0), np.asarray(float(orbit_point.periods))
-    )
-    problem = OrbitEquations(*mark_parameters(scene, parameter_name), sequence)
-    if not len(orbit_point.times):
-        return problem, solve_impact_free_orbit(problem, orbit_point.value, (orbit_point.x, orbit_point.v))
-    problem = problem._replace(
-        sequence=make_padded_sequence(
-            problem, list(zip(orbit_point.times, orbit_point.speeds, orbit_point.sides, strict=True))
-        )
-    )
-    return problem, np.concatenate([problem.sequence.times, problem.sequence.speeds, [orbit_point.value]])
+    half_sequence, initial_state = problem.sequence._replace(periods=0.5 * problem.sequence.periods), z[:2]
+    residual, _ = problem._replace(sequence=half_sequence).evaluate(z)
+    return bool(abs(residual + 2.0 * initial_state).max() <= IMPACT_TOLERANCE * (1.0 + abs(initial_state).max()))

@@ -15,13 +15,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from continuation import event_search
 from continuation.augmented_systems import RootAndResidual
 
 from . import branches_from_grazing, grazing_contact
-from .branches_from_grazing import LOOSE_TOLERANCE, ZERO_RATE, include_grazing_contacts, replace_impacts
-from .grazing_contact import arclength_weights, locate_grazing, scene_wall_sides
-from .orbit_equations import continuation_problem, sides_with_release_codes
+from .branches_from_grazing import LOOSE_TOLERANCE, ZERO_RATE, GrazingPoint, include_grazing_contacts
+from .grazing_contact import find_grazing_contacts, locate_grazing, scene_wall_sides
 
 SLOW_SPEED = 1e-4  # scene's lengths per t; a slower contact is about to vanish
 OFFSET_SPEEDS = 1e-3, 1e-4  # scene's lengths per t; closer to the singular point Newton's steps are rounding
@@ -52,7 +50,7 @@ def has_singular_contact(problem, grazing_contacts):
 
     Parameters
     ----------
-    problem : OrbitEquations
+    problem : OrbitProblem
         Equations of the orbit.
     grazing_contacts : sequence of GrazingContact
         Grazing contacts.
@@ -65,28 +63,26 @@ def has_singular_contact(problem, grazing_contacts):
     return any(contact.is_impact and is_smooth_soft_wall(problem.scene, contact.side) for contact in grazing_contacts)
 
 
-def slow_contact_rows(problem, z, length_scale):
+def slow_contact_rows(problem, z):
     """Return the rows of impacts on smooth soft walls (`is_smooth_soft_wall`) whose speeds are almost zero.
 
     Parameters
     ----------
-    problem : OrbitEquations
+    problem : OrbitProblem
         Equations of the orbit.
     z : ndarray
         Unknowns.
-    length_scale : float
-        Length of the scene.
 
     Returns
     -------
     list of int
         Rows.
     """
-    n_rows, sides = len(problem.sequence.sides), problem.sequence.sides
+    n_rows, sides, max_speed = problem.n_rows, problem.sequence.sides, SLOW_SPEED * problem.length_scale
     return [
         int(impact_row)
         for impact_row in problem.impact_rows
-        if z[n_rows + impact_row] < SLOW_SPEED * length_scale and is_smooth_soft_wall(problem.scene, sides[impact_row])
+        if z[n_rows + impact_row] < max_speed and is_smooth_soft_wall(problem.scene, sides[impact_row])
     ]
 
 
@@ -95,7 +91,7 @@ def has_passed_zero_speed(problem, zs):
 
     Parameters
     ----------
-    problem : OrbitEquations
+    problem : OrbitProblem
         Equations of the orbits.
     zs : ndarray
         Unknowns along a branch, array of shape (points, unknowns).
@@ -112,19 +108,17 @@ def has_passed_zero_speed(problem, zs):
     return has_point_passed
 
 
-def locate_soft_grazing(problem, z, slow_rows, length_scale):
+def locate_soft_grazing(problem, z, slow_rows):
     """Locate the grazing near z at which the speeds of impacts on soft walls vanish.
 
     Parameters
     ----------
-    problem : OrbitEquations
+    problem : OrbitProblem
         Equations of the orbit.
     z : ndarray
         Guess.
     slow_rows : sequence of int
         Rows of the impacts whose speeds are zero at the grazing.
-    length_scale : float
-        Length of the scene.
 
     Returns
     -------
@@ -133,13 +127,7 @@ def locate_soft_grazing(problem, z, slow_rows, length_scale):
     """
     n_rows, sides = len(problem.sequence.sides), problem.sequence.sides
     other_rows = [other_row for other_row in np.flatnonzero(sides != 0) if other_row not in slow_rows]
-    other_impacts = [
-        branches_from_grazing.OrbitImpact(
-            z[other_row], z[n_rows + other_row], sides_with_release_codes(problem.sequence)[other_row], True
-        )
-        for other_row in other_rows
-    ]
-    reduced_problem, reduced_z = replace_impacts(problem, z, other_impacts, other_rows)
+    reduced_problem, reduced_z = problem.with_rows(z, other_rows)
     omitted_locations = [_location_without_row(problem, z, row, other_rows) for row in slow_rows]
     solution = locate_grazing(reduced_problem, reduced_z, *omitted_locations[0])
     if solution.z is None:
@@ -147,7 +135,7 @@ def locate_soft_grazing(problem, z, slow_rows, length_scale):
     n_reduced_rows, n_parameters = len(reduced_problem.sequence.sides), len(z) - 2 * n_rows
     grazing_z = np.array(z)
     grazing_z[-n_parameters:] = solution.z[-n_parameters:]
-    orbit_duration = grazing_contact.orbit_duration_at(problem, grazing_z)
+    orbit_duration = problem.duration(grazing_z)
     for reduced_row, other_row in enumerate(other_rows):
         grazing_z[other_row], grazing_z[n_rows + other_row] = (
             solution.z[reduced_row],
@@ -157,7 +145,7 @@ def locate_soft_grazing(problem, z, slow_rows, length_scale):
         time_in_flight, distance, _ = grazing_contact.refine_turning_point(
             reduced_problem, solution.z, previous_reduced_row, wall_index, time_in_flight
         )
-        if not abs(distance) <= COINCIDENCE_TOLERANCE * length_scale:
+        if not abs(distance) <= COINCIDENCE_TOLERANCE * problem.length_scale:
             return RootAndResidual(None, solution.residual)
         grazing_z[row] = (
             solution.z[previous_reduced_row]
@@ -173,7 +161,7 @@ def locate_soft_grazing(problem, z, slow_rows, length_scale):
 def _location_without_row(problem, z, row, other_rows):
     """Return (index in `other_rows` of the previous row, wall, time in flight after that row) of an omitted row."""
     wall_index = scene_wall_sides(problem.scene).index(int(problem.sequence.sides[row]))
-    orbit_duration = grazing_contact.orbit_duration_at(problem, z)
+    orbit_duration = problem.duration(z)
     if not other_rows:
         return 0, wall_index, float(np.mod(z[row], orbit_duration))
     times_since_others = np.mod(z[row] - z[other_rows], orbit_duration)
@@ -188,31 +176,29 @@ def _location_without_row(problem, z, row, other_rows):
     )
 
 
-def find_all_exits(problem, z, length_scale):
+def find_all_exits(problem, z):
     """Find the branches that emanate from a grazing, also at smooth soft walls (`is_smooth_soft_wall`).
 
     Parameters
     ----------
-    problem : OrbitEquations
+    problem : OrbitProblem
         Equations of the orbit.
     z : ndarray
         Unknowns at the grazing.
-    length_scale : float
-        Length of the scene.
 
     Returns
     -------
-    grazing_contacts : list of GrazingContact
-        Grazing contacts.
-    exits : list of BranchFromGrazing
-        Branches that emanate from the grazing.
-    complete : bool
-        True if all exits are known.
+    GrazingPoint
+        Grazing contacts, and the branches that emanate from the grazing. They include the branch that led to it. A
+        branch is unknown if Newton's method fails.
     """
-    return branches_from_grazing.find_grazing_exits(problem, z, length_scale, _generate_exits)
+    grazing_contacts = find_grazing_contacts(problem, z)
+    outcomes = list(_generate_exits(problem, z, grazing_contacts))
+    exits = tuple(grazing_exit for grazing_exit, _ in outcomes if grazing_exit)
+    return GrazingPoint(tuple(grazing_contacts), exits, all(is_certain for _, is_certain in outcomes))
 
 
-def _generate_exits(problem, z, grazing_contacts, length_scale):
+def _generate_exits(problem, z, grazing_contacts):
     """Yield the results of `branches_from_grazing.check_exit_along_tangent` for all exits.
 
     If `is_smooth_soft_wall` is true for all contacts, the exits are computed from the orbit that omits the contacts.
@@ -221,18 +207,13 @@ def _generate_exits(problem, z, grazing_contacts, length_scale):
     if not grazing_contacts or not all(
         is_smooth_soft_wall(problem.scene, contact_or_location.side) for contact_or_location in grazing_contacts
     ):
-        yield from branches_from_grazing.try_contact_choices(problem, z, grazing_contacts, length_scale)
+        yield from branches_from_grazing.try_contact_choices(problem, z, grazing_contacts)
         return
     empty_inclusion_mask = (False,) * len(grazing_contacts)
     reduced_problem, reduced_z, omitted_locations = include_grazing_contacts(
         problem, z, grazing_contacts, empty_inclusion_mask
     )
-    tangent = event_search.unit_tangent(
-        continuation_problem(reduced_problem),
-        reduced_z,
-        arclength_weights(reduced_problem, length_scale),
-        reduced_problem,
-    )
+    tangent = reduced_problem.tangent(reduced_z)
     time_ordered_indices = sorted(
         range(len(grazing_contacts)),
         key=lambda k: (
@@ -254,7 +235,7 @@ def _generate_exits(problem, z, grazing_contacts, length_scale):
                 reduced_problem, reduced_z, tangent, omitted_locations
             )
             yield branches_from_grazing.check_exit_along_tangent(
-                reduced_problem, reduced_z, sign * tangent, growth_rates_along, length_scale, empty_inclusion_mask
+                reduced_problem, reduced_z, sign * tangent, growth_rates_along, empty_inclusion_mask
             )
         else:
             depth_growths = {
@@ -262,7 +243,7 @@ def _generate_exits(problem, z, grazing_contacts, length_scale):
                 for k in time_ordered_indices
                 if sign * distance_growth_rates[k] <= -ZERO_RATE
             }
-            yield _exit_into_walls(problem, z, grazing_contacts, depth_growths, sign * tangent, length_scale)
+            yield _exit_into_walls(problem, z, grazing_contacts, depth_growths, sign * tangent)
 
 
 class DepthGrowthAlongBranch(NamedTuple):
@@ -280,7 +261,7 @@ class DepthGrowthAlongBranch(NamedTuple):
     separation_acceleration: float
 
 
-def _exit_into_walls(problem, z, grazing_contacts, depth_growths, reduced_tangent, length_scale):
+def _exit_into_walls(problem, z, grazing_contacts, depth_growths, reduced_tangent):
     """Return (`BranchFromGrazing` along which the mass enters walls, or None; True if this result is certain).
 
     `depth_growths` maps the index of each new contact to the `DepthGrowthAlongBranch`, in order along the orbit.
@@ -293,19 +274,13 @@ def _exit_into_walls(problem, z, grazing_contacts, depth_growths, reduced_tangen
     new_problem, grazing_z, _ = include_grazing_contacts(problem, z, grazing_contacts, inclusion_mask)
     for relative_speed in OFFSET_SPEEDS:
         z_guess, tangent = _guess_beyond_grazing(
-            new_problem, grazing_z, list(depth_growths.values()), reduced_tangent, relative_speed * length_scale
+            new_problem, grazing_z, list(depth_growths.values()), reduced_tangent, relative_speed * problem.length_scale
         )
         grazing_exit, _ = branches_from_grazing.step_along_exit(
-            new_problem, z_guess, tangent, length_scale, inclusion_mask, LOOSE_TOLERANCE, (0.0,)
+            new_problem, z_guess, tangent, inclusion_mask, LOOSE_TOLERANCE, (0.0,)
         )
         if grazing_exit:
-            tangent = event_search.unit_tangent(
-                continuation_problem(new_problem),
-                grazing_exit.z_near_grazing,
-                arclength_weights(new_problem, length_scale),
-                new_problem,
-                tangent,
-            )
+            tangent = new_problem.tangent(grazing_exit.z_near_grazing, tangent)
             return grazing_exit._replace(
                 point=grazing_exit.point._replace(z=grazing_exit.z_near_grazing, tangent=tangent)
             ), True
@@ -341,6 +316,4 @@ def _guess_beyond_grazing(new_problem, grazing_z, depth_growths, reduced_tangent
                 reduced_tangent[n_reduced_rows + reduced_row],
             )
             reduced_row += 1
-    return grazing_z + arclength * z_rate + tangent, tangent / np.linalg.norm(
-        arclength_weights(new_problem, arclength) * tangent
-    )
+    return grazing_z + arclength * z_rate + tangent, tangent / np.linalg.norm(new_problem.weights(arclength) * tangent)

@@ -8,13 +8,12 @@ earlier.
 
 import numpy as np
 
-from continuation.persistent_jit import FAST_COMPILE, persistent_jit
+from continuation.hostcall import FAST_COMPILE, persistent_jit
 
 from ..compiled.kernel_calls import call_as_kernel
-from ..flight.flight_coefficients import flow_coefficients
+from ..contact.kinds import flow_coefficients
 from ..orbits import chatter_and_release, impact_equations
 from ..orbits.flight_clearance import GRAZING_TOLERANCE
-from .grazing_contact import locate_zero
 from .orbit_diagnostics import diagnose
 from .orbit_equations import scene_at, sequence_at
 
@@ -36,7 +35,7 @@ def excess_speeds(problem, z):
 
     Parameters
     ----------
-    problem : OrbitEquations
+    problem : OrbitProblem
         Equations of the orbit.
     z : ndarray
         Unknowns.
@@ -56,7 +55,7 @@ def min_contact_forces(problem, z):
 
     Parameters
     ----------
-    problem : OrbitEquations
+    problem : OrbitProblem
         Equations of the orbit.
     z : ndarray
         Unknowns.
@@ -69,28 +68,26 @@ def min_contact_forces(problem, z):
     return np.asarray(diagnose(problem, z[None]).min_contact_force)[0]
 
 
-def toggle_early_lift_off(problem, z, length_scale):
+def toggle_early_lift_off(problem, z):
     """Switch between equations of orbits with and without a lift-off of the mass before it sticks.
 
     Parameters
     ----------
-    problem : OrbitEquations
+    problem : OrbitProblem
         Equations of the orbit.
     z : ndarray
         Unknowns.
-    length_scale : float
-        Length of the scene.
 
     Returns
     -------
-    OrbitEquations or None
+    OrbitProblem or None
         Switched equations; None if the orbit does not stick, or if no sticking phase begins with zero contact force.
     """
     if problem.sequence.releases is None:
         return None
     zero_force_rows = np.flatnonzero(
         abs(np.asarray(_evaluate_row_values(chatter_and_release.initial_contact_force, z, problem)))
-        < GRAZING_TOLERANCE * length_scale
+        < GRAZING_TOLERANCE * problem.length_scale
     )
     if not len(zero_force_rows):
         return None
@@ -105,7 +102,7 @@ def locate_sticking_limit(problem, z, row, row_values_of):
 
     Parameters
     ----------
-    problem : OrbitEquations
+    problem : OrbitProblem
         Equations of the orbit.
     z : ndarray
         Guess.
@@ -119,33 +116,28 @@ def locate_sticking_limit(problem, z, row, row_values_of):
     continuation.augmented_systems.RootAndResidual
         Solution.
     """
-    return locate_zero(problem, z, lambda z: row_values_of(problem, z)[row], _dependency_indices(problem, z, row))
+    n_rows, next_row = problem.n_rows, (row + 1) % problem.n_used_rows
+    # The values depend on the times and speeds of the row and of the next row, and on the parameters.
+    entry_indices = [*sorted({row, next_row, n_rows + row, n_rows + next_row}), *range(2 * n_rows, len(z))]
+    return problem.locate_zero(z, lambda z: row_values_of(problem, z)[row], entry_indices)
 
 
-def _dependency_indices(problem, z, row):
-    """Return the indices in z of the times and speeds of a row and of the next row, and of the parameters."""
-    n_rows, next_row = len(problem.sequence.sides), (row + 1) % np.count_nonzero(problem.sequence.sides)
-    return [*sorted({row, next_row, n_rows + row, n_rows + next_row}), *range(2 * n_rows, len(z))]
-
-
-def sticking_limit_kind(problem, z, length_scale):
+def sticking_limit_kind(problem, z):
     """Classify the limit of an orbit that sticks.
 
     Parameters
     ----------
-    problem : OrbitEquations
+    problem : OrbitProblem
         Equations of the orbit.
     z : ndarray
         Unknowns.
-    length_scale : float
-        Length of the scene.
 
     Returns
     -------
     str
         ``"CH"`` if a sticking phase begins to exist, ``"RL"`` if the least contact force vanishes, otherwise empty.
     """
-    rounding_tolerance, release_codes = GRAZING_TOLERANCE * length_scale, problem.sequence.releases
+    rounding_tolerance, release_codes = GRAZING_TOLERANCE * problem.length_scale, problem.sequence.releases
     zero_force_rows = np.flatnonzero(abs(min_contact_forces(problem, z)) < rounding_tolerance)
     if release_codes is None:
         return "CH" if len(zero_force_rows) else ""

@@ -81,16 +81,16 @@ def _test_for_chaos(scene, amplitudes, initial_states, **spectrum_settings):
 
 def stable_labels_at(branches, parameter_value):
     """Return the labels of the stable orbits at a parameter value, one label for each crossing of a branch."""
-    labels = []
-    for branch in branches:
-        for segment in branch.segments:
-            segment_slice = slice(segment.first, segment.last + 1)
-            value_offsets, is_stable = branch.values[segment_slice] - parameter_value, branch.stable[segment_slice]
-            is_stable_crossing = (
-                (value_offsets[:-1] * value_offsets[1:] <= 0)
-                & (value_offsets[:-1] != 0)
-                & is_stable[:-1]
-                & is_stable[1:]
-            )
-            labels += [segment.label] * int(is_stable_crossing.sum())
-    return labels
+    return [
+        segment.label
+        for branch in branches
+        for segment in branch.segments
+        for row in crossing_rows(branch, segment, parameter_value)
+        if branch.values[row] != parameter_value and branch.stable[row] and branch.stable[row + 1]
+    ]
+
+
+def crossing_rows(branch, segment, parameter_value):
+    """Return the rows of a branch inside a segment between which and the next row a parameter value lies."""
+    value_offsets = branch.values[segment.first : segment.last + 1] - parameter_value
+    return segment.first + np.flatnonzero(value_offsets[:-1] * value_offsets[1:] <= 0)

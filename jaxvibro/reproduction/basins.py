@@ -13,7 +13,7 @@ from ..orbits.find import find_orbit
 from ..orbits.orbit import OrbitError
 from .attractor_checks import basin_shares_text, unresolved_allowance
 from .claim import additional_claim, statement_claim
-from .figure_panels import FigureResult, figure_style, make_figure, panel_scene_files, png_bytes, trim_axis_labels
+from .figure_panels import FigureResult, make_figure, panel_scene_files, png_bytes, trim_axis_labels
 
 PANEL_LETTERS = "ab"
 SAMPLES_PER_CELL = 4  # samples of a manifold per width of a cell
@@ -50,16 +50,15 @@ def reproduce_figure_5(scene_file, diagram_scene_file, show_progress):
         panel_results.append((scene, basin_data, manifold_by_saddle))
         claims += _chaos_claims(scene, attractors, len(panel_results) == 1)
     claims += _boundary_claims(*panel_results[0])
-    with figure_style():
-        return FigureResult(
-            _figure_png(panel_results),
-            CAPTION,
-            tuple(claims),
-            {
-                f".{panel_letter}": panel_result[1]
-                for panel_letter, panel_result in zip(PANEL_LETTERS, panel_results, strict=True)
-            },
-        )
+    return FigureResult(
+        _figure_png(panel_results),
+        CAPTION,
+        tuple(claims),
+        {
+            f".{panel_letter}": panel_result[1]
+            for panel_letter, panel_result in zip(PANEL_LETTERS, panel_results, strict=True)
+        },
+    )
 
 
 def find_saddles(scene, diagram):

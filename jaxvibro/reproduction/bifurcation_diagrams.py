@@ -10,9 +10,9 @@ from ..attractors.find import find_attractors
 from ..branches.explore import explore
 from ..studies.results_dataset import make_results_dataset
 from ..studies.scene_file_studies import run_studies
-from .attractor_checks import basin_shares_text, largest_exponent, locate_chaos_onset, stable_labels_at
+from .attractor_checks import basin_shares_text, crossing_rows, largest_exponent, locate_chaos_onset, stable_labels_at
 from .claim import additional_claim, number_claim, statement_claim
-from .figure_panels import FigureResult, add_figure_legend, figure_style, make_figure, png_bytes, trim_axis_labels
+from .figure_panels import FigureResult, add_figure_legend, make_figure, png_bytes, trim_axis_labels
 from .special_points import ROUNDING, explore_twice, nearest_special_point, neighbour_labels, special_point_value
 
 N_STARTS = 100
@@ -127,19 +127,13 @@ def _stability_note(diagram, amplitude, orbit_label="P111"):
     The bound is the largest magnitude of the multipliers at the neighbouring points of the branch. If several orbits
     have the label, the smallest bound is used. The stability itself is not checked.
     """
-    multiplier_magnitudes = []
-    for branch in diagram.branches:
-        for segment in (
-            candidate_segment for candidate_segment in branch.segments if candidate_segment.label == orbit_label
-        ):
-            segment_values, segment_multipliers = (
-                values_or_multipliers[segment.first : segment.last + 1]
-                for values_or_multipliers in (branch.values, branch.multipliers)
-            )
-            (crossing_rows,) = np.nonzero((segment_values[:-1] - amplitude) * (segment_values[1:] - amplitude) <= 0)
-            multiplier_magnitudes += [
-                abs(segment_multipliers[crossing_row : crossing_row + 2]).max() for crossing_row in crossing_rows
-            ]
+    multiplier_magnitudes = [
+        abs(branch.multipliers[row : row + 2]).max()
+        for branch in diagram.branches
+        for segment in branch.segments
+        if segment.label == orbit_label
+        for row in crossing_rows(branch, segment, amplitude)
+    ]
     return (
         f"At {amplitude:g} {orbit_label} is still stable: its multipliers there are at most"
         f" {min(multiplier_magnitudes, default=np.nan):.3f}."
@@ -286,10 +280,7 @@ def _results_and_diagrams(scene_file, show_progress):
 
 
 def _figure_result(study_results, claims):
-    with figure_style():
-        return FigureResult(
-            _figure_png(study_results), CAPTION, tuple(claims), {"": make_results_dataset(study_results)}
-        )
+    return FigureResult(_figure_png(study_results), CAPTION, tuple(claims), {"": make_results_dataset(study_results)})
 
 
 def _figure_png(study_results):

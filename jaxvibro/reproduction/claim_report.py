@@ -2,6 +2,7 @@
 
 import base64
 import html
+from collections import Counter
 
 from .claim import computed_value_text
 
@@ -42,16 +43,12 @@ def claim_rows(claims):
 
 def verdict_counts_text(claims):
     """Return sentences with the number of claims per verdict: for the paper, and for the additional claims."""
-    verdicts_by_table = [
-        (table_title, [claim.verdict for claim in claims if claim.ours == is_additional])
-        for table_title, is_additional in TABLE_TITLES
-    ]
-    return " ".join(
-        f"{table_title}: {len(verdicts)}"
-        f" ({', '.join(f'{verdict}: {verdicts.count(verdict)}' for verdict in dict.fromkeys(verdicts))})."
-        for table_title, verdicts in verdicts_by_table
-        if verdicts
-    )
+    sentences = []
+    for table_title, table_claims in _claims_by_table(claims):
+        verdict_counts = Counter(claim.verdict for claim in table_claims)
+        counts_text = ", ".join(f"{verdict}: {count}" for verdict, count in verdict_counts.items())
+        sentences.append(f"{table_title}: {len(table_claims)} ({counts_text}).")
+    return " ".join(sentences)
 
 
 def _claims_by_table(claims):

@@ -83,8 +83,9 @@ def symmetric_orbit_state(scene):
     State
         State after an impact on the right wall, on the orbit with the faster impacts.
     """
-    scene_params = [float(getattr(scene, key)) for key in ("frequency", "damping", "restitution", "amplitude")]
-    frequency, damping, restitution, amplitude = scene_params
+    frequency, damping, restitution, amplitude = (
+        float(getattr(scene, key)) for key in ("frequency", "damping", "restitution", "amplitude")
+    )
     position_coeff, velocity_coeff = (
         float(value) for value in _symmetric_orbit_coeffs(frequency, damping, restitution)
     )

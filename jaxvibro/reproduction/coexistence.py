@@ -20,7 +20,6 @@ from .claim import additional_claim, statement_claim
 from .figure_panels import (
     FigureResult,
     add_figure_legend,
-    figure_style,
     make_figure,
     panel_scene_files,
     png_bytes,
@@ -60,8 +59,7 @@ def reproduce_figure_12(scene_file, show_progress):
         *_curve_meeting_claims(scene_file, panel_results),
         _unequal_walls_claim(scene_file),
     ]
-    with figure_style():
-        return FigureResult(_figure_png(scene_file, panel_results), CAPTION, tuple(claims))
+    return FigureResult(_figure_png(scene_file, panel_results), CAPTION, tuple(claims))
 
 
 def boundary_loci(scene, scene_file):

@@ -6,7 +6,7 @@ from ..maps.simulate import simulate
 from ..orbits.find import find_orbit
 from ..plot.style import COLOURS, COORDINATE_LABELS, TIME_LABEL, WALL_COLOUR
 from ..scene.state import State
-from .figure_panels import FigureResult, add_figure_legend, figure_style, make_figure, panel_scene_files, png_bytes
+from .figure_panels import FigureResult, add_figure_legend, make_figure, panel_scene_files, png_bytes
 
 N_SAMPLES, MAX_POSITION = 600, 1.5
 LINE_STYLES = ("-", "--")
@@ -25,8 +25,7 @@ def reproduce_figure_9(scene_file, show_progress):
         scene = panel_scene_file.scene.make()
         orbit = find_orbit(scene, START_STATE)
         scene_motions.append((scene, simulate(scene, orbit.state, orbit.periods, N_SAMPLES)))
-    with figure_style():
-        return FigureResult(_figure_png(scene_motions), CAPTION, ())
+    return FigureResult(_figure_png(scene_motions), CAPTION, ())
 
 
 def spring_force(scene, x):

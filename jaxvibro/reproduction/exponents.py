@@ -8,7 +8,7 @@ from ..attractors.spectrum import spectrum
 from ..orbits.find import find_orbit
 from ..scene.state import State
 from .claim import additional_claim
-from .figure_panels import FigureResult, figure_style, make_figure, png_bytes
+from .figure_panels import FigureResult, make_figure, png_bytes
 from .special_points import ROUNDING
 
 PERIODIC_AMPLITUDE = 2.0  # amplitude at which the motion is P111
@@ -32,15 +32,14 @@ def reproduce_figure_8(scene_file, show_progress):
             error=spectrum_table.error,
             progress=lambda n_done: progress_bar.update(n_done - progress_bar.n),
         )
-    with figure_style():
-        figure, ((ax,),) = make_figure(1, 1, 3.2)
-        plot.spectrum(exponent_data, ax).legend(frameon=False, loc="lower left")
-        return FigureResult(
-            png_bytes(figure),
-            CAPTION,
-            tuple(_exponent_claims(scene, spectrum_table, exponent_data)),
-            {"": exponent_data},
-        )
+    figure, ((ax,),) = make_figure(1, 1, 3.2)
+    plot.spectrum(exponent_data, ax).legend(frameon=False, loc="lower left")
+    return FigureResult(
+        png_bytes(figure),
+        CAPTION,
+        tuple(_exponent_claims(scene, spectrum_table, exponent_data)),
+        {"": exponent_data},
+    )
 
 
 def _exponent_claims(scene, spectrum_table, exponent_data):

@@ -110,19 +110,15 @@ def _run_block(oscillator_params, row_indices, state_rows, strobe_result, steps_
     """Integrate some rows and write their results to `strobe_result`."""
     period, max_impacts = 2.0 * np.pi / oscillator_params.frequency, strobe_result.sides.shape[1]
     step_length = period / steps_per_period
-    x, v, amplitude = state_rows[row_indices].T.copy()
-    initial_times, all_false = np.zeros(len(row_indices)), np.zeros(len(row_indices), dtype=bool)
-    impact_counts = np.zeros(len(row_indices), dtype=int)
+    n_lanes = len(row_indices)
     lanes = UnfinishedLanes(
         row_indices,
-        x,
-        v,
-        amplitude,
-        initial_times,
-        np.full(len(row_indices), step_length),
-        all_false,
-        all_false,
-        impact_counts,
+        *state_rows[row_indices].T.copy(),
+        time=np.zeros(n_lanes),
+        step=np.full(n_lanes, step_length),
+        is_searching=np.zeros(n_lanes, dtype=bool),
+        is_beyond=np.zeros(n_lanes, dtype=bool),
+        count=np.zeros(n_lanes, dtype=int),
     )
     while lanes.row.size:
         lanes, contact_lane_indices = _step_lanes(oscillator_params, lanes, step_length, period, bracket_width)

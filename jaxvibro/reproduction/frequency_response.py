@@ -23,7 +23,6 @@ from .closed_forms import forced_motion_state
 from .figure_panels import (
     FigureResult,
     add_figure_legend,
-    figure_style,
     make_figure,
     panel_scene_files,
     png_bytes,
@@ -94,8 +93,7 @@ def reproduce_figure_10(scene_file, show_progress):
     ]
     claims += [*_coexistence_claims(responses), _flat_top_claim(panel_scenes[0].replace(damping=gamma), branch_table)]
     caption = CAPTION.format(float(panel_scenes[0].amplitude), float(panel_scenes[0].left.damping), gamma)
-    with figure_style():
-        return FigureResult(_figure_png(panel_scenes, responses), caption, tuple(claims))
+    return FigureResult(_figure_png(panel_scenes, responses), caption, tuple(claims))
 
 
 def frequency_response(scene, branch_table):

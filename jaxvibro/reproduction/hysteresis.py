@@ -3,13 +3,13 @@
 import numpy as np
 
 from .. import plot
+from ..output.equal_runs import find_equal_runs
 from ..studies.scene_file_studies import run_studies
 from .claim import number_claim, statement_claim
 from .closed_forms import forced_motion_state
 from .figure_panels import (
     FigureResult,
     add_figure_legend,
-    figure_style,
     make_figure,
     panel_scene_files,
     png_bytes,
@@ -35,8 +35,7 @@ def reproduce_figure_2(scene_file, show_progress):
         run_studies(panel_scene_file, show_progress=show_progress) for panel_scene_file in panel_scene_files(scene_file)
     ]
     loop_edges = [_loop_edges(panel_result) for panel_result in panel_results]
-    with figure_style():
-        figure_png = _figure_png(panel_results)
+    figure_png = _figure_png(panel_results)
     claims = [
         claim
         for frequency_index, printed_jumps in enumerate(PRINTED_JUMPS)
@@ -113,8 +112,11 @@ def hysteresis_ranges(sweep_data):
     parameter_values = sweep_data[sweep_data.attrs["swept"]].transpose("step", "leg").values
     down_positions, up_positions = sweep_data["x"].transpose("leg", "step", "period").values
     is_different = abs(up_positions - down_positions[::-1]).max(axis=1) > LEG_TOLERANCE
-    range_edges = np.flatnonzero(np.diff(np.concatenate([[False], is_different, [False]])))
-    return [(parameter_values[start, 1], parameter_values[stop - 1, 1]) for start, stop in range_edges.reshape(-1, 2)]
+    return [
+        (parameter_values[start, 1], parameter_values[stop - 1, 1])
+        for start, stop in find_equal_runs(is_different)
+        if is_different[start]
+    ]
 
 
 def _wider_loop_claim(study_results, narrow_edges, wide_edges):

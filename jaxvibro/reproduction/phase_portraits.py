@@ -14,7 +14,7 @@ from ..scene.state import State
 from .attractor_checks import basin_shares_text, unresolved_allowance
 from .claim import statement_claim
 from .closed_forms import forced_motion_state, grazing_amplitude
-from .figure_panels import FigureResult, figure_style, make_figure, panel_scene_files, png_bytes, trim_axis_labels
+from .figure_panels import FigureResult, make_figure, panel_scene_files, png_bytes, trim_axis_labels
 
 PANEL_LETTERS = "abcde"
 CLAIMED_LABELS = ("P100", "P111", "P111", "P112", "P121")  # in the order of the panels
@@ -38,8 +38,7 @@ def reproduce_figure_3(scene_file, show_progress):
     claims = [_existence_claim(panel_index, *panel_result) for panel_index, panel_result in enumerate(panel_results)]
     claims.insert(SYMMETRIC_PANEL + 1, _symmetry_claim(*panel_results[SYMMETRIC_PANEL][:2]))
     claims.insert(ASYMMETRIC_PANEL + 2, _asymmetry_claim(*panel_results[ASYMMETRIC_PANEL][:2]))
-    with figure_style():
-        return FigureResult(_figure_png(panel_results), CAPTION, tuple(claims))
+    return FigureResult(_figure_png(panel_results), CAPTION, tuple(claims))
 
 
 class StableMotion(NamedTuple):

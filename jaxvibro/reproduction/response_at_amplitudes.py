@@ -9,7 +9,6 @@ from .closed_forms import grazing_amplitude
 from .figure_panels import (
     FigureResult,
     add_figure_legend,
-    figure_style,
     make_figure,
     panel_scene_files,
     png_bytes,
@@ -33,8 +32,7 @@ def reproduce_figure_11(scene_file, show_progress):
         (panel_scene_file.scene.make(), frequency_response(panel_scene_file.scene.make(), scene_file.branch))
         for panel_scene_file in panel_scene_files(scene_file)
     ]
-    with figure_style():
-        return FigureResult(_figure_png(scene_file, scene_responses), CAPTION, ())
+    return FigureResult(_figure_png(scene_file, scene_responses), CAPTION, ())
 
 
 def trace_special_point(special_point, amplitudes):

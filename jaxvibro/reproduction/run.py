@@ -21,7 +21,7 @@ from ..studies import scene_file
 from .claim import Claim
 from .claim_report import report_html, report_markdown, verdict_counts_text
 from .figure_jobs import JOBS
-from .figure_panels import FigureResult
+from .figure_panels import FigureResult, figure_style
 
 ROOT = Path(__file__).parents[1]
 REPORT_NAME = "report"
@@ -119,9 +119,9 @@ def paper(
     for figure_name in names:
         _read_scene_files(scenes_folder, figure_name)
     content_keys = {
-        figure_name: _content_key(scenes_folder, JOBS[figure_name].files)
-        for figure_name in JOBS
-        if _scene_files_exist(scenes_folder, JOBS[figure_name].files)
+        figure_name: _content_key(scenes_folder, job.files)
+        for figure_name, job in JOBS.items()
+        if all((scenes_folder / f"{file_name}.toml").is_file() for file_name in job.files)
     }
     require_writable_folder(out)
     out.mkdir(parents=True, exist_ok=True)
@@ -178,12 +178,10 @@ def _compute_figure(figure_name, scenes_folder, output_folder, key, show_progres
     start_time = time.perf_counter()
     if show_progress:
         print(figure_name, file=sys.stderr, flush=True)
-    _save_result(
-        output_folder,
-        figure_name,
-        key,
-        JOBS[figure_name].reproduce(*_read_scene_files(scenes_folder, figure_name), show_progress=show_progress),
-    )
+    scene_files = _read_scene_files(scenes_folder, figure_name)
+    with figure_style():
+        figure_result = JOBS[figure_name].reproduce(*scene_files, show_progress=show_progress)
+    _save_result(output_folder, figure_name, key, figure_result)
     return figure_name, time.perf_counter() - start_time
 
 
@@ -191,10 +189,6 @@ def _default_scenes_folder():
     """Return the folder of the scene files, inside an installed package or beside the package in a checkout."""
     packaged_scenes_folder = ROOT / "scenes"
     return packaged_scenes_folder if packaged_scenes_folder.is_dir() else ROOT.parent / "scenes"
-
-
-def _scene_files_exist(scenes_folder, file_names):
-    return all((scenes_folder / f"{file_name}.toml").is_file() for file_name in file_names)
 
 
 def _content_key(scenes_folder, file_names):

@@ -11,7 +11,6 @@ from .claim import additional_claim, statement_claim
 from .figure_panels import (
     FigureResult,
     add_figure_legend,
-    figure_style,
     make_figure,
     panel_scene_files,
     png_bytes,
@@ -37,8 +36,7 @@ def reproduce_wall_diagrams(scene_file, show_progress):
         panel_results.append((scene, diagrams.first))
         claims += _fold_claims(scene, diagrams)
     claims += [*_mirror_claims(scene_file, *panel_results[0]), _moving_wall_fold_claim(scene_file, panel_results[0][0])]
-    with figure_style():
-        return FigureResult(_figure_png(panel_results), CAPTION, tuple(claims))
+    return FigureResult(_figure_png(panel_results), CAPTION, tuple(claims))
 
 
 def _closed_form_fold(scene):

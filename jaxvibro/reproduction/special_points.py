@@ -7,7 +7,6 @@ import numpy as np
 from ..branches.diagram import Diagram
 from ..branches.explore import explore
 from ..maps.itinerary import format_label, mirror_itinerary
-from ..problem.orbit_point import itinerary_of_point
 
 SECOND_LARGEST_STEP = 0.07  # of the second diagram; the first has 0.1
 ROUNDING = 8.0 * np.finfo(float).eps
@@ -73,10 +72,7 @@ def nearest_special_point(diagram, kind, target_value=-np.inf, orbit_label=None,
 
 def neighbour_labels(special_point):
     """Return the labels of the orbits that meet at a grazing."""
-    return {
-        format_label(itinerary_of_point(orbit_row, float(special_point.scene.frequency)))
-        for orbit_row in special_point.joins
-    }
+    return {format_label(neighbour.itinerary) for neighbour in special_point.joins}
 
 
 def _matches_orbit(special_point, orbit_label, n_periods):

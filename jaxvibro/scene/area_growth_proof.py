@@ -16,11 +16,10 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.extend import core
 
 from . import check
 from .force import with_positional_params
-from .force_operations import cached_jaxpr, find_inner_jaxpr
+from .force_operations import cached_jaxpr, find_inner_jaxpr, is_literal, keeps_dtype
 from .interval_arithmetic import (
     BOOLEAN,
     DISCONTINUOUS,
@@ -188,7 +187,7 @@ def _analyse_v_dependence(jaxpr, is_input_dependent):
     is_continuous = True
     for eqn in jaxpr.eqns:
         eqn_input_dependence = [
-            not isinstance(variable, core.Literal) and depends_on_v.get(variable, False) for variable in eqn.invars
+            not is_literal(variable) and depends_on_v.get(variable, False) for variable in eqn.invars
         ]
         inner_jaxpr, eqn_output_dependence = find_inner_jaxpr(eqn), [any(eqn_input_dependence)] * len(eqn.outvars)
         if inner_jaxpr is not None:
@@ -199,19 +198,12 @@ def _analyse_v_dependence(jaxpr, is_input_dependent):
             is_eqn_continuous = (
                 not any(eqn_input_dependence)
                 or is_selection
-                or _keeps_dtype(eqn)
+                or keeps_dtype(eqn)
                 or (name in OPERATION_RULES and name not in DISCONTINUOUS)
             )
         is_continuous = is_continuous and is_eqn_continuous
         depends_on_v.update(zip(eqn.outvars, eqn_output_dependence, strict=True))
-    return is_continuous, [
-        not isinstance(variable, core.Literal) and depends_on_v.get(variable, False) for variable in jaxpr.outvars
-    ]
-
-
-def _keeps_dtype(eqn):
-    """Return True if an operation is a type conversion that does not change the type."""
-    return eqn.primitive.name == "convert_element_type" and eqn.invars[0].aval.dtype == eqn.outvars[0].aval.dtype
+    return is_continuous, [not is_literal(variable) and depends_on_v.get(variable, False) for variable in jaxpr.outvars]
 
 
 def _bound_derivative(v_derivative_jaxpr, cells):
@@ -235,7 +227,7 @@ def _evaluate_on_intervals(closed_jaxpr, input_intervals):
     producing_eqns: dict[Any, Any] = {}
 
     def read_interval(variable):
-        return _constant_interval(variable.val) if isinstance(variable, core.Literal) else variable_intervals[variable]
+        return _constant_interval(variable.val) if is_literal(variable) else variable_intervals[variable]
 
     for eqn in closed_jaxpr.jaxpr.eqns:
         inner_jaxpr = find_inner_jaxpr(eqn)
@@ -262,7 +254,7 @@ def _operation_interval(eqn, producing_eqns, read_interval):
     operation_name, (output_variable,) = eqn.primitive.name, eqn.outvars
     widest_interval = BOOLEAN if output_variable.aval.dtype == bool else ENTIRE
     has_interval_rule = operation_name in OPERATION_RULES and (
-        operation_name != "convert_element_type" or _keeps_dtype(eqn) or eqn.invars[0].aval.dtype == bool
+        operation_name != "convert_element_type" or keeps_dtype(eqn) or eqn.invars[0].aval.dtype == bool
     )
     is_real_scalar = not any(variable.aval.shape for variable in (*eqn.invars, output_variable)) and not np.issubdtype(
         output_variable.aval.dtype, np.integer
@@ -280,7 +272,7 @@ def _repeated_operand_result(eqn, producing_eqns, read_interval):
     The expressions are a square, a + a b and a - a b. The last two are evaluated as a (1 + b) and a (1 - b).
     """
     operation_name = eqn.primitive.name
-    if operation_name not in ("mul", *SUM_RULES) or any(isinstance(variable, core.Literal) for variable in eqn.invars):
+    if operation_name not in ("mul", *SUM_RULES) or any(is_literal(variable) for variable in eqn.invars):
         return None
     left_operand, right_operand = eqn.invars
     if operation_name == "mul":

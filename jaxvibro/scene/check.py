@@ -111,6 +111,12 @@ def convert_to_scene_errors(function: Callable[Params, Result]) -> Callable[Para
     return wrapper
 
 
+def set_fields(record, **values):
+    """Set fields of a frozen dataclass, for its `__post_init__`."""
+    for name, value in values.items():
+        object.__setattr__(record, name, value)
+
+
 def shorten_text(text, max_length=80):
     """Put a text on one line of limited length.
 
@@ -378,19 +384,9 @@ def require_independent(*names):
 
 def require_rigid_or_soft(side, wall):
     """Check that a wall is either rigid or soft, and that a soft wall has either a stiffness or a contact law."""
-    for parameter_name in ("restitution", "stiffness", "damping") if wall.law is not None else ():
-        if getattr(wall, parameter_name) is not None:
-            raise ArgumentError(
-                f"{side}.{parameter_name}",
-                "must not be given for a wall with a contact law",
-                getattr(wall, parameter_name),
-            )
-    if wall.law is not None:
-        return
-    if wall.stiffness is not None and wall.restitution is not None:
-        raise ArgumentError(f"{side}.restitution", "must not be given for a wall with stiffness", wall.restitution)
-    if wall.stiffness is None and wall.damping is not None:
-        raise ArgumentError(f"{side}.damping", "must not be given for a wall without stiffness", wall.damping)
+    for name in wall.contact_kind.refused:
+        if getattr(wall, name) is not None:
+            raise ArgumentError(f"{side}.{name}", wall.contact_kind.refusal, getattr(wall, name))
 
 
 def require_own_wall_damping(side, wall, force):
@@ -401,10 +397,11 @@ def require_own_wall_damping(side, wall, force):
 
 def require_spring_or_force(force, damping):
     """Check that either a damping or a user-defined force is given."""
-    if force is not None and damping is not None:
+    if (force is None) != (damping is None):
+        return
+    if damping is not None:
         raise ArgumentError("damping", "must not be given with a force, which replaces spring and damper", damping)
-    if force is None and damping is None:
-        raise ArgumentError("damping", "must be given, unless a force replaces spring and damper", None)
+    raise ArgumentError("damping", "must be given, unless a force replaces spring and damper", None)
 
 
 def require_spring(scene, caller):
@@ -666,7 +663,7 @@ def require_broadcast(named_arrays):
             raise ArgumentError(key, f"must broadcast with the shape {common_shape} of the others", array) from None
 
 
-def check_whole_number(key, value, minimum):
+def check_whole_number(key, value, minimum, maximum=MAX_COUNT):
     """Check an integer argument and return it as an int (a bool is refused).
 
     Parameters
@@ -677,6 +674,8 @@ def check_whole_number(key, value, minimum):
         The value.
     minimum : int
         Smallest valid value.
+    maximum : int, optional
+        Largest valid value.
 
     Returns
     -------
@@ -686,10 +685,10 @@ def check_whole_number(key, value, minimum):
     Raises
     ------
     ArgumentError
-        If the value is not an integer from `minimum` to `MAX_COUNT`.
+        If the value is not an integer from `minimum` to `maximum`.
     """
     if not isinstance(value, int | np.integer) or isinstance(value, bool) or value < minimum:
         raise ArgumentError(key, f"must be a whole number from {minimum} on", value)
-    if value > MAX_COUNT and key != "seed":
-        raise ArgumentError(key, f"must be at most {MAX_COUNT}", value)
+    if value > maximum and key != "seed":
+        raise ArgumentError(key, f"must be at most {maximum}", value)
     return int(value)

@@ -7,8 +7,8 @@ import jax
 import numpy as np
 
 from . import check
-from .force import trace_jaxpr, with_positional_params
-from .force_checks import NO_EFFECTS, check_callable
+from .force import with_positional_params
+from .force_checks import check_callable, trace_user_function
 from .push import PREDEFINED_CONTACT_LAWS, Push, hertz, hunt_crossley
 
 N_ARGUMENTS = 2  # depth and rate
@@ -17,6 +17,8 @@ PARAMETER_RULES = {
     "dissipation": (lambda value: value >= 0, "must not be negative"),
 }
 LAW_PARAMETERS = {hertz: ("stiffness",), hunt_crossley: ("stiffness", "dissipation")}
+
+_check_traceable = lru_cache(256)(trace_user_function)
 
 
 def check_contact_law(side, wall, to_checked_array, dtype, scene_force):
@@ -30,8 +32,7 @@ def check_contact_law(side, wall, to_checked_array, dtype, scene_force):
     function = check_callable(key, contact_law, PREDEFINED_CONTACT_LAWS, "depth, rate, numbers")
     params = {name: to_checked_array(f"{key}.{name}", value) for name, value in contact_law.numbers.items()}
     _check_predefined_params(key, function, params)
-    parameter_names = tuple(params)
-    _check_traceable(key, function, parameter_names, np.dtype(dtype))
+    _check_traceable(key, function, tuple(params), np.dtype(dtype), N_ARGUMENTS, function)
     if not check.is_traced(*params.values()):
         _check_zero_at_surface(key, function, params, dtype)
     return replace(contact_law, function=function, numbers=params)
@@ -47,22 +48,6 @@ def _check_predefined_params(key, function, params):
         if not check.is_traced(value):
             satisfies_rule, rule = PARAMETER_RULES[name]
             check.require(f"{key}.{name}", rule, value, satisfies_rule(value))
-
-
-@lru_cache(256)
-def _check_traceable(key, function, parameter_names, dtype):
-    """Check that JAX can trace a contact law, and that the law returns one number."""
-    try:
-        jaxpr = trace_jaxpr(function, parameter_names, dtype, N_ARGUMENTS)
-    except Exception as error:
-        error_text = check.shorten_text(f"{type(error).__name__}: {error}", 160)
-        raise check.ArgumentError(key, f"cannot be traced by JAX ({error_text})", function) from None
-    if jaxpr.effects:
-        raise check.ArgumentError(key, NO_EFFECTS, function)
-    output_avals = jaxpr.out_avals
-    if len(output_avals) != 1 or output_avals[0].shape != () or output_avals[0].dtype != dtype:
-        outputs_text = ", ".join(f"{output.dtype}{list(output.shape)}" for output in output_avals)
-        raise check.ArgumentError(key, f"must return one number of type {dtype} for scalar arguments", outputs_text)
 
 
 def _check_zero_at_surface(key, function, params, dtype):

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from . import check
-from .force import MAX_TOLERANCE, MIN_TOLERANCE, Force, trace_jaxpr, with_positional_params
+from .force import MAX_TOLERANCE, MIN_TOLERANCE, Force, with_positional_params
 from .force_operations import ops_without_series
 from .predefined_forces import NAMED_FORCES, count_knots, expected_names_if_wrong, force_name, tabulated
 
@@ -283,26 +283,10 @@ def _compile_motion_rates(function, parameter_names):
 @lru_cache(256)
 def _check_traceable(function, parameter_names, dtype):
     """Check that two traces of a force succeed and agree; return True if the force depends on t."""
-    try:
-        jaxpr, second_jaxpr = (trace_jaxpr(function, parameter_names, dtype) for _ in range(2))
-        output_tree = jax.eval_shape(
-            with_positional_params(function, parameter_names),
-            *[jax.ShapeDtypeStruct((), dtype)] * (3 + len(parameter_names)),
-        )
-    except Exception as error:
-        raise check.ArgumentError(
-            "force", f"cannot be traced by JAX ({_explain_trace_error(error, parameter_names)}", force_name(function)
-        ) from None
-    if jaxpr.effects:
-        raise check.ArgumentError("force", NO_EFFECTS, force_name(function))
-    outputs = jaxpr.out_avals
-    returns_single_leaf = jax.tree.structure(output_tree) == jax.tree.structure(0.0)
-    if not returns_single_leaf or outputs[0].shape != () or outputs[0].dtype != dtype:
-        outputs_text = ", ".join(f"{output.dtype}{list(output.shape)}" for output in outputs) or "nothing"
-        outputs_text = (
-            outputs_text if returns_single_leaf or not outputs else f"{type(output_tree).__name__} of {outputs_text}"
-        )
-        raise check.ArgumentError("force", f"must return one number of type {dtype} for scalar arguments", outputs_text)
+    jaxpr, second_jaxpr = (
+        trace_user_function("force", function, parameter_names, dtype, 3, force_name(function), _explain_trace_error)
+        for _ in range(2)
+    )
     is_reproducible = len(jaxpr.consts) == len(second_jaxpr.consts)
     is_reproducible = is_reproducible and all(
         np.array_equal(first_constant, second_constant)
@@ -321,12 +305,46 @@ def _check_traceable(function, parameter_names, dtype):
     )
 
 
+def describe_trace_error(error, parameter_names):
+    """Return the name and the text of an exception."""
+    return check.shorten_text(f"{type(error).__name__}: {error}", 160) + ")"
+
+
+def trace_user_function(
+    key, function, parameter_names, dtype, n_arguments, function_name, explain_error=describe_trace_error
+):
+    """Return the `ClosedJaxpr` of a force or a contact law, traced without a cache.
+
+    Raises ArgumentError if JAX cannot trace the function, if the function has effects, or if it returns anything but
+    one number. `function_name` is the value that the message shows. `explain_error` is a function of the exception and
+    the parameter names.
+    """
+    arguments = [jax.ShapeDtypeStruct((), dtype)] * (n_arguments + len(parameter_names))
+    positional_function = with_positional_params(function, parameter_names, n_arguments)
+    try:
+        jaxpr, output_tree = jax.make_jaxpr(positional_function, return_shape=True)(*arguments)
+    except Exception as error:
+        explanation = explain_error(error, parameter_names)
+        raise check.ArgumentError(key, f"cannot be traced by JAX ({explanation}", function_name) from None
+    if jaxpr.effects:
+        raise check.ArgumentError(key, NO_EFFECTS, function_name)
+    outputs = jaxpr.out_avals
+    returns_single_leaf = jax.tree.structure(output_tree) == jax.tree.structure(0.0)
+    if not returns_single_leaf or outputs[0].shape != () or outputs[0].dtype != dtype:
+        outputs_text = ", ".join(f"{output.dtype}{list(output.shape)}" for output in outputs) or "nothing"
+        outputs_text = (
+            outputs_text if returns_single_leaf or not outputs else f"{type(output_tree).__name__} of {outputs_text}"
+        )
+        raise check.ArgumentError(key, f"must return one number of type {dtype} for scalar arguments", outputs_text)
+    return jaxpr
+
+
 def _explain_trace_error(error, parameter_names):
     """Return the name and the text of an exception from tracing a force, with advice."""
     exception_name = type(error).__name__
     if exception_name in TRACE_ADVICE:
         return f"{exception_name}): {TRACE_ADVICE[exception_name]}"
-    reason = check.shorten_text(f"{exception_name}: {error}", 160) + ")"
+    reason = describe_trace_error(error, parameter_names)
     if isinstance(error, KeyError):
         return f"{reason}: its numbers are {', '.join(parameter_names) or 'none'}"
     return f"{reason}: it is called with (t, x, v, numbers)" if "positional argument" in reason else reason

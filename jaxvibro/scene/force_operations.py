@@ -79,13 +79,13 @@ def _has_series_rule(eqn, are_inputs_constant):
     """Return True if the Taylor series of an operation is known; more operations are known for constant inputs."""
     operation_name = eqn.primitive.name
     if operation_name == "convert_element_type":
-        return are_inputs_constant or _keeps_dtype(eqn)
+        return are_inputs_constant or keeps_dtype(eqn)
     return operation_name in SERIES_OPS_SET or (are_inputs_constant and operation_name in CONST_OPS_SET)
 
 
-def _keeps_dtype(eqn):
-    """Return True if an operation keeps the type of its input."""
-    return eqn.invars[0].aval.dtype == eqn.outvars[0].aval.dtype
+def keeps_dtype(eqn):
+    """Return True if an operation is a type conversion that does not change the type."""
+    return eqn.primitive.name == "convert_element_type" and eqn.invars[0].aval.dtype == eqn.outvars[0].aval.dtype
 
 
 def is_literal(variable):

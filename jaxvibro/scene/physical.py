@@ -123,17 +123,7 @@ def scene_from_physical(
         "frequency": _choose_alternative("frequency", frequency, "frequency_hz", frequency_hz),
         "length": _length_from_right_wall(walls, float_dtype) if length is None else length,
     }
-    checked_quantities = {
-        key: check.check_number_or_array(key, value, float_dtype) for key, value in raw_quantities.items()
-    }
-    check.require_broadcast(checked_quantities.items())
-    for key, value in checked_quantities.items():
-        if key == "stiffness" and not check.is_traced(value) and np.any(value == 0):
-            stiffness_rule = "must be greater than 0: the unit of time is sqrt(mass / stiffness)"
-            raise check.SceneError(
-                key, f"{stiffness_rule}; for a mass without a spring use make_scene with a Force", 0.0
-            )
-        check_value(key, value)
+    checked_quantities = _check_quantities(raw_quantities, float_dtype)
     _refuse_force_record(checked_quantities["force"])
     array_module = jnp if check.is_traced(*checked_quantities.values()) else np
     natural_frequency = array_module.sqrt(checked_quantities["stiffness"] / checked_quantities["mass"])
@@ -166,6 +156,22 @@ def _require_quantity(key, value):
     """Raise SceneError if a quantity is None."""
     if value is None:
         raise check.SceneError(key, "must be given", None)
+
+
+def _check_quantities(raw_quantities, float_dtype):
+    """Return the quantities as checked arrays; raise ArgumentError if one breaks its rule."""
+    checked_quantities = {
+        key: check.check_number_or_array(key, value, float_dtype) for key, value in raw_quantities.items()
+    }
+    check.require_broadcast(checked_quantities.items())
+    for key, value in checked_quantities.items():
+        if key == "stiffness" and not check.is_traced(value) and np.any(value == 0):
+            stiffness_rule = "must be greater than 0: the unit of time is sqrt(mass / stiffness)"
+            raise check.SceneError(
+                key, f"{stiffness_rule}; for a mass without a spring use make_scene with a Force", 0.0
+            )
+        check_value(key, value)
+    return checked_quantities
 
 
 def _choose_alternative(key, value, alternative_key, alternative_value):

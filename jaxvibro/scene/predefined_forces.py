@@ -109,13 +109,8 @@ def expected_names_if_wrong(function, names):
     return None if expected_names is None or set(names) == set(expected_names) else ", ".join(expected_names)
 
 
-def predefined_force_name(function):
-    """Return the name of a predefined force, or None."""
-    return next((name for name, force in NAMED_FORCES.items() if force is function), None)
-
-
 def force_name(function):
-    """Return the name of a force: the registered name, or the name of its function.
+    """Return the name of the function of a force.
 
     Parameters
     ----------
@@ -127,4 +122,4 @@ def force_name(function):
     str
         The name.
     """
-    return predefined_force_name(function) or getattr(function, "__name__", "force")
+    return getattr(function, "__name__", "force")

@@ -55,8 +55,3 @@ def hunt_crossley(depth, depth_rate, params):
 
 
 PREDEFINED_CONTACT_LAWS = {law.__name__: law for law in (hertz, hunt_crossley)}
-
-
-def predefined_law_name(function):
-    """Return the name of a predefined law, or None."""
-    return next((name for name, contact_law in PREDEFINED_CONTACT_LAWS.items() if contact_law is function), None)

@@ -18,7 +18,6 @@ from .area_growth_proof import areas_never_grow
 from .contact_law_checks import check_contact_law
 from .force import Force
 from .force_checks import check_force, check_force_values, describe_flow
-from .push import Push
 from .scales import Scales
 from .scene_checks import check_scene
 from .wall import Motion, Wall
@@ -176,7 +175,7 @@ class Scene:
         if name == "hardness":
             stiffness = getattr(self, self.soft_sides[0]).stiffness
             return (jnp if check.is_traced(stiffness) else np).log10(stiffness)
-        value: Any = reduce(_child_node, name.split(".", 1) if name.startswith("force.") else name.split("."), self)
+        value: Any = reduce(_child_node, _key_path(name), self)
         return getattr(self, name.split(".")[-1]) if value is None else value
 
     @property
@@ -239,7 +238,8 @@ class Scene:
         SceneError
             If a name is not a parameter of the scene, or a value breaks its rule.
         """
-        return _make_checked_scene(vars(replace_unchecked(self, changes)), self.dtype)
+        scene = replace_unchecked(self, changes)
+        return map_scene_numbers(jnp.asarray, validate_scene(scene, check.check_float_type(self.dtype)))
 
 
 _LEAF_NAMES = [entry.name for entry in fields(Scene) if entry.name != "scales"]
@@ -311,15 +311,25 @@ def make_scene(
     >>> one_wall.shape, list(one_wall.walls)
     ((5,), ['right'])
     """
-    wall_by_side: dict[str, Any] = dict(zip(SIDES, check.check_walls_are_pair(walls), strict=True))
+    scene = check_scene_arguments(
+        amplitude, frequency, damping, restitution, walls, check.check_float_type(dtype), force, drive
+    )
+    return map_scene_numbers(jnp.asarray, scene)
+
+
+def check_scene_arguments(amplitude, frequency, damping, restitution, walls, dtype, force, drive):
+    """Return the checked scene of the arguments of `make_scene` as NumPy arrays of one type (tracers stay tracers).
+
+    Raises ArgumentError if an argument breaks its rule.
+    """
+    wall_by_side = dict(zip(SIDES, check.check_walls_are_pair(walls), strict=True))
     for side, wall in wall_by_side.items():
         if isinstance(wall, Motion):
             raise check.SceneError(side, "must be a position, None or a Wall", wall)
     numerical_fields = {"amplitude": amplitude, "frequency": frequency, "damping": damping}
     numerical_fields["restitution"] = restitution_or_default(restitution, wall_by_side.values())
-    return _make_checked_scene(
-        {**numerical_fields, **wall_by_side, "harder": None, "force": force, "drive": drive}, dtype
-    )
+    field_values = {**numerical_fields, **wall_by_side, "harder": None, "force": force, "drive": drive}
+    return _check_scene_and_force(_scene_from_fields(field_values, dtype))
 
 
 def restitution_or_default(restitution, walls):
@@ -359,7 +369,7 @@ def replace_unchecked(scene, new_values):
     """
     for name, value in sorted(new_values.items(), key=lambda change: change[0] != "hardness"):
         check.require_parameter(name, scene.names, value)
-        scene = _set_hardness(scene, value) if name == "hardness" else _set_leaf(scene, name.split("."), value)
+        scene = _set_hardness(scene, value) if name == "hardness" else _set_leaf(scene, _key_path(name), value)
     return scene
 
 
@@ -402,11 +412,16 @@ def harden_wall(stiffness, damping, log10_factor):
         return new_stiffness, damping * array_module.sqrt((1.0 + new_stiffness) / (1.0 + stiffness))
 
 
-def _child_node(node, name):
-    """Return the child of a given name of a node of the scene's tree."""
+def _key_path(name):
+    """Return the path of a parameter in the scene's tree; parameters of a force or a contact law are in a dict."""
+    return name.replace("force.", "force.numbers.").replace(".law.", ".law.numbers.").split(".")
+
+
+def _child_node(node, key):
+    """Return the child of a given key of a node of the scene's tree."""
     if isinstance(node, tuple):
-        return node[int(name)]
-    return node.numbers[name] if isinstance(node, Force | Push) else getattr(node, name)
+        return node[int(key)]
+    return node[key] if isinstance(node, dict) else getattr(node, key)
 
 
 def _set_leaf(node, key_path, value):
@@ -417,17 +432,10 @@ def _set_leaf(node, key_path, value):
             _set_leaf(child, remaining_keys, value) if child_index == int(first_key) else child
             for child_index, child in enumerate(node)
         )
-    if isinstance(node, Force | Push):
-        return replace(node, numbers={**node.numbers, ".".join(key_path): value})
+    if isinstance(node, dict):
+        return {**node, first_key: value}
     return replace(
         node, **{first_key: _set_leaf(getattr(node, first_key), remaining_keys, value) if remaining_keys else value}
-    )
-
-
-def _make_checked_scene(field_values, dtype):
-    """Return a checked scene of JAX arrays from its fields."""
-    return map_scene_numbers(
-        jnp.asarray, _check_scene_and_force(_scene_from_fields(field_values, check.check_float_type(dtype)))
     )
 
 
@@ -523,10 +531,9 @@ def _scene_from_fields(field_values, dtype):
 
     force = field_values["force"]
     check.require_spring_or_force(force, field_values["damping"])
-    number_names = ("amplitude", "frequency", "restitution") + (("damping",) if force is None else ())
+    optional_names = tuple(name for name in ("damping", "harder") if field_values[name] is not None)
+    number_names = ("amplitude", "frequency", "restitution", *optional_names)
     checked_fields = {"damping": None} | {key: to_checked_array(key, field_values[key]) for key in number_names}
-    if field_values["harder"] is not None:
-        checked_fields["harder"] = to_checked_array("harder", field_values["harder"])
     if force is not None:
         checked_fields["force"] = check_force(force, to_checked_array, dtype)
     checked_fields["drive"] = tuple(

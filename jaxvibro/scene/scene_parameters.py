@@ -48,6 +48,31 @@ def parameter_domain(scene, name):
     return -infinity, infinity
 
 
+def limit_bounds_to_domains(scene, names, bounds):
+    """Limit bounds of parameters to the domains of the parameters.
+
+    Parameters
+    ----------
+    scene : Scene
+        Single scene.
+    names : sequence of str
+        Names of the parameters.
+    bounds : iterable of tuple of float
+        (low, high) of each parameter.
+
+    Returns
+    -------
+    limited_bounds : tuple of tuple of float
+        (low, high) of each parameter within its domain.
+    domain_ends : tuple of tuple of float
+        For each parameter, the ends of its domain that are not bounds.
+    """
+    intervals = [(interval, parameter_domain(scene, name)) for name, interval in zip(names, bounds, strict=True)]
+    limited_bounds = tuple((max(interval[0], domain[0]), min(interval[1], domain[1])) for interval, domain in intervals)
+    domain_ends = tuple(tuple(end for end in domain if end not in interval) for interval, domain in intervals)
+    return limited_bounds, domain_ends
+
+
 def check_parameter_bounds(scene, name, bounds):
     """Check the bounds of a parameter.
 

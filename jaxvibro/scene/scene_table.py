@@ -8,8 +8,8 @@ from msgspec import Struct, field
 from . import check
 from .force import DEFAULT_TOLERANCE, Force
 from .force_checks import diffrax_solver_name
-from .predefined_forces import NAMED_FORCES, predefined_force_name
-from .push import PREDEFINED_CONTACT_LAWS, Push, predefined_law_name
+from .predefined_forces import NAMED_FORCES
+from .push import PREDEFINED_CONTACT_LAWS, Push
 from .scales import Scales
 from .scene import make_scene
 from .wall import Motion, Wall
@@ -92,6 +92,16 @@ class SceneTable(StrictTable, frozen=True, kw_only=True):
     drive: list[MotionTable] = field(default_factory=list)
     scales: ScalesTable | None = None
 
+    @property
+    def arguments(self):
+        """Arguments of `make_scene`, except for the type, not yet checked."""
+        return {
+            **{name: getattr(self, name) for name in NUMBER_KEYS},
+            "walls": tuple(wall_table and wall_table.wall() for wall_table in (self.left, self.right)),
+            "force": self.force and self.force.force(),
+            "drive": [drive_table.motion() for drive_table in self.drive],
+        }
+
     def make(self, dtype=None):
         """Make the scene of the table.
 
@@ -110,11 +120,7 @@ class SceneTable(StrictTable, frozen=True, kw_only=True):
         ArgumentError
             If an entry of the table is not valid for a scene, or `dtype` is not supported.
         """
-        walls = tuple(wall_table and wall_table.wall() for wall_table in (self.left, self.right))
-        force = self.force and self.force.force()
-        drive = [drive_table.motion() for drive_table in self.drive]
-        scene = make_scene(self.amplitude, self.frequency, self.damping, self.restitution, walls, dtype, force, drive)
-        return replace(scene, scales=self.scales and _make_scales(self.scales))
+        return replace(make_scene(**self.arguments, dtype=dtype), scales=self.scales and _make_scales(self.scales))
 
 
 def _make_scales(scales_table):
@@ -155,13 +161,15 @@ def make_scene_table(scene):
         motion = wall.motion and make_motion_table(wall.motion)
         contact_numbers = {name: getattr(wall, name) for name in ("restitution", "stiffness", "damping")}
         contact_numbers = {name: float(value) for name, value in contact_numbers.items() if value is not None}
-        return WallTable(position=float(wall.position), **contact_numbers, motion=motion, law=_make_law_table(wall.law))
+        law = wall.law and _make_law_table(wall.law)
+        return WallTable(position=float(wall.position), **contact_numbers, motion=motion, law=law)
 
     scene_numbers = {key: float(scene.parameter(key)) for key in NUMBER_KEYS if key in scene.names}
     wall_tables = {"left": make_wall_table(scene.left), "right": make_wall_table(scene.right)}
     scales = scene.scales and ScalesTable(**scene.scales.numbers)
     drive = [make_motion_table(drive_term) for drive_term in scene.drive]
-    return SceneTable(**scene_numbers, **wall_tables, force=_make_force_table(scene.force), drive=drive, scales=scales)
+    force = scene.force and _make_force_table(scene.force)
+    return SceneTable(**scene_numbers, **wall_tables, force=force, drive=drive, scales=scales)
 
 
 def scene_toml(scene):
@@ -204,35 +212,30 @@ def scene_toml_or_empty(scene):
     ArgumentError
         If the scene is a batch, or the solver of its force is not one that diffrax makes from its name alone.
     """
-    is_force_predefined = predefined_force_name(scene.force.function) if scene.force else True
-    contact_laws = (wall.law for wall in scene.walls.values() if wall.law)
-    return (
-        scene_toml(scene)
-        if is_force_predefined and all(predefined_law_name(contact_law.function) for contact_law in contact_laws)
-        else ""
-    )
+    user_functions = (scene.force, *(wall.law for wall in scene.walls.values()))
+    functions = [user_function.function for user_function in user_functions if user_function is not None]
+    predefined_functions = (*NAMED_FORCES.values(), *PREDEFINED_CONTACT_LAWS.values())
+    return scene_toml(scene) if all(function in predefined_functions for function in functions) else ""
 
 
 def _make_law_table(contact_law):
-    if contact_law is None:
-        return None
-    name = predefined_law_name(contact_law.function)
-    if name is None:
-        rule = f"must be predefined ({', '.join(PREDEFINED_CONTACT_LAWS)}) to be saved"
-        raise check.ArgumentError("law.function", rule, contact_law.function)
+    name = _predefined_name("law", contact_law.function, PREDEFINED_CONTACT_LAWS)
     return WallLawTable(name, {key: float(value) for key, value in contact_law.numbers.items()})
 
 
 def _make_force_table(force):
-    if force is None:
-        return None
-    name = predefined_force_name(force.function)
-    if name is None:
-        rule = f"must be predefined ({', '.join(NAMED_FORCES)}) to be saved"
-        raise check.ArgumentError("force.function", rule, force.function)
+    name = _predefined_name("force", force.function, NAMED_FORCES)
     solver = force.solver and diffrax_solver_name(force.solver)
     if force.solver is not None and solver is None:
         rule = "must be a solver that diffrax makes from its name alone to be saved"
         raise check.ArgumentError("force.solver", rule, force.solver)
     numbers = {key: float(value) for key, value in force.numbers.items()}
     return ForceTable(name, numbers, force.tolerance, solver)
+
+
+def _predefined_name(key, function, predefined_functions):
+    """Return the name of a predefined force or contact law; raise ArgumentError for any other function."""
+    if function not in predefined_functions.values():
+        rule = f"must be predefined ({', '.join(predefined_functions)}) to be saved"
+        raise check.ArgumentError(f"{key}.function", rule, function)
+    return function.__name__

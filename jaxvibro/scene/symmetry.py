@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -34,7 +35,7 @@ def is_symmetric(scene):
         return False
     if float(left_wall.position) != -float(right_wall.position) or left_wall.soft != right_wall.soft:
         return False
-    if (left_wall.law and left_wall.law.function) is not (right_wall.law and right_wall.law.function):
+    if jax.tree.structure(left_wall.law) != jax.tree.structure(right_wall.law):
         return False
     if left_wall.own != right_wall.own:
         return False

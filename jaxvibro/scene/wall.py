@@ -1,6 +1,7 @@
 """Define the walls of a scene and their motion."""
 
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import jax
 from jaxtyping import ArrayLike, Real
@@ -36,6 +37,54 @@ class Motion:
     amplitude: Real[ArrayLike, "..."]
     phase: Real[ArrayLike, "..."] = 0.0
     harmonic: int = field(default=1, metadata={"static": True})
+
+
+class ContactKind(NamedTuple):
+    """Kind of the contact with a wall.
+
+    Attributes
+    ----------
+    name : str
+        Name of the kind.
+    is_soft : bool
+        True if the mass moves inside the wall.
+    parameters : tuple of str
+        Names of the parameters of the wall, except for those of a contact law.
+    inherited : tuple of str
+        Parameters that the wall takes from the scene if it has none of its own.
+    refused : tuple of str
+        Fields that must be None.
+    refusal : str
+        Rule for these fields, for an error message.
+    """
+
+    name: str
+    is_soft: bool
+    parameters: tuple[str, ...]
+    inherited: tuple[str, ...]
+    refused: tuple[str, ...]
+    refusal: str
+
+
+RIGID_CONTACT = ContactKind(
+    "rigid", False, ("restitution",), ("restitution",), ("damping",), "must not be given for a wall without stiffness"
+)
+LINEAR_CONTACT = ContactKind(
+    "spring and damper",
+    True,
+    ("stiffness", "damping"),
+    ("damping",),
+    ("restitution",),
+    "must not be given for a wall with stiffness",
+)
+LAW_CONTACT = ContactKind(
+    "contact law",
+    True,
+    (),
+    (),
+    ("restitution", "stiffness", "damping"),
+    "must not be given for a wall with a contact law",
+)
 
 
 @jax.tree_util.register_dataclass
@@ -80,21 +129,24 @@ class Wall:
     law: Push | None = None
 
     @property
+    def contact_kind(self) -> ContactKind:
+        """Kind of the contact: rigid, linear (spring and damper), or a contact law."""
+        if self.law is not None:
+            return LAW_CONTACT
+        return RIGID_CONTACT if self.stiffness is None else LINEAR_CONTACT
+
+    @property
     def soft(self) -> bool:
         """True if the wall is soft."""
-        return self.stiffness is not None or self.law is not None
+        return self.contact_kind.is_soft
 
     @property
     def own(self) -> tuple[str, ...]:
         """Names of the parameters of the contact: restitution, stiffness and damping, or those of the law."""
-        if self.law is not None:
-            return tuple(f"law.{name}" for name in self.law.numbers)
-        return ("stiffness", "damping") if self.soft else ("restitution",)
+        law_parameters = getattr(self.law, "numbers", ())
+        return (*self.contact_kind.parameters, *(f"law.{name}" for name in law_parameters))
 
     @property
     def taken(self) -> tuple[str, ...]:
         """Names of the parameters that the wall takes from the scene."""
-        if self.law is not None:
-            return ()
-        name = "damping" if self.soft else "restitution"
-        return () if getattr(self, name) is not None else (name,)
+        return tuple(name for name in self.contact_kind.inherited if getattr(self, name) is None)

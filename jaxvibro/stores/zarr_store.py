@@ -33,7 +33,7 @@ import zarr
 from .. import __version__
 from ..output.atomic_folder import create_folder_atomically, remove_abandoned_folders
 from ..output.checksums import BLANK_CHECKSUM, fill_in_checksum, has_valid_checksum
-from ..output.file_lock import exclusive_lock, shared_lock
+from ..output.file_lock import lock_file
 from ..scene import check
 from .engines import Engine, LocalEngine
 from .study_protocol import Grid, Study, study_size_bytes
@@ -216,7 +216,7 @@ class OpenStore:
 
     def remove_unfinished(self) -> None:
         """Remove the unfinished files of killed processes, unless another process is writing a chunk."""
-        with exclusive_lock(Path(self.path, METADATA_FILE)) as has_lock:
+        with lock_file(Path(self.path, METADATA_FILE), shared=False) as has_lock:
             for partial_file in Path(self.path).rglob(f"*{PARTIAL_SUFFIX}") if has_lock else ():
                 partial_file.unlink(missing_ok=True)
 
@@ -268,7 +268,7 @@ class OpenStore:
         """
         self._require_versions()
         chunk_slices = self.grid.chunk_slices(chunk_number)
-        with shared_lock(Path(self.path, METADATA_FILE)):
+        with lock_file(Path(self.path, METADATA_FILE), shared=True):
             for column_name in self.description["columns"]:
                 self.arrays[column_name][chunk_slices] = chunk_columns[column_name]
             self.arrays[UNDECIDED_ARRAY][chunk_number : chunk_number + 1] = n_undecided
@@ -276,7 +276,7 @@ class OpenStore:
 
     def mark_not_done(self, chunk_number: int) -> None:
         """Mark a chunk as not computed."""
-        with shared_lock(Path(self.path, METADATA_FILE)):
+        with lock_file(Path(self.path, METADATA_FILE), shared=True):
             self.arrays[DONE_ARRAY][chunk_number : chunk_number + 1] = NOT_DONE
 
     @cached_property

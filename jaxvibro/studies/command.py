@@ -52,8 +52,8 @@ Compiles the usual first steps for a scene (a strobe, an orbit, its branch, bifu
 that later processes compile nothing for scenes with the same kinds of walls. Takes half a minute or more, a minute or
 more with soft walls. A session in Python uses this cache with the settings that are printed."""
 _REPORT_HELP = """\
-Prints versions, processor, settings of JAX, compiler hints and the cache folder, as the commands use them.
-Add the output to a problem report."""
+Prints versions, processor, settings of JAX, compiler hints, the cache folder and the version of the NumPy rules, as the
+commands use them. Add the output to a problem report."""
 _SET_HELP = """\
 another value for this run, key and value as in the scene file: --set sweep.count=201. The prefix "scene." may be left
 out: --set amplitude=3. Strings keep their quotes: --set 'sweep.parameter="frequency"'. May be repeated."""
@@ -108,85 +108,13 @@ def _make_parser():
     parser = _Parser("jaxvibro", description="Vibro-impact oscillators with rigid and soft walls.", allow_abbrev=False)
     parser.add_argument("--version", action="version", version=__version__)
     subparsers = parser.add_subparsers(metavar="COMMAND", required=True)
-
-    init_parser = subparsers.add_parser("init", help="write a commented scene file", allow_abbrev=False)
-    init_parser.description = "Writes a commented scene file to start from."
-    init_parser.add_argument("path", metavar="PATH", nargs="?", default="scene.toml", help="default: scene.toml")
-    init_parser.add_argument("--force", action="store_true", help="overwrite existing files")
-    init_parser.set_defaults(does=_write_scene_template)
-
-    run_parser = subparsers.add_parser(
-        "run", help="run the analyses in a scene file", description=_RUN_HELP, allow_abbrev=False
-    )
-    run_parser.add_argument("scene", metavar="SCENE", help="a scene file")
-    run_parser.add_argument("--set", metavar="KEY=VALUE", action="append", default=[], dest="changes", help=_SET_HELP)
-    run_parser.add_argument("--out", metavar="DIR", default="out", help="folder to write into; default: out")
-    run_parser.add_argument("--force", action="store_true", help="overwrite existing files")
-    run_parser.add_argument("--json", action="store_true", help="print only a JSON summary on stdout")
-    run_parser.add_argument("--csv", action="store_true", help="also write CSV tables, one row per point")
-    option_help = (
-        "units of tables and pictures: the scene's, or N, Hz, mm, m/s, W if it has [scene.scales]; default: scene"
-    )
-    run_parser.add_argument("--units", choices=("scene", "physical"), default="scene", help=option_help)
-    run_parser.add_argument(
-        "--engine", choices=("local", "dask"), help="execution engine of a [map]; default: local, this process"
-    )
-    run_parser.add_argument(
-        "--scheduler", metavar="ADDRESS", help="address of a running Dask cluster, as tcp://host:8786"
-    )
-    option_help = "chunks of a [map] computed at a time; default: one per processor core"
-    run_parser.add_argument("--workers", metavar="N", type=int, help=option_help)
-    run_parser.set_defaults(does=_run_scene_file)
-
-    show_parser = subparsers.add_parser("show", help="show a stored map", description=_SHOW_HELP, allow_abbrev=False)
-    show_parser.add_argument("path", metavar="STORE", help="the folder of a map, NAME.zarr")
-    show_parser.add_argument("--picture", metavar="FILE", help="default: NAME.png beside it")
-    show_parser.add_argument("--data", metavar="FILE", help="also write the data to a NetCDF file")
-    show_parser.add_argument("--force", action="store_true", help="overwrite existing files")
-    show_parser.add_argument(
-        "--units", choices=("scene", "physical"), default="scene", help="units of the table and the picture"
-    )
-    show_parser.set_defaults(does=_show_stored_map)
-
-    paper_parser = subparsers.add_parser(
-        "paper", help="recompute the paper", description=_PAPER_HELP, allow_abbrev=False
-    )
-    paper_parser.add_argument("names", metavar="NAME", nargs="*", help="fig2 to fig12, walls, formulas; default: all")
-    paper_parser.add_argument(
-        "--scenes", metavar="DIR", help="folder of the scene files; default: those of the package"
-    )
-    paper_parser.add_argument(
-        "--out", metavar="DIR", default="out/paper", help="folder to write into; default: out/paper"
-    )
-    paper_parser.add_argument("--force", action="store_true", help="recompute existing results")
-    option_help = f"figures computed at a time; default: one per processor core, at most {MAX_WORKERS}"
-    paper_parser.add_argument(
-        "--workers", metavar="N", type=int, default=min(MAX_WORKERS, os.cpu_count() or 1), help=option_help
-    )
-    paper_parser.set_defaults(does=_recompute_paper)
-
-    view_parser = subparsers.add_parser(
-        "view", help="explore a scene in the browser", description=_VIEW_HELP, allow_abbrev=False
-    )
-    view_parser.add_argument("scene", metavar="SCENE", help="a scene file")
-    view_parser.add_argument("--set", metavar="KEY=VALUE", action="append", default=[], dest="changes", help=_SET_HELP)
-    option_help = "address of this machine; default: 127.0.0.1"
-    view_parser.add_argument("--address", metavar="ADDRESS", default="127.0.0.1", help=option_help)
-    option_help = "default: the first free port from 8420 to 8439; with the same port an earlier page resumes"
-    view_parser.add_argument("--port", metavar="N", type=int, help=option_help)
-    view_parser.add_argument("--no-browser", action="store_true", help="print the address without opening a browser")
-    view_parser.set_defaults(does=_serve_explorer)
-
-    warm_parser = subparsers.add_parser(
-        "warm", help="fill the compile cache", description=_WARM_HELP, allow_abbrev=False
-    )
-    warm_parser.add_argument("scene", metavar="SCENE", nargs="?", help="a scene file; default: the README's scene")
-    warm_parser.set_defaults(does=_fill_compile_cache)
-
-    option_help = "print versions, processor and settings, for problem reports"
-    report_parser = subparsers.add_parser("report", help=option_help, description=_REPORT_HELP, allow_abbrev=False)
-    report_parser.add_argument("--json", action="store_true", help="print JSON")
-    report_parser.set_defaults(does=_print_environment)
+    for command_name, (run_command, command_help, description, arguments) in _COMMANDS.items():
+        command_parser = subparsers.add_parser(
+            command_name, help=command_help, description=description, allow_abbrev=False
+        )
+        for argument_name, argument_options in arguments.items():
+            command_parser.add_argument(argument_name, **argument_options)
+        command_parser.set_defaults(does=run_command)
     return parser
 
 
@@ -273,6 +201,96 @@ def _print_environment(options):
         if options.json
         else _import_function("format_environment", ENVIRONMENT_MODULE)(environment)
     )
+
+
+_FORCE = {"action": "store_true", "help": "overwrite existing files"}
+_SET = {"metavar": "KEY=VALUE", "action": "append", "default": [], "dest": "changes", "help": _SET_HELP}
+_UNITS = {"choices": ("scene", "physical"), "default": "scene"}
+_RUN_ARGUMENTS = {
+    "scene": {"metavar": "SCENE", "help": "a scene file"},
+    "--set": _SET,
+    "--out": {"metavar": "DIR", "default": "out", "help": "folder to write into; default: out"},
+    "--force": _FORCE,
+    "--json": {"action": "store_true", "help": "print only a JSON summary on stdout"},
+    "--csv": {"action": "store_true", "help": "also write CSV tables, one row per point"},
+    "--units": {
+        **_UNITS,
+        "help": "units of tables and pictures: the scene's, or N, Hz, mm, m/s, W if it has [scene.scales];"
+        " default: scene",
+    },
+    "--engine": {
+        "choices": ("local", "dask"),
+        "help": "execution engine of a [map]; default: local, this process",
+    },
+    "--scheduler": {"metavar": "ADDRESS", "help": "address of a running Dask cluster, as tcp://host:8786"},
+    "--workers": {
+        "metavar": "N",
+        "type": int,
+        "help": "chunks of a [map] computed at a time; default: one per processor core",
+    },
+}
+_SHOW_ARGUMENTS = {
+    "path": {"metavar": "STORE", "help": "the folder of a map, NAME.zarr"},
+    "--picture": {"metavar": "FILE", "help": "default: NAME.png beside it"},
+    "--data": {"metavar": "FILE", "help": "also write the data to a NetCDF file"},
+    "--force": _FORCE,
+    "--units": {**_UNITS, "help": "units of the table and the picture"},
+}
+_PAPER_ARGUMENTS = {
+    "names": {"metavar": "NAME", "nargs": "*", "help": "fig2 to fig12, walls, formulas; default: all"},
+    "--scenes": {"metavar": "DIR", "help": "folder of the scene files; default: those of the package"},
+    "--out": {"metavar": "DIR", "default": "out/paper", "help": "folder to write into; default: out/paper"},
+    "--force": {"action": "store_true", "help": "recompute existing results"},
+    "--workers": {
+        "metavar": "N",
+        "type": int,
+        "default": min(MAX_WORKERS, os.cpu_count() or 1),
+        "help": f"figures computed at a time; default: one per processor core, at most {MAX_WORKERS}",
+    },
+}
+_VIEW_ARGUMENTS = {
+    "scene": {"metavar": "SCENE", "help": "a scene file"},
+    "--set": _SET,
+    "--address": {
+        "metavar": "ADDRESS",
+        "default": "127.0.0.1",
+        "help": "address of this machine; default: 127.0.0.1",
+    },
+    "--port": {
+        "metavar": "N",
+        "type": int,
+        "help": "default: the first free port from 8420 to 8439; with the same port an earlier page resumes",
+    },
+    "--no-browser": {"action": "store_true", "help": "print the address without opening a browser"},
+}
+# {name of a command: (function of the options, help, description, {argument: options of `add_argument`})}.
+_COMMANDS = {
+    "init": (
+        _write_scene_template,
+        "write a commented scene file",
+        "Writes a commented scene file to start from.",
+        {
+            "path": {"metavar": "PATH", "nargs": "?", "default": "scene.toml", "help": "default: scene.toml"},
+            "--force": _FORCE,
+        },
+    ),
+    "run": (_run_scene_file, "run the analyses in a scene file", _RUN_HELP, _RUN_ARGUMENTS),
+    "show": (_show_stored_map, "show a stored map", _SHOW_HELP, _SHOW_ARGUMENTS),
+    "paper": (_recompute_paper, "recompute the paper", _PAPER_HELP, _PAPER_ARGUMENTS),
+    "view": (_serve_explorer, "explore a scene in the browser", _VIEW_HELP, _VIEW_ARGUMENTS),
+    "warm": (
+        _fill_compile_cache,
+        "fill the compile cache",
+        _WARM_HELP,
+        {"scene": {"metavar": "SCENE", "nargs": "?", "help": "a scene file; default: the README's scene"}},
+    ),
+    "report": (
+        _print_environment,
+        "print versions, processor and settings, for problem reports",
+        _REPORT_HELP,
+        {"--json": {"action": "store_true", "help": "print JSON"}},
+    ),
+}
 
 
 def _import_function(function_name, module_name=None):

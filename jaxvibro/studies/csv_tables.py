@@ -11,33 +11,22 @@ from ..output.units import LENGTH, SPEED, unit_of
 
 def requested_table_names(scene_file):
     """Return the names of the CSV tables for the analyses of a `SceneFile`."""
-    table_by_name = {
-        "sweep": scene_file.sweep,
-        "attractors": scene_file.attractors,
-        "branches": scene_file.branch_table,
-        "loci": scene_file.locus,
-    }
-    return [name for name, table in table_by_name.items() if table is not None]
+    return [name for name, (table_name, _, _) in _CSV_TABLES.items() if getattr(scene_file, table_name) is not None]
 
 
-def csv_tables(results, units):
-    """Return {name: CSV bytes} for the sweep, attractors, branches and loci in the results, one row per point.
+def csv_table(table_name, results, units):
+    """Return the bytes of a CSV table of the results, one row per point; None if there are no points.
 
-    Raises ArgumentError if physical units are requested for a scene without scales.
+    If no attractor was found, the table of attractors has a header only.
+
+    `table_name` is one of the `requested_table_names`. Raises ArgumentError if physical units are requested for a scene
+    without scales.
     """
-    dataframe_by_name = {}
-    if results.file.sweep is not None:
-        dataframe_by_name["sweep"] = _sweep_dataframe(results, units)
-    if results.attractors is not None:
-        dataframe_by_name["attractors"] = _attractor_dataframe(results, units)
-    if results.branches:
-        dataframe_by_name["branches"] = branches_dataframe(results.branches, units)
-    if results.loci:
-        dataframe_by_name["loci"] = _loci_dataframe(results.loci, units)
-    return {
-        table_name: dataframe.to_csv(index=False, lineterminator="\n").encode()
-        for table_name, dataframe in dataframe_by_name.items()
-    }
+    _, field_name, make_dataframe_of_results = _CSV_TABLES[table_name]
+    field_value = getattr(results, field_name)
+    if field_value is None or (field_value == () and table_name != "attractors"):
+        return None
+    return make_dataframe_of_results(results, units).to_csv(index=False, lineterminator="\n").encode()
 
 
 def _sweep_dataframe(results, units):
@@ -78,9 +67,22 @@ def _attractor_dataframe(results, units):
     return make_dataframe(results.scene, columns, units)
 
 
-def _loci_dataframe(loci, units):
-    locus_frames = [locus.to_frame(units) for locus in loci]
-    for locus_number, (locus_frame, locus) in enumerate(zip(locus_frames, loci, strict=True), 1):
+def _branches_dataframe(results, units):
+    return branches_dataframe(results.branches, units)
+
+
+def _loci_dataframe(results, units):
+    locus_frames = [locus.to_frame(units) for locus in results.loci]
+    for locus_number, (locus_frame, locus) in enumerate(zip(locus_frames, results.loci, strict=True), 1):
         locus_frame.insert(0, "locus", locus_number)
         locus_frame.insert(1, "of", locus.kind)
     return pd.concat(locus_frames, ignore_index=True)
+
+
+# {name of the CSV table: (table of the scene file, field of `StudyResults`, function of results and units)}.
+_CSV_TABLES = {
+    "sweep": ("sweep", "swept", _sweep_dataframe),
+    "attractors": ("attractors", "attractors", _attractor_dataframe),
+    "branches": ("branch_table", "branches", _branches_dataframe),
+    "loci": ("locus", "loci", _loci_dataframe),
+}

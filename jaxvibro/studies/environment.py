@@ -8,7 +8,7 @@ from typing import Any
 
 import jax
 
-from continuation.persistent_jit import jax_cache_folder, reason_without_cache
+from continuation.hostcall import RULES_VERSION, fallback_counts, jax_cache_folder, reason_without_cache
 
 from .. import __version__
 from ..compiled.hints_in_use import describe_hints
@@ -31,7 +31,8 @@ def describe_environment() -> dict[str, Any]:
     Returns
     -------
     dict
-        Values that can be written as JSON: ``versions``, ``system``, ``processor``, ``jax``, ``hints`` and ``cache``.
+        Values that can be written as JSON: ``versions``, ``system``, ``processor``, ``jax``, ``hints``, ``cache`` and
+        ``evaluation``.
     """
     return {
         "versions": _installed_versions(),
@@ -40,6 +41,7 @@ def describe_environment() -> dict[str, Any]:
         "jax": _jax_info(),
         "hints": describe_hints(),
         "cache": _cache_info(),
+        "evaluation": _evaluation_info(),
     }
 
 
@@ -106,10 +108,7 @@ def _processor_info():
 
 def _read_cpuinfo():
     """Return (fields of the first processor in /proc/cpuinfo, number of physical cores or None)."""
-    try:
-        processor_blocks = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").strip().split("\n\n")
-    except OSError:
-        return {}, None
+    processor_blocks = jax_settings.read_cpuinfo().strip().split("\n\n")
     block_fields = [[line.partition(":") for line in block.splitlines()] for block in processor_blocks]
     fields_by_processor = [{name.strip(): value.strip() for name, _, value in fields} for fields in block_fields]
     physical_cores = {
@@ -130,6 +129,12 @@ def _jax_info():
     return (
         jax_info | {name: getattr(jax.config, name) for name in JAX_SETTINGS} | {"environment": environment_variables}
     )
+
+
+def _evaluation_info():
+    """Return the version of the rules in NumPy and the functions that were compiled instead, with their reasons."""
+    fallbacks = {f"{function} ({reason})": count for (function, reason), count in fallback_counts().items()}
+    return {"rule_table": RULES_VERSION, "fallbacks": fallbacks}
 
 
 def _cache_info():

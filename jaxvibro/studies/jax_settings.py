@@ -119,13 +119,17 @@ def _write_page_token(token_path):
 
 def processor_fingerprint():
     """Return a name for the kind of processor; processors with equal names can share compiled code."""
-    try:
-        cpuinfo_text = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace")
-    except OSError:
-        cpuinfo_text = ""
     identity_lines = [
         cpuinfo_line
-        for cpuinfo_line in cpuinfo_text.split("\n\n")[0].splitlines()
+        for cpuinfo_line in read_cpuinfo().split("\n\n")[0].splitlines()
         if cpuinfo_line.split(":")[0].strip() in CPUINFO_FIELDS
     ]
     return hashlib.sha256("\n".join([platform.machine(), *identity_lines]).encode()).hexdigest()[:16]
+
+
+def read_cpuinfo():
+    """Return the text of /proc/cpuinfo; "" on a system without it."""
+    try:
+        return Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace")
+    except OSError:
+        return ""

@@ -10,6 +10,11 @@ from ..maps.initial_conditions import initial_box
 from ..output.units import ANGLE, DIMENSIONLESS, LENGTH, SPEED
 
 NO_MIRROR = -1  # value of `attractor_mirror` and `orbit_mirror` without a mirror image
+MIRROR_MEANING = f"place of its mirror image, {NO_MIRROR}: none"
+LABEL_MEANING = "P n p q: periods, impacts left, right"
+MULTIPLIER_MEANING = "Floquet multipliers, the larger first"
+ITINERARY_MEANING = "walls hit, a word a period"
+RESIDUAL_MEANING = "largest error left in its equations"
 
 
 def make_results_dataset(results):
@@ -18,14 +23,9 @@ def make_results_dataset(results):
     `results` are `StudyResults`. The attribute ``job`` contains the scene file as TOML.
     """
     datasets = [results.swept] if results.swept is not None else []
-    datasets += [_attractor_dataset(results), _start_box_dataset(results)] if results.attractors is not None else []
-    datasets += [_orbit_dataset(results.orbits)] if results.orbits else []
-    datasets += (
-        [_branch_dataset(results.branches), _special_point_dataset(results.branches)] if results.branches else []
-    )
-    datasets += [_locus_dataset(results.loci), _codim2_dataset(results.loci)] if results.loci else []
-    datasets += [_margin_dataset(results.margin)] if results.margin is not None else []
-    datasets += [_fit_dataset(results.fit)] if results.fit is not None else []
+    for field_name, make_datasets in _DATASETS_BY_FIELD.items():
+        if getattr(results, field_name):
+            datasets += [make_dataset(results) for make_dataset in make_datasets]
     merged_dataset = xr.merge(datasets, combine_attrs="drop_conflicts")
     dataset_attrs = {
         "title": "jaxvibro run",
@@ -35,47 +35,36 @@ def make_results_dataset(results):
     return merged_dataset.assign_attrs(dataset_attrs)
 
 
+def _columns(dimension, columns):
+    """Return the variables of columns {name: (long name, values) or (long name, values, unit)} along a dimension.
+
+    The names of the variables begin with the name of the dimension. Values with two dimensions are multipliers.
+    """
+    variables = {}
+    for column_name, (long_name, values, *unit) in columns.items():
+        attrs = {"long_name": long_name, "units": unit[0]} if unit else {"long_name": long_name}
+        dims = (dimension, "multiplier")[: np.ndim(values)]
+        variables[f"{dimension}_{column_name}"] = dims, np.array(values), attrs
+    return variables
+
+
 def _attractor_dataset(results):
     attractors = results.attractors
-
-    def make_variable(long_name, variable_values, **attrs):
-        return "attractor", np.array(variable_values), {"long_name": long_name, **attrs}
-
-    states, share_bounds = (
-        [attractor.state for attractor in attractors],
-        np.array([attractor.share_bounds for attractor in attractors]),
-    )
-    return xr.Dataset(
-        {
-            "attractor_label": make_variable(
-                "P n p q: periods, impacts left, right", [attractor.label for attractor in attractors]
-            ),
-            "attractor_share": make_variable("share of the starts", [attractor.share for attractor in attractors]),
-            "attractor_share_low": make_variable(
-                "lowest share that the starts speak for, at 95 %", share_bounds[:, 0], units="1"
-            ),
-            "attractor_share_high": make_variable(
-                "highest share that the starts speak for, at 95 %", share_bounds[:, 1], units="1"
-            ),
-            "attractor_periods": make_variable(
-                "least number of drive periods, 0: none", [attractor.periods for attractor in attractors]
-            ),
-            "attractor_x": make_variable(
-                "position of a state on it, at phase 0", [attractor.x for attractor in states], units=LENGTH
-            ),
-            "attractor_v": make_variable("velocity of that state", [attractor.v for attractor in states], units=SPEED),
-            "attractor_contact": make_variable("contact of that state", [attractor.contact for attractor in states]),
-            "attractor_rests": make_variable(
-                "1: the mass rests on a wall", [int(attractor.rests) for attractor in attractors], units="1"
-            ),
-            "attractor_exponent": make_variable(
-                "largest Lyapunov exponent per period", [attractor.exponent for attractor in attractors]
-            ),
-            "attractor_mirror": make_variable(
-                f"place of its mirror image, {NO_MIRROR}: none", _mirror_indices(attractors)
-            ),
-        }
-    )
+    share_bounds = np.array([attractor.share_bounds for attractor in attractors])
+    columns = {
+        "label": (LABEL_MEANING, [attractor.label for attractor in attractors]),
+        "share": ("share of the starts", [attractor.share for attractor in attractors]),
+        "share_low": ("lowest share that the starts speak for, at 95 %", share_bounds[:, 0], DIMENSIONLESS),
+        "share_high": ("highest share that the starts speak for, at 95 %", share_bounds[:, 1], DIMENSIONLESS),
+        "periods": ("least number of drive periods, 0: none", [attractor.periods for attractor in attractors]),
+        "x": ("position of a state on it, at phase 0", [attractor.state.x for attractor in attractors], LENGTH),
+        "v": ("velocity of that state", [attractor.state.v for attractor in attractors], SPEED),
+        "contact": ("contact of that state", [attractor.state.contact for attractor in attractors]),
+        "rests": ("1: the mass rests on a wall", [int(attractor.rests) for attractor in attractors], DIMENSIONLESS),
+        "exponent": ("largest Lyapunov exponent per period", [attractor.exponent for attractor in attractors]),
+        "mirror": (MIRROR_MEANING, _mirror_indices(attractors)),
+    }
+    return xr.Dataset(_columns("attractor", columns))
 
 
 def _start_box_dataset(results):
@@ -98,61 +87,35 @@ def _start_box_dataset(results):
     )
 
 
-def _orbit_dataset(orbits):
-    def make_variable(long_name, variable_values, **attrs):
-        return "orbit", np.array(variable_values), {"long_name": long_name, **attrs}
-
-    states, multipliers = [orbit.state for orbit in orbits], np.array([orbit.multipliers for orbit in orbits])
-    multiplier_dims_attrs = ("orbit", "multiplier"), {"long_name": "Floquet multipliers, the larger first"}
-    return xr.Dataset(
-        {
-            "orbit_label": make_variable("P n p q: periods, impacts left, right", [orbit.label for orbit in orbits]),
-            "orbit_periods": make_variable(
-                "least number of drive periods", [orbit.periods for orbit in orbits], units="1"
-            ),
-            "orbit_itinerary": make_variable(
-                "walls hit, a word a period", [" ".join(orbit.itinerary) for orbit in orbits]
-            ),
-            "orbit_x": make_variable("position of a state on it", [orbit.x for orbit in states], units=LENGTH),
-            "orbit_v": make_variable("velocity of that state", [orbit.v for orbit in states], units=SPEED),
-            "orbit_phase": make_variable(
-                "phase of the drive of that state", [orbit.phase for orbit in states], units=ANGLE
-            ),
-            "orbit_contact": make_variable("contact of that state", [orbit.contact for orbit in states]),
-            "orbit_stable": make_variable(
-                "1: both multipliers are smaller than 1", [int(orbit.stable) for orbit in orbits]
-            ),
-            "orbit_rests": make_variable(
-                "1: the mass rests on a wall", [int(orbit.rests) for orbit in orbits], units="1"
-            ),
-            "orbit_multiplier_real": (
-                multiplier_dims_attrs[0],
-                multipliers.real,
-                {**multiplier_dims_attrs[1], "units": DIMENSIONLESS},
-            ),
-            "orbit_multiplier_imag": (
-                multiplier_dims_attrs[0],
-                multipliers.imag,
-                {**multiplier_dims_attrs[1], "units": DIMENSIONLESS},
-            ),
-            "orbit_least_speed": make_variable(
-                "least speed of its impacts", [orbit.least_speed for orbit in orbits], units=SPEED
-            ),
-            "orbit_least_clearance": make_variable(
-                "least distance to a wall at a turning point towards it",
-                [orbit.least_clearance for orbit in orbits],
-                units=LENGTH,
-            ),
-            "orbit_residual": make_variable(
-                "largest error left in its equations", [orbit.residual for orbit in orbits]
-            ),
-            "orbit_mirror": make_variable(f"place of its mirror image, {NO_MIRROR}: none", _mirror_indices(orbits)),
-        }
-    )
+def _orbit_dataset(results):
+    orbits = results.orbits
+    columns = {
+        "label": (LABEL_MEANING, [orbit.label for orbit in orbits]),
+        "periods": ("least number of drive periods", [orbit.periods for orbit in orbits], DIMENSIONLESS),
+        "itinerary": (ITINERARY_MEANING, [" ".join(orbit.itinerary) for orbit in orbits]),
+        "x": ("position of a state on it", [orbit.state.x for orbit in orbits], LENGTH),
+        "v": ("velocity of that state", [orbit.state.v for orbit in orbits], SPEED),
+        "phase": ("phase of the drive of that state", [orbit.state.phase for orbit in orbits], ANGLE),
+        "contact": ("contact of that state", [orbit.state.contact for orbit in orbits]),
+        "stable": ("1: both multipliers are smaller than 1", [int(orbit.stable) for orbit in orbits]),
+        "rests": ("1: the mass rests on a wall", [int(orbit.rests) for orbit in orbits], DIMENSIONLESS),
+        "multiplier_real": (MULTIPLIER_MEANING, [orbit.multipliers.real for orbit in orbits], DIMENSIONLESS),
+        "multiplier_imag": (MULTIPLIER_MEANING, [orbit.multipliers.imag for orbit in orbits], DIMENSIONLESS),
+        "least_speed": ("least speed of its impacts", [orbit.least_speed for orbit in orbits], SPEED),
+        "least_clearance": (
+            "least distance to a wall at a turning point towards it",
+            [orbit.least_clearance for orbit in orbits],
+            LENGTH,
+        ),
+        "residual": (RESIDUAL_MEANING, [orbit.residual for orbit in orbits]),
+        "mirror": (MIRROR_MEANING, _mirror_indices(orbits)),
+    }
+    return xr.Dataset(_columns("orbit", columns))
 
 
-def _branch_dataset(branches):
+def _branch_dataset(results):
     """Return the concatenated points of all branches, with the variables of `Branch.data`."""
+    branches = results.branches
     parameter_name, branch_datasets = branches[0].name, [branch.data for branch in branches]
 
     def concatenate_variable(variable_name):
@@ -189,65 +152,37 @@ def _branch_dataset(branches):
     return xr.Dataset(variables)
 
 
-def _special_point_dataset(branches):
-    """Return the special points of all branches, including the end points."""
-    first_row_of_branch = np.cumsum([0] + [len(branch_or_point) for branch_or_point in branches])
-    indexed_points = [
-        (branch_index, branch_or_point)
-        for branch_index, branch in enumerate(branches)
-        for branch_or_point in branch.special
+def _indexed_special_points(curves):
+    """Return [(index of the curve, row of the point among the rows of all curves, point)] of branches or loci."""
+    first_rows = np.cumsum([0] + [len(curve) for curve in curves])
+    return [
+        (curve_index, first_rows[curve_index] + special_point.place, special_point)
+        for curve_index, curve in enumerate(curves)
+        for special_point in curve.special
     ]
-    multipliers = np.array([branch_or_point.multipliers for _, branch_or_point in indexed_points])
-
-    def make_variable(long_name, variable_values, **attrs):
-        return "special", np.array(variable_values), {"long_name": long_name, **attrs}
-
-    multiplier_dims_attrs = (
-        ("special", "multiplier"),
-        {"long_name": "Floquet multipliers, the larger first", "units": DIMENSIONLESS},
-    )
-    return xr.Dataset(
-        {
-            "special_kind": make_variable(
-                "SN, SB, BP, PD, GR, EP", [branch_or_point.kind for _, branch_or_point in indexed_points]
-            ),
-            "special_value": make_variable(
-                "of the parameter", [branch_or_point.value for _, branch_or_point in indexed_points]
-            ),
-            "special_branch": make_variable(
-                "place of its branch among the branches", [branch_index for branch_index, _ in indexed_points]
-            ),
-            "special_point": make_variable(
-                "its place along branch_point",
-                [
-                    first_row_of_branch[branch_index] + branch_or_point.place
-                    for branch_index, branch_or_point in indexed_points
-                ],
-            ),
-            "special_label": make_variable(
-                "P n p q: periods, impacts left, right",
-                [branch_or_point.label for _, branch_or_point in indexed_points],
-            ),
-            "special_itinerary": make_variable(
-                "walls hit, a word a period",
-                [" ".join(branch_or_point.itinerary) for _, branch_or_point in indexed_points],
-            ),
-            "special_meets": make_variable(
-                "orbits that meet there",
-                [" ".join(neighbour_labels(branch_or_point)) for _, branch_or_point in indexed_points],
-            ),
-            "special_multiplier_real": (multiplier_dims_attrs[0], multipliers.real, multiplier_dims_attrs[1]),
-            "special_multiplier_imag": (multiplier_dims_attrs[0], multipliers.imag, multiplier_dims_attrs[1]),
-            "special_residual": make_variable(
-                "largest error left in its equations",
-                [branch_or_point.residual for _, branch_or_point in indexed_points],
-            ),
-        }
-    )
 
 
-def _locus_dataset(loci):
+def _special_point_dataset(results):
+    """Return the special points of all branches, including the end points."""
+    branch_indices, rows, points = zip(*_indexed_special_points(results.branches), strict=True)
+    columns = {
+        "kind": ("SN, SB, BP, PD, GR, EP", [point.kind for point in points]),
+        "value": ("of the parameter", [point.value for point in points]),
+        "branch": ("place of its branch among the branches", branch_indices),
+        "point": ("its place along branch_point", rows),
+        "label": (LABEL_MEANING, [point.label for point in points]),
+        "itinerary": (ITINERARY_MEANING, [" ".join(point.itinerary) for point in points]),
+        "meets": ("orbits that meet there", [" ".join(neighbour_labels(point)) for point in points]),
+        "multiplier_real": (MULTIPLIER_MEANING, [point.multipliers.real for point in points], DIMENSIONLESS),
+        "multiplier_imag": (MULTIPLIER_MEANING, [point.multipliers.imag for point in points], DIMENSIONLESS),
+        "residual": (RESIDUAL_MEANING, [point.residual for point in points]),
+    }
+    return xr.Dataset(_columns("special", columns))
+
+
+def _locus_dataset(results):
     """Return the concatenated points of all loci."""
+    loci = results.loci
     locus_indices = np.repeat(np.arange(len(loci)), [len(locus) for locus in loci])
     variables = {
         "locus_number": ("locus_point", locus_indices, {"long_name": "place of the locus among the loci, from 0"})
@@ -255,62 +190,35 @@ def _locus_dataset(loci):
     for parameter_name in loci[0].names:
         parameter_values = np.concatenate([locus.data[parameter_name].values for locus in loci])
         variables[f"locus_{parameter_name}"] = "locus_point", parameter_values, {"long_name": "a parameter"}
-    locus_columns = {
+    columns = {
         "kind": ("SN, PD, SB, GR", [locus.kind for locus in loci]),
-        "label": ("P n p q: periods, impacts left, right", [locus.label for locus in loci]),
+        "label": (LABEL_MEANING, [locus.label for locus in loci]),
         "first_reason": ("why the locus ends at its first point", [locus.reasons[0] for locus in loci]),
         "last_reason": ("why the locus ends at its last point", [locus.reasons[1] for locus in loci]),
     }
-    variables |= {
-        f"locus_{column_name}": ("locus", column_values, {"long_name": long_name})
-        for column_name, (long_name, column_values) in locus_columns.items()
-    }
-    return xr.Dataset(variables)
+    return xr.Dataset(variables | _columns("locus", columns))
 
 
-def _codim2_dataset(loci):
+def _codim2_dataset(results):
     """Return the special points of all loci, including the end points."""
-    first_row_of_locus = np.cumsum([0] + [len(locus_or_point) for locus_or_point in loci])
-    indexed_points = [
-        (locus_index, locus_or_point) for locus_index, locus in enumerate(loci) for locus_or_point in locus.special
-    ]
+    locus_indices, rows, points = zip(*_indexed_special_points(results.loci), strict=True)
     columns = {
-        "kind": (
-            "CP, GPD, DSB, GR, GG, RG, SN, PD, SB, EP",
-            [locus_or_point.kind for _, locus_or_point in indexed_points],
-        ),
-        "locus": ("place of its locus among the loci", [locus_index for locus_index, _ in indexed_points]),
-        "point": (
-            "its place along locus_point",
-            [first_row_of_locus[locus_index] + locus_or_point.place for locus_index, locus_or_point in indexed_points],
-        ),
-        "label": (
-            "P n p q: periods, impacts left, right",
-            [locus_or_point.label for _, locus_or_point in indexed_points],
-        ),
-        "itinerary": (
-            "walls hit, a word a period",
-            [" ".join(locus_or_point.itinerary) for _, locus_or_point in indexed_points],
-        ),
-        "residual": (
-            "largest error left in its equations",
-            [locus_or_point.residual for _, locus_or_point in indexed_points],
-        ),
+        "kind": ("CP, GPD, DSB, GR, GG, RG, SN, PD, SB, EP", [point.kind for point in points]),
+        "locus": ("place of its locus among the loci", locus_indices),
+        "point": ("its place along locus_point", rows),
+        "label": (LABEL_MEANING, [point.label for point in points]),
+        "itinerary": (ITINERARY_MEANING, [" ".join(point.itinerary) for point in points]),
+        "residual": (RESIDUAL_MEANING, [point.residual for point in points]),
     }
-    return xr.Dataset(
-        {
-            f"codim2_{column_name}": ("codim2", np.array(column_values), {"long_name": long_name})
-            for column_name, (long_name, column_values) in columns.items()
-        }
-    )
+    return xr.Dataset(_columns("codim2", columns))
 
 
-def _margin_dataset(margin):
+def _margin_dataset(results):
     """Return the nearest bifurcation of each kind and the changes of the free parameters that lead to it."""
-    near_points, free_names = margin.points, list(margin.free)
+    near_points, free_units = results.margin.points, results.margin.free
     parameter_changes = np.array(
-        [[near_point.change[free_name] for free_name in free_names] for near_point in near_points]
-    ).reshape(len(near_points), len(free_names))
+        [[near_point.change[free_name] for free_name in free_units] for near_point in near_points]
+    ).reshape(len(near_points), len(free_units))
     columns = {
         "kind": ("SN, PD, SB, GR", [near_point.kind for near_point in near_points]),
         "distance": (
@@ -321,17 +229,15 @@ def _margin_dataset(margin):
         "edge": ("what ends the boundary there, if anything does", [near_point.edge for near_point in near_points]),
         "residual": ("largest number left in its equations", [near_point.residual for near_point in near_points]),
     }
-    variables = {
-        f"near_{column_name}": ("near", np.array(column_values), {"long_name": long_name})
-        for column_name, (long_name, column_values) in columns.items()
-    }
+    variables = _columns("near", columns)
     variables["near_change"] = ("near", "free"), parameter_changes, {"long_name": "of each free number"}
-    variables["free_unit"] = "free", list(margin.free.values()), {"long_name": "one unit of each free number"}
-    return xr.Dataset(variables, {"free": free_names})
+    variables |= _columns("free", {"unit": ("one unit of each free number", list(free_units.values()))})
+    return xr.Dataset(variables, {"free": list(free_units)})
 
 
-def _fit_dataset(fit):
+def _fit_dataset(results):
     """Return the fitted parameters, their standard errors and covariance, and the residuals."""
+    fit = results.fit
     parameter_names = list(fit.values)
     variables = {
         "fit_value": ("fitted", list(fit.values.values()), {"long_name": "of each fitted number"}),
@@ -348,3 +254,14 @@ def _fit_dataset(fit):
 
 def _mirror_indices(motions):
     return [NO_MIRROR if motion.mirror_of is None else motion.mirror_of for motion in motions]
+
+
+# Functions that return the Datasets of each field of `StudyResults`, unless the field is None or empty.
+_DATASETS_BY_FIELD = {
+    "attractors": (_attractor_dataset, _start_box_dataset),
+    "orbits": (_orbit_dataset,),
+    "branches": (_branch_dataset, _special_point_dataset),
+    "loci": (_locus_dataset, _codim2_dataset),
+    "margin": (_margin_dataset,),
+    "fit": (_fit_dataset,),
+}

@@ -23,18 +23,9 @@ CHATTER_NOTE = "inf: the mass sticks after complete chatter; impacts lists the b
 def format_results_table(results, file_name, units="scene"):
     """Format the scene and all results of a run as text."""
     text_lines = [f"jaxvibro {__version__}, {file_name}\n", align_columns(_parameter_rows(results.scene, units))]
-    result_sections = [
-        (results.swept, sweep_report.sweep_lines),
-        (results.attractors, _attractor_lines),
-        (results.orbits, _orbit_lines),
-        (results.branches, _branch_lines),
-    ]
-    result_sections += [(results.loci, _locus_lines), (results.margin, _margin_lines), (results.fit, _fit_lines)]
-    for section_result, format_section in result_sections:
-        if section_result is not None:
+    for field_name, format_section in _LINES_BY_FIELD.items():
+        if getattr(results, field_name) is not None:
             text_lines += ["", *format_section(results, units)]
-    if results.map is not None:
-        text_lines += ["", *map_report.map_lines(results.map, units)]
     return "\n".join(text_lines) + "\n"
 
 
@@ -242,6 +233,23 @@ def _fit_lines(results, units):
     yield results.fit.table(units)
 
 
+def _map_lines(results, units):
+    return map_report.map_lines(results.map, units)
+
+
+# Functions of (results, units) that return the lines of a section, for each field of `StudyResults` that is not None.
+_LINES_BY_FIELD = {
+    "swept": sweep_report.sweep_lines,
+    "attractors": _attractor_lines,
+    "orbits": _orbit_lines,
+    "branches": _branch_lines,
+    "loci": _locus_lines,
+    "margin": _margin_lines,
+    "fit": _fit_lines,
+    "map": _map_lines,
+}
+
+
 def _meanings_text(meaning_by_kind):
     return ", ".join(f"{kind} {meaning}" for kind, meaning in meaning_by_kind.items())
 
@@ -262,7 +270,8 @@ def summarise_results(results, path_by_kind):
     if results.swept is not None:
         summary_record["stretches"] = [msgspec.to_builtins(item) for item in results.stretches]
     if results.attractors is not None:
-        summary_record["starts"] = dict(zip(("left", "right", "fast"), _initial_box_limits(results), strict=True))
+        box_limits = map(float, initial_box(results.scene_of_table(results.file.attractors)))
+        summary_record["starts"] = dict(zip(("left", "right", "fast"), box_limits, strict=True))
         summary_record["attractors"] = [_attractor_record(item) for item in results.attractors]
     if results.orbits is not None:
         summary_record["orbits"] = [_orbit_record(item) for item in results.orbits]
@@ -287,10 +296,6 @@ def summarise_results(results, path_by_kind):
     if results.map is not None:
         summary_record["map"] = map_report.count_cells_by_label(results.map)
     return summary_record
-
-
-def _initial_box_limits(results):
-    return (float(box_limit) for box_limit in initial_box(results.scene_of_table(results.file.attractors)))
 
 
 def _attractor_record(attractor):

@@ -5,6 +5,7 @@ import time
 from collections.abc import Iterable
 from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import partial
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -19,17 +20,20 @@ from ..scene.scales import require_scales
 from ..scene.scene_table import SceneTable
 from ..stores.engines import Engine, LocalEngine
 from . import map_report, results_report, scene_file
-from .csv_tables import csv_tables, requested_table_names
+from .csv_tables import csv_table, requested_table_names
 from .record_file import load_measured_record
 from .result_pictures import draw_loci_picture, draw_main_picture, draw_margin_picture
 from .results_dataset import make_results_dataset
 from .scene_file_studies import run_studies
 from .schema import SceneFile
 
-SUFFIXES = {"picture": ".png", "data": ".nc", "table": ".txt"}
-# Results of further tables; the study itself writes the store of a map, a folder.
-EXTRA_SUFFIXES = {"locus": {"loci": ".loci.png"}, "margin": {"margin": ".margin.png"}, "map": {"map": ".map.png"}}
 STORE_SUFFIX = ".zarr"
+# Additional pictures for tables of a scene file, {table: {kind: (suffix, function of results and units)}}.
+_PICTURES_BY_TABLE = {
+    "locus": {"loci": (".loci.png", draw_loci_picture)},
+    "margin": {"margin": (".margin.png", draw_margin_picture)},
+    "map": {"map": (".map.png", lambda results, units: map_report.draw_map_picture(results.map, units))},
+}
 PAPER_TABLES = ("spectrum", "basins", "panels")  # tables for `paper` only
 
 
@@ -124,14 +128,8 @@ def run(
     for table_name in PAPER_TABLES:
         if getattr(file_tables, table_name):
             raise SceneError(table_name, "is a table for `jaxvibro paper`, not for a run", path.name)
-    suffix_by_kind = {"table": SUFFIXES["table"]} if file_tables.has_only_map else dict(SUFFIXES)
-    for table_name, extra_suffix_by_kind in EXTRA_SUFFIXES.items():
-        suffix_by_kind |= extra_suffix_by_kind if getattr(file_tables, table_name) is not None else {}
-    if csv:
-        suffix_by_kind |= {f"{csv_name} table": f".{csv_name}.csv" for csv_name in requested_table_names(file_tables)}
-    path_by_kind = {
-        output_kind: out / (path.stem + output_suffix) for output_kind, output_suffix in suffix_by_kind.items()
-    }
+    output_files = _requested_files(file_tables, path.name, csv)
+    path_by_kind = {kind: out / (path.stem + suffix) for kind, (suffix, _) in output_files.items()}
     scene = file_tables.scene.make()
     if require_unit_system(units) == "physical":
         require_scales(scene)
@@ -139,37 +137,39 @@ def run(
     map_store = None if file_tables.map is None else _make_map_store(out, path.stem, engine)
     measured_record = None if file_tables.fit is None else load_measured_record(path.parent, file_tables.fit, scene)
     results = run_studies(file_tables, measured_record, progress, map_store)
-    results_text = results_report.format_results_table(results, path.name, units)
-    content_by_kind = (
-        {}
-        if file_tables.has_only_map
-        else {"picture": draw_main_picture(results, units), "data": netcdf_bytes(make_results_dataset(results))}
-    )
-    content_by_kind["table"] = results_text.encode()
-    draw_by_kind = {
-        "loci": draw_loci_picture,
-        "margin": draw_margin_picture,
-        "map": lambda results, units: map_report.draw_map_picture(results.map, units),
-    }
-    content_by_kind |= {
-        output_kind: draw_picture(results, units)
-        for output_kind, draw_picture in draw_by_kind.items()
-        if output_kind in path_by_kind
-    }
-    content_by_kind |= (
-        {f"{csv_name} table": csv_content for csv_name, csv_content in csv_tables(results, units).items()}
-        if csv
-        else {}
-    )
-    path_by_kind = {output_kind: path_by_kind[output_kind] for output_kind in content_by_kind}
-    _write_files(
-        {path_by_kind[output_kind]: output_content for output_kind, output_content in content_by_kind.items()}, force
-    )
-    output_path_by_kind = path_by_kind if map_store is None else path_by_kind | {"store": Path(map_store.path)}
-    run_summary = results_report.summarise_results(
-        results, {output_kind: str(output_path) for output_kind, output_path in output_path_by_kind.items()}
-    )
-    return Done(run_summary | {"seconds": round(time.perf_counter() - start_time, 3)}, results_text)
+    content_by_kind = {kind: make_content(results, units) for kind, (_, make_content) in output_files.items()}
+    content_by_kind = {kind: content for kind, content in content_by_kind.items() if content is not None}
+    _write_files({path_by_kind[kind]: content for kind, content in content_by_kind.items()}, force)
+    written_paths = {kind: str(path_by_kind[kind]) for kind in content_by_kind}
+    if map_store is not None:
+        written_paths["store"] = map_store.path
+    summary = results_report.summarise_results(results, written_paths)
+    summary["seconds"] = round(time.perf_counter() - start_time, 3)
+    return Done(summary, content_by_kind["table"].decode())
+
+
+def _requested_files(file_tables, file_name, with_csv_tables):
+    """Return the output files of a run in the order of its summary, {kind: (suffix, function of results and units)}.
+
+    The functions return the content of the files as bytes, or None if there is nothing to write.
+    """
+    output_files = {}
+    if not file_tables.has_only_map:
+        output_files |= {"picture": (".png", draw_main_picture), "data": (".nc", _make_data_file)}
+    output_files["table"] = ".txt", partial(_make_table_file, file_name)
+    for table_name, kind_and_file in _PICTURES_BY_TABLE.items():
+        output_files |= kind_and_file if table_name in file_tables.analyses else {}
+    for csv_name in requested_table_names(file_tables) if with_csv_tables else ():
+        output_files[f"{csv_name} table"] = f".{csv_name}.csv", partial(csv_table, csv_name)
+    return output_files
+
+
+def _make_table_file(file_name, results, units):
+    return results_report.format_results_table(results, file_name, units).encode()
+
+
+def _make_data_file(results, _):
+    return netcdf_bytes(make_results_dataset(results))
 
 
 def _make_map_store(output_folder, file_stem, engine):

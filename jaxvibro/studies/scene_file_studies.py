@@ -2,7 +2,7 @@
 
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import jax
 import numpy as np
@@ -15,9 +15,10 @@ from ..branches.branch import Branch, Special
 from ..branches.branch_tree import follow_tree
 from ..branches.diagram import Diagram
 from ..branches.explore import explore
-from ..design.fit import fit as fitted
+from ..design.fit import fit
 from ..design.fit_result import Fit
-from ..design.margin import Margin, margin
+from ..design.margin import margin
+from ..design.margin_result import Margin
 from ..design.records import ImpactRecord, SampleRecord
 from ..flight.wall_positions import adapt_to_moved_walls
 from ..loci.loci_of_branches import count_points_to_follow, follow_loci
@@ -25,15 +26,27 @@ from ..loci.locus import Locus
 from ..orbits.find import find_orbit
 from ..orbits.find_orbits import find_orbits
 from ..orbits.orbit import Orbit, OrbitError
-from ..scene.check import ArgumentError, SceneError
+from ..scene.check import SceneError
 from ..scene.scene import Scene, replace_unchecked
 from ..scene.state import State
 from ..surveys.map import map_parameters
-from .schema import AttractorsTable, BranchTable, ExploreTable, MarginTable, OrbitsTable, SceneFile
+from .schema import (
+    AttractorsTable,
+    BasinsTable,
+    BranchTable,
+    ExploreTable,
+    MapTable,
+    MarginTable,
+    OrbitsTable,
+    SceneFile,
+)
 from .sweep_periods import SweepStretch, find_sweep_stretches
+from .validate import prefix_error_keys
 
 # Tables with values `at`.
-TableWithValues = AttractorsTable | OrbitsTable | BranchTable | ExploreTable | MarginTable | None
+TableWithValues = (
+    AttractorsTable | OrbitsTable | BranchTable | ExploreTable | MarginTable | BasinsTable | MapTable | None
+)
 
 DEFAULT_SETTLE, DEFAULT_KEEP = 300, 100  # drive periods from rest, without a sweep
 STATE_TOLERANCE = 1e-6  # relative distance within which the states of an orbit and an attractor are equal
@@ -76,9 +89,9 @@ class StudyResults:
 
     file: SceneFile
     scene: Scene
-    swept: xr.Dataset | None
-    attractors: tuple[Attractor, ...] | None
-    orbits: tuple[Orbit, ...] | None
+    swept: xr.Dataset | None = None
+    attractors: tuple[Attractor, ...] | None = None
+    orbits: tuple[Orbit, ...] | None = None
     branches: tuple[Branch, ...] | None = None
     diagram: Diagram | None = None
     loci: tuple[Locus, ...] | None = None
@@ -192,146 +205,180 @@ def run_studies(scene_file, measured_record=None, show_progress=False, map_store
         If the start of a branch or margin does not lead to an orbit that can be continued, or the record has less data
         than the fit needs.
     """
-    scene = scene_file.scene.make()
-    sweep_data, attractors, orbits, branches, diagram, loci_and_refusals = None, None, None, None, None, (None, None)
-    # The fit and the branch run first: a record may not suffice for the fit, and a start may lead to no orbit.
-    fit = None if scene_file.fit is None else _fit_parameters(scene, scene_file.fit, measured_record)
-    if scene_file.branch is not None:
-        branches = _follow_branches(scene.replace(**scene_file.branch.at), scene_file.branch, show_progress)
-    if scene_file.explore is not None:
-        diagram = _explore(scene.replace(**scene_file.explore.at), scene_file.explore, show_progress)
-        branches = diagram.branches
-    if scene_file.locus is not None:
-        loci_and_refusals = _follow_loci(branches, scene_file.locus, show_progress)
-    if scene_file.sweep is not None:
-        sweep_data = _run_sweep(scene, scene_file.sweep, show_progress)
-    if scene_file.attractors is not None:
-        attractors = _find_attractors(scene.replace(**scene_file.attractors.at), scene_file.attractors, show_progress)
-    if scene_file.orbits is not None:
-        orbits = _find_orbits(scene.replace(**scene_file.orbits.at), scene_file.orbits, show_progress)
-    margin_result = (
-        None if scene_file.margin is None else _compute_margin(scene.replace(**scene_file.margin.at), scene_file.margin)
-    )
-    map_data = (
-        None
-        if scene_file.map is None
-        else _compute_map(scene.replace(**scene_file.map.at), scene_file.map, show_progress, map_store)
-    )
-    if sweep_data is attractors is orbits is branches is margin_result is fit is map_data is None:
-        sweep_data = _motion_from_rest(scene)
-    return StudyResults(
-        scene_file,
-        scene,
-        sweep_data,
-        attractors,
-        orbits,
-        branches,
-        diagram,
-        *loci_and_refusals,
-        margin_result,
-        fit,
-        measured_record,
-        map_data,
-    )
+    results = StudyResults(scene_file, scene_file.scene.make(), record=measured_record)
+    if scene_file.analyses.keys().isdisjoint({*_FUNCTION_BY_TABLE, "map"}):
+        return replace(results, swept=_motion_from_rest(results.scene))
+    progress_bar = partial(_progress_bar, disable=not show_progress)
+    for table_name, run_analysis in _FUNCTION_BY_TABLE.items():
+        if table_name in scene_file.analyses:
+            results = replace(results, **run_analysis(results, scene_file.analyses[table_name], progress_bar))
+    if scene_file.map is not None:
+        results = replace(results, map=_compute_map(results, scene_file.map, show_progress, map_store))
+    return results
 
 
-def _run_sweep(scene, sweep_table, show_progress):
+@contextmanager
+def _progress_bar(description, unit, total=None, **options):
+    """Show a progress bar on stderr during the block; yield a function that sets the number of completed units."""
+    with tqdm(desc=description, unit=f" {unit}", total=total, **options) as bar:
+        yield lambda n_completed: bar.update(n_completed - bar.n)
+
+
+def _run_sweep(results, sweep_table, progress_bar):
     """Run all legs of a sweep at the same time, as lanes."""
     leg_values = np.stack([sweep_table.values(leg) for leg in sweep_table.legs], axis=-1)
     initial_states = State(
         *(np.array([getattr(leg.start, coordinate_name) for leg in sweep_table.legs]) for coordinate_name in ("x", "v"))
     )
-    with tqdm(
-        desc="sweep", total=len(leg_values), unit=" values", mininterval=0.5, disable=not show_progress
-    ) as progress_bar:
-        sweep_settings = {
-            "progress": lambda n_done: progress_bar.update(n_done - progress_bar.n),
-            "max_seconds": sweep_table.max_seconds,
-        }
+    with progress_bar("sweep", "values", len(leg_values), mininterval=0.5) as set_progress:
         sweep_data = sweep(
-            scene,
+            results.scene,
             sweep_table.parameter,
             leg_values,
             initial_states,
             sweep_table.settle,
             sweep_table.keep,
-            **sweep_settings,
+            progress=set_progress,
+            max_seconds=sweep_table.max_seconds,
         )
     if "stopped" in sweep_data.attrs:  # keeps the completed values
         sweep_data = sweep_data.isel(step=(sweep_data["status"] >= 0).all("lane").values)
-    return _name_legs(sweep_data, [leg.name for leg in sweep_table.legs])
+    return {"swept": _name_legs(sweep_data, [leg.name for leg in sweep_table.legs])}
 
 
-def _find_attractors(scene, attractors_table, show_progress):
-    with tqdm(
-        desc="attractors", total=attractors_table.starts, unit=" starts", disable=not show_progress
-    ) as progress_bar:
+def _find_attractors(results, attractors_table, progress_bar):
+    n_starts = attractors_table.starts
+    with progress_bar("attractors", "starts", n_starts) as set_progress:
         attractors = find_attractors(
-            scene, attractors_table.starts, attractors_table.seed, max_seconds=attractors_table.max_seconds
+            results.scene_of_table(attractors_table),
+            n_starts,
+            attractors_table.seed,
+            max_seconds=attractors_table.max_seconds,
         )
-        progress_bar.update(attractors_table.starts)
-    return attractors
+        set_progress(n_starts)
+    return {"attractors": attractors}
 
 
-def _find_orbits(scene, orbits_table, show_progress):
-    with tqdm(desc="orbits", total=orbits_table.starts, unit=" starts", disable=not show_progress) as progress_bar:
-        orbits = find_orbits(scene, orbits_table.max_period, orbits_table.starts, orbits_table.seed)
-        progress_bar.update(orbits_table.starts)
-    return orbits
+def _find_orbits(results, orbits_table, progress_bar):
+    scene, n_starts = results.scene_of_table(orbits_table), orbits_table.starts
+    with progress_bar("orbits", "starts", n_starts) as set_progress:
+        orbits = find_orbits(scene, orbits_table.max_period, n_starts, orbits_table.seed)
+        set_progress(n_starts)
+    return {"orbits": orbits}
 
 
-def _follow_branches(scene, branch_table, show_progress):
-    with tqdm(desc="branches", unit=" branches", disable=not show_progress) as progress_bar:
-        try:
-            orbit = find_orbit(scene, State(branch_table.start.x, branch_table.start.v), settle=branch_table.settle)
-            branches = follow_tree(
-                orbit,
-                branch_table.parameter,
-                branch_table.bounds,
-                branch_table.max_period,
-                lambda n_branches: progress_bar.update(n_branches - progress_bar.n),
-                largest_step=branch_table.largest_step,
-                max_seconds=branch_table.max_seconds,
-            )
-        except OrbitError as error:
-            rule = f"must lead to an orbit that can be followed ({error})"
-            raise SceneError("branch.start", rule, {"x": branch_table.start.x, "v": branch_table.start.v}) from None
-        progress_bar.update(len(branches) - progress_bar.n)
-    return branches
+def _follow_branches(results, branch_table, progress_bar):
+    with (
+        progress_bar("branches", "branches") as set_progress,
+        _orbit_from_start("branch", results, branch_table) as orbit,
+    ):
+        branches = follow_tree(
+            orbit,
+            branch_table.parameter,
+            branch_table.bounds,
+            branch_table.max_period,
+            set_progress,
+            largest_step=branch_table.largest_step,
+            max_seconds=branch_table.max_seconds,
+        )
+        set_progress(len(branches))
+    return {"branches": branches}
 
 
-def _explore(scene, explore_table, show_progress):
-    explore_settings = {
-        "max_period": explore_table.max_period,
-        "seed": explore_table.seed,
-        "budget": explore_table.budget,
-    }
-    explore_settings["max_seconds"] = explore_table.max_seconds
-    with tqdm(desc="explore", unit=" branches", disable=not show_progress) as progress_bar:
-        try:
-            return explore(
-                scene,
-                explore_table.parameter,
-                explore_table.bounds,
-                **explore_settings,
-                progress=lambda n_branches: progress_bar.update(n_branches - progress_bar.n),
-            )
-        except ArgumentError as error:
-            raise SceneError(f"explore.{error.key}", error.rule, error.value, error.index) from None
+@contextmanager
+def _orbit_from_start(table_name, results, analysis_table):
+    """Yield the orbit that the motion from the initial state of a table approaches.
+
+    An OrbitError of the search or of the block becomes a SceneError for this initial state.
+    """
+    x, v = analysis_table.start.x, analysis_table.start.v
+    try:
+        yield find_orbit(results.scene_of_table(analysis_table), State(x, v), settle=analysis_table.settle)
+    except OrbitError as error:
+        rule = f"must lead to an orbit that can be followed ({error})"
+        raise SceneError(f"{table_name}.start", rule, {"x": x, "v": v}) from None
 
 
-def _follow_loci(branches, locus_table, show_progress):
-    n_total_points = count_points_to_follow(branches, locus_table.bounds, locus_table.kinds)
-    with tqdm(desc="loci", total=n_total_points, unit=" points", disable=not show_progress) as progress_bar:
-        return follow_loci(
-            branches,
+def _explore(results, explore_table, progress_bar):
+    with progress_bar("explore", "branches") as set_progress, prefix_error_keys("explore."):
+        diagram = explore(
+            results.scene_of_table(explore_table),
+            explore_table.parameter,
+            explore_table.bounds,
+            max_period=explore_table.max_period,
+            seed=explore_table.seed,
+            budget=explore_table.budget,
+            max_seconds=explore_table.max_seconds,
+            progress=set_progress,
+        )
+    return {"diagram": diagram, "branches": diagram.branches}
+
+
+def _follow_loci(results, locus_table, progress_bar):
+    n_total_points = count_points_to_follow(results.branches, locus_table.bounds, locus_table.kinds)
+    with progress_bar("loci", "points", n_total_points) as set_progress:
+        loci, refused_points = follow_loci(
+            results.branches,
             locus_table.parameters,
             locus_table.bounds,
             locus_table.kinds,
             locus_table.largest_step,
-            lambda n_points: progress_bar.update(n_points - progress_bar.n),
+            set_progress,
             locus_table.max_seconds,
         )
+    return {"loci": loci, "refused_points": refused_points}
+
+
+def _compute_margin(results, margin_table, _):
+    with _orbit_from_start("margin", results, margin_table) as orbit:
+        margin_result = margin(
+            orbit,
+            margin_table.free,
+            margin_table.bounds,
+            margin_table.kinds,
+            margin_table.directions,
+            margin_table.seed,
+            max_seconds=margin_table.max_seconds,
+        )
+    return {"margin": margin_result}
+
+
+def _fit_parameters(results, fit_table, _):
+    with prefix_error_keys("fit."):
+        return {"fit": fit(results.scene, results.record, fit_table.free, fit_table.bounds)}
+
+
+def _compute_map(results, map_table, show_progress, map_store):
+    with tqdm(desc="map", unit=" cells", unit_scale=True, mininterval=0.5, disable=not show_progress) as bar:
+
+        def report_progress(progress):
+            if bar.total is None:
+                bar.reset(progress.total)
+                bar.initial = bar.n = progress.done
+            bar.set_postfix(undecided=progress.undecided, refresh=False)
+            bar.update(progress.done - bar.n)
+
+        return map_parameters(
+            results.scene_of_table(map_table),
+            **map_table.arguments,
+            store=map_store,
+            progress=report_progress,
+            max_seconds=map_table.max_seconds,
+        )
+
+
+# Functions that run the analysis of a table and return {field of `StudyResults`: value}, in the order of a run. The fit
+# and the branch run first: a record may not suffice for the fit, and a start may lead to no orbit.
+_FUNCTION_BY_TABLE = {
+    "fit": _fit_parameters,
+    "branch": _follow_branches,
+    "explore": _explore,
+    "locus": _follow_loci,
+    "sweep": _run_sweep,
+    "attractors": _find_attractors,
+    "orbits": _find_orbits,
+    "margin": _compute_margin,
+}
 
 
 def _lies_on_attractor(orbit, attractor):
@@ -342,47 +389,6 @@ def _lies_on_attractor(orbit, attractor):
     return bool(
         abs(attractor.points - orbit_point).max(axis=1).min() <= STATE_TOLERANCE * (1.0 + abs(orbit_point).max())
     )
-
-
-def _compute_margin(scene, margin_table):
-    try:
-        orbit = find_orbit(scene, State(margin_table.start.x, margin_table.start.v), settle=margin_table.settle)
-        margin_settings = margin_table.kinds, margin_table.directions, margin_table.seed
-        return margin(
-            orbit, margin_table.free, margin_table.bounds, *margin_settings, max_seconds=margin_table.max_seconds
-        )
-    except OrbitError as error:
-        rule = f"must lead to an orbit that can be followed ({error})"
-        raise SceneError("margin.start", rule, {"x": margin_table.start.x, "v": margin_table.start.v}) from None
-
-
-def _fit_parameters(scene, fit_table, measured_record):
-    try:
-        return fitted(scene, measured_record, fit_table.free, fit_table.bounds)
-    except ArgumentError as error:
-        raise SceneError(f"fit.{error.key}", error.rule, error.value, error.index) from None
-
-
-def _compute_map(scene, map_table, show_progress, map_store):
-    with _map_progress_bar(not show_progress) as progress_callback:
-        return map_parameters(
-            scene, **map_table.arguments, store=map_store, progress=progress_callback, max_seconds=map_table.max_seconds
-        )
-
-
-@contextmanager
-def _map_progress_bar(is_silent):
-    """Yield a function of `Progress` that updates a progress bar on stderr."""
-    with tqdm(desc="map", unit=" cells", unit_scale=True, mininterval=0.5, disable=is_silent) as progress_bar:
-
-        def report_progress(progress):
-            if progress_bar.total is None:
-                progress_bar.reset(progress.total)
-                progress_bar.initial = progress_bar.n = progress.done
-            progress_bar.set_postfix(undecided=progress.undecided, refresh=False)
-            progress_bar.update(progress.done - progress_bar.n)
-
-        yield report_progress
 
 
 def _motion_from_rest(scene):

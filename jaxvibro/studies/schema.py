@@ -20,6 +20,15 @@ Periods = Annotated[int, Meta(ge=1, le=MAX_ORBIT_PERIODS)]
 Seed = Annotated[int, Meta(ge=0, lt=2**32)]
 Name = Annotated[str, Meta(min_length=1)]
 LOCUS_KINDS = ("SN", "PD", "SB", "GR")  # special points that have loci
+# Types whose values are checked in `validate.py`, because their rules depend on the scene or have texts of their own.
+ParameterName = Annotated[str, Meta(min_length=1, description="a parameter of the scene")]
+ParameterPair = tuple[ParameterName, ParameterName]
+Finite = Annotated[float, Meta(description="a finite number")]
+Positive = Annotated[float, Meta(description="a finite number greater than 0")]
+Bounds = Annotated[tuple[float, float], Meta(description="two finite numbers, the first smaller")]
+PointKinds = Annotated[tuple[Name, ...], Meta(min_length=1, description="different kinds of special points")]
+# Tables of the analyses, in the order of their checks.
+ANALYSES = ("sweep", "attractors", "orbits", "branch", "explore", "locus", "margin", "fit", "map", "spectrum", "basins")
 
 
 class InitialStateTable(StrictTable, frozen=True):
@@ -33,8 +42,8 @@ class SweepLegTable(StrictTable, frozen=True):
     """Table [[sweep.legs]]: a leg of a sweep, from a first to a last value of the parameter."""
 
     name: Name
-    first: float = field(name="from")
-    last: float = field(name="to")
+    first: Finite = field(name="from")
+    last: Finite = field(name="to")
     start: InitialStateTable
 
 
@@ -57,7 +66,7 @@ class SweepTable(StrictTable, frozen=True, kw_only=True):
         Limit of the wall-clock time in s.
     """
 
-    parameter: Name
+    parameter: ParameterName
     count: Count
     settle: Settle = 300
     keep: Count = 100
@@ -95,13 +104,13 @@ class BranchTable(StrictTable, frozen=True, kw_only=True):
     The other branches bifurcate from the first branch, directly or indirectly.
     """
 
-    parameter: Name
-    bounds: tuple[float, float]
+    parameter: ParameterName
+    bounds: Bounds
     start: InitialStateTable = InitialStateTable(0.0, 0.0)
     at: dict[str, float] = field(default_factory=dict)
     settle: Settle = 200
     max_period: Periods = 1
-    largest_step: float = 0.1
+    largest_step: Positive = 0.1
     max_seconds: Seconds | None = None
 
 
@@ -111,8 +120,8 @@ class ExploreTable(StrictTable, frozen=True, kw_only=True):
     The scene has the values in `at`. The branches that bifurcate from these branches are continued, too.
     """
 
-    parameter: Name
-    bounds: tuple[float, float]
+    parameter: ParameterName
+    bounds: Bounds
     at: dict[str, float] = field(default_factory=dict)
     max_period: Periods = 8
     seed: Seed = 0
@@ -123,10 +132,10 @@ class ExploreTable(StrictTable, frozen=True, kw_only=True):
 class LocusTable(StrictTable, frozen=True, kw_only=True):
     """Table [locus]: loci in two parameters of the special points of [branch] or [explore]."""
 
-    parameters: tuple[Name, Name]
+    parameters: ParameterPair
     bounds: dict[str, tuple[float, float]]
-    kinds: Annotated[tuple[Name, ...], Meta(min_length=1)] = LOCUS_KINDS
-    largest_step: float = 0.1
+    kinds: PointKinds = LOCUS_KINDS
+    largest_step: Positive = 0.1
     max_seconds: Seconds | None = None
 
 
@@ -139,7 +148,7 @@ class MarginTable(StrictTable, frozen=True, kw_only=True):
 
     free: Annotated[dict[str, float], Meta(min_length=1)]
     bounds: dict[str, tuple[float, float]] = field(default_factory=dict)
-    kinds: Annotated[tuple[Name, ...], Meta(min_length=1)] = LOCUS_KINDS
+    kinds: PointKinds = LOCUS_KINDS
     start: InitialStateTable = InitialStateTable(0.0, 0.0)
     at: dict[str, float] = field(default_factory=dict)
     settle: Settle = 200
@@ -166,13 +175,13 @@ class FitTable(StrictTable, frozen=True, kw_only=True):
 class SpectrumTable(StrictTable, frozen=True, kw_only=True):
     """Table [spectrum]: both Lyapunov exponents at values of a parameter, from one initial state."""
 
-    parameter: Name
-    first: float = field(name="from")
-    last: float = field(name="to")
+    parameter: ParameterName
+    first: Finite = field(name="from")
+    last: Finite = field(name="to")
     count: Count
     start: InitialStateTable = InitialStateTable(0.0, 0.0)
     settle: Settle = 1000
-    error: float = 2e-3
+    error: Positive = 2e-3
 
     @property
     def values(self) -> Float[np.ndarray, " count"]:
@@ -184,10 +193,10 @@ class SpectrumTable(StrictTable, frozen=True, kw_only=True):
 class BasinsTable(StrictTable, frozen=True, kw_only=True):
     """Table [basins]: attractor of each initial state of a grid, in the scene with the values in `at`."""
 
-    x: tuple[float, float]
-    v: tuple[float, float]
+    x: Bounds
+    v: Bounds
     count: Annotated[int, Meta(ge=2, le=4001)]
-    phase: float = 0.0
+    phase: Finite = 0.0
     starts: Count = 200
     seed: Seed = 0
     at: dict[str, float] = field(default_factory=dict)
@@ -205,7 +214,7 @@ class MapTable(StrictTable, frozen=True, kw_only=True):
     parameter. `starts` is the number of random initial states per cell, which replace the initial state `start`.
     """
 
-    parameters: tuple[Name, Name]
+    parameters: ParameterPair
     bounds: dict[str, tuple[float, float]]
     count: tuple[Count, Count]
     quantities: tuple[Name, ...] = ("label", "exponent")
@@ -266,14 +275,15 @@ class SceneFile(StrictTable, frozen=True):
         return self.branch or self.explore
 
     @property
+    def analyses(self) -> dict[str, StrictTable]:
+        """Tables of the analyses in the file, {name: table}."""
+        tables = {table_name: getattr(self, table_name) for table_name in ANALYSES}
+        return {table_name: table for table_name, table in tables.items() if table is not None}
+
+    @property
     def has_only_map(self) -> bool:
         """True if the only analysis is a [map]."""
-        analysis_names = (
-            analysis_name
-            for analysis_name in self.__struct_fields__
-            if analysis_name not in ("scene", "map", "panels", "view")
-        )
-        return self.map is not None and not any(getattr(self, analysis_name) for analysis_name in analysis_names)
+        return list(self.analyses) == ["map"]
 
     @property
     def panel_values(self) -> list[dict[str, float]]:

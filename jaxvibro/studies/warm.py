@@ -7,9 +7,7 @@ from typing import NamedTuple
 
 import jax
 
-from continuation import numpy_evaluation
-from continuation.persistent_jit import jax_cache_folder
-from continuation.trusted_cache_file import reason_for_distrust
+from continuation.hostcall import compile_at_once, jax_cache_folder, reason_for_distrust
 
 from ..attractors.find import find_attractors
 from ..branches.follow import follow
@@ -104,11 +102,8 @@ def warm(scene: Scene | None = None, progress: Callable[[str], object] | None = 
         completed_steps.append((step_name, process_time() - start_time))
         return step_result
 
-    previous_max_evaluations, numpy_evaluation.MAX_EVALUATIONS = numpy_evaluation.MAX_EVALUATIONS, 0
-    try:
+    with compile_at_once():
         _run_first_steps(scene, try_step)
-    finally:
-        numpy_evaluation.MAX_EVALUATIONS = previous_max_evaluations
     return Warmed(Path(cache_path), tuple(completed_steps), tuple(failed_step_texts))
 
 

@@ -15,7 +15,6 @@ import numpy as np
 from ..attractors.derived_attractors import find_mirror_index
 from ..attractors.transients import settle_lanes
 from ..flight.wall_positions import adapt_to_moved_walls
-from ..maps.initial_conditions import initial_box
 from ..orbits.orbit_comparison import impacts_as_points, is_same_orbit, mirror_points
 from ..scene.state import State
 from ..scene.symmetry import is_symmetric
@@ -206,10 +205,7 @@ def _coexist_between(node, next_node, name, index, next_index, settle):
     state = adapt_to_moved_walls(
         scene_between, perturb_free_states(scene_between, State(x, v, np.zeros_like(x), contact), max_state_magnitude)
     )
-    start_box_x_min, start_box_x_max, _ = initial_box(scene_between)
-    iterates, recurrence_periods, _ = settle_lanes(
-        scene_between, jax.tree.map(np.asarray, state), settle, max(abs(start_box_x_min), abs(start_box_x_max))
-    )
+    iterates, recurrence_periods, _ = settle_lanes(scene_between, jax.tree.map(np.asarray, state), settle)
     return bool(recurrence_periods.all()) and not _is_same_or_mirror(
         scene_between,
         *(

@@ -18,9 +18,8 @@ from ..attractors.classify_attractors import (
 from ..attractors.transients import extract_orbit, is_rotated_orbit, settle_lanes
 from ..compiled.kernel_calls import BLOCK_WIDTH
 from ..flight.wall_positions import adapt_to_moved_walls
-from ..maps.initial_conditions import initial_box
 from ..maps.iterate import iterate
-from ..orbits.orbit_comparison import is_same_orbit, samples_fill_same_set
+from ..maps.long_iteration import take_lanes
 from ..scene.check import MAX_ORBIT_PERIODS
 from ..scene.codes import Status
 from ..scene.scene import Scene
@@ -113,8 +112,8 @@ def _transport_batch(nodes, name, transport_tasks, settle):
         name,
         start_values,
         end_values,
-        _stack_states(nodes[0].scene, start_states),
-        _max_magnitude_by_task(nodes, padded_tasks),
+        jax.tree.map(lambda *leaves: np.array(leaves, nodes[0].scene.dtype), *start_states),
+        np.array([max(nodes[index].scale, nodes[index + node_step].scale) for index, _, node_step in padded_tasks]),
     )
     target_node_indices = np.array([node_index + node_step for node_index, _, node_step in transport_tasks])
     target_indices = np.full(len(transport_tasks), -1)
@@ -124,27 +123,11 @@ def _transport_batch(nodes, name, transport_tasks, settle):
         )
         if lanes.size:
             target_indices[lanes] = assign_or_add_attractors(
-                nodes[target_node_index], jax.tree.map(lambda leaf, lanes=lanes: leaf[lanes], end_state), settle
+                nodes[target_node_index], take_lanes(end_state, lanes), settle
             )
     for lane, (node_index, candidate_index, node_step) in enumerate(transport_tasks):
         target_index = None if target_indices[lane] < 0 else int(target_indices[lane])
         nodes[node_index].transports[node_step][candidate_index] = TransportResult(target_index, state_path[:, :, lane])
-
-
-def _max_magnitude_by_task(nodes, transport_tasks):
-    return np.array(
-        [
-            max(nodes[node_index].scale, nodes[node_index + node_step].scale)
-            for node_index, _, node_step in transport_tasks
-        ]
-    )
-
-
-def _stack_states(scene, states):
-    """Stack single states at phase 0 into one state with many lanes."""
-    components = ([getattr(state, component_name) for state in states] for component_name in ("x", "v", "contact"))
-    x, v, contact = (np.array(component_values, scene.dtype) for component_values in components)
-    return State(x, v, np.zeros_like(x), contact)
 
 
 def _ramp_parameter(scene, name, start_values, end_values, state, max_state_magnitude):
@@ -194,11 +177,8 @@ def assign_or_add_attractors(node, state, settle):
     New attractors are added to the node, with their mirror images if the scene is symmetric.
     """
     scene, candidates = node.scene, node.candidates
-    start_box_x_min, start_box_x_max, _ = initial_box(scene)
     state = jax.tree.map(np.asarray, adapt_to_moved_walls(scene, perturb_free_states(scene, state, node.scale)))
-    iterates, recurrence_periods, _ = settle_lanes(
-        scene, state, settle, max(abs(start_box_x_min), abs(start_box_x_max))
-    )
+    iterates, recurrence_periods, _ = settle_lanes(scene, state, settle)
     attractor_indices = np.full(len(recurrence_periods), -1)
     for lane in np.flatnonzero(recurrence_periods):
         attractor_indices[lane] = _find_orbit_index(
@@ -206,11 +186,12 @@ def assign_or_add_attractors(node, state, settle):
         )
     nonrecurrent_lanes = np.flatnonzero((recurrence_periods == 0) & (iterates.status < Status.CAP))
     for lane in nonrecurrent_lanes:
-        motion = sample_motions(scene, jax.tree.map(lambda leaf, lane=lane: leaf[[lane]], iterates.state))
+        motion = sample_motions(scene, take_lanes(iterates.state, [lane]))
         if motion.status[0] < Status.CAP:
-            attractor_indices[lane] = _find_same_attractor(
-                candidates, make_chaotic_attractor(scene, motion, node.scale, {})
+            index = derived_attractors.find_attractor_index(
+                candidates, 0, make_chaotic_attractor(scene, motion, node.scale, {}).impact_points
             )
+            attractor_indices[lane] = -1 if index is None else index
     n_known_candidates = len(candidates)
     for found_candidate in find_periodic_attractors(
         scene, iterates, np.where(attractor_indices < 0, recurrence_periods, 0), settle, node.scale
@@ -228,28 +209,12 @@ def assign_or_add_attractors(node, state, settle):
 def _find_orbit_index(candidates, section_points, max_state_magnitude):
     """Return the index of the periodic attractor with these points, -1 if there is none."""
     tolerance = np.finfo(section_points.dtype).eps ** 0.4 * max_state_magnitude
-    for index, candidate in enumerate(candidates):
-        candidate_points = candidate.attractor_fields["points"]
-        if candidate.attractor_fields["periods"] == len(section_points) and is_rotated_orbit(
-            section_points, candidate_points, tolerance
-        ):
-            return index
-    return -1
-
-
-def _find_same_attractor(candidates, new_candidate):
-    """Return the index of the candidate that is the same attractor, -1 if there is none."""
-    is_same_motion = is_same_orbit if new_candidate.attractor_fields["periods"] else samples_fill_same_set
-    same_period_indices = (
-        index
-        for index, other_candidate in enumerate(candidates)
-        if other_candidate.attractor_fields["periods"] == new_candidate.attractor_fields["periods"]
-    )
     return next(
         (
             index
-            for index in same_period_indices
-            if is_same_motion(new_candidate.impact_points, candidates[index].impact_points)
+            for index, candidate in enumerate(candidates)
+            if candidate.attractor_fields["periods"] == len(section_points)
+            and is_rotated_orbit(section_points, candidate.attractor_fields["points"], tolerance)
         ),
         -1,
     )
@@ -257,8 +222,10 @@ def _find_same_attractor(candidates, new_candidate):
 
 def _find_or_add_attractor(candidates, new_candidate):
     """Return the index of an attractor among the candidates, adding it without initial states if it is new."""
-    index = _find_same_attractor(candidates, new_candidate)
-    if index < 0:
+    index = derived_attractors.find_attractor_index(
+        candidates, new_candidate.attractor_fields["periods"], new_candidate.impact_points
+    )
+    if index is None:
         candidates.append(replace(new_candidate, lanes=[]))
         return len(candidates) - 1
     return index

@@ -10,13 +10,13 @@ from jaxtyping import ArrayLike, Float, Real
 from continuation.computation_limits import UNLIMITED, make_limits, partial_result_reason
 
 from ..attractors.basin_fraction_bounds import SIGNIFICANCE_LEVEL, compute_share_bounds
+from ..attractors.dataset_attributes import STATUS_FLAGS, other_parameters, survey_attributes
 from ..attractors.find import make_attractors, settle_starts
-from ..attractors.sweep import STATUS_FLAGS, UNITS_TEXT, equation_text, non_parameter_attributes, other_parameters
+from ..attractors.survey_arguments import check_survey_values, is_increasing
 from ..maps.initial_conditions import draw_initial_states
-from ..output.units import LENGTH, SPEED, scales_attributes, unit_of
+from ..output.units import LENGTH, SPEED, unit_of
 from ..scene import check
 from ..scene.scene import Scene
-from ..scene.unit_mistakes import require_scene_units
 from .attractor_matching import match_attractors, nearest_rotation
 from .attractor_transport import ParameterNode, transport_attractors
 from .least_shock import least_shock
@@ -153,11 +153,9 @@ def fractions(
 
 def _check_values(scene, name, values) -> Float[np.ndarray, " values"]:
     """Check the values of the parameter and return them as an array."""
-    check.require_parameter(name, scene.names, name)
-    values = check.check_finite_array(name, values, scene.dtype)
-    if values.ndim != 1 or len(values) == 0 or not (np.diff(values) > 0).all():
-        raise check.ArgumentError(name, "must be one or more values in increasing order", values)
-    require_scene_units("values", scene, name, values)
+    values = check_survey_values(
+        scene, name, values, "values", "must be one or more values in increasing order", is_increasing
+    )
     scene.replace(**{name: values})
     return values
 
@@ -216,14 +214,9 @@ def _compute_shock_size(scene, attractors, attractor_index, n_shocks):
 def _make_dataset(scene, name, values, nodes, node_attractors, tracks, n_starts, seed):
     """Return the Dataset of the attractors at each value and their tracks along the parameter."""
     entries_by_value = [
-        [_make_attractor_entry(node_attractors, track, node_index) for track in tracks]
+        [_make_attractor_entry(node_attractors, track, node_index, tracks) for track in tracks]
         for node_index in range(len(node_attractors))
     ]
-    for node_index, value_entries in enumerate(entries_by_value):
-        for track, attractor_variables in zip(tracks, value_entries, strict=True):
-            attractor_variables["mirror_of"] = _mirror_track_index(
-                node_attractors[node_index], track, node_index, tracks
-            )
     unresolved_counts = np.array([node.n_unresolved_starts for node in nodes])
     unresolved_lower_bounds, unresolved_upper_bounds = np.array(
         [compute_share_bounds(int(n_unresolved_starts), n_starts) for n_unresolved_starts in unresolved_counts]
@@ -231,8 +224,8 @@ def _make_dataset(scene, name, values, nodes, node_attractors, tracks, n_starts,
     unresolved_attrs = {"long_name": "share of the starts on no attractor", "units": "1"}
     variables = {
         **{
-            variable_name: ((name, "attractor"), _make_entry_array(entries_by_value, variable_name), column_attrs)
-            for variable_name, column_attrs in COLUMN_ATTRS.items()
+            variable_name: ((name, "attractor"), _make_entry_array(entries_by_value, variable_name, dtype), attributes)
+            for variable_name, (dtype, _, attributes) in ENTRY_VARIABLES.items()
         },
         "unresolved": (name, unresolved_counts / n_starts, unresolved_attrs),
         "unresolved_low": (name, unresolved_lower_bounds, {"long_name": "lower bound of it at 95 %", "units": "1"}),
@@ -252,14 +245,8 @@ def _make_dataset(scene, name, values, nodes, node_attractors, tracks, n_starts,
         ),
     }
     attrs = {
-        "equation": equation_text(scene),
-        "units": UNITS_TEXT,
-        "swept": name,
-        **non_parameter_attributes(scene),
-        **scales_attributes(scene),
-    }
-    attrs |= {variable_name: float(value) for variable_name, value in other_parameters(scene, name).items()}
-    attrs |= {
+        **survey_attributes(scene, swept=name),
+        **{parameter_name: float(value) for parameter_name, value in other_parameters(scene, name).items()},
         "starts": n_starts,
         "seed": seed if seed <= MAX_NETCDF_INT else str(seed),
         "confidence": 1.0 - SIGNIFICANCE_LEVEL,
@@ -267,28 +254,24 @@ def _make_dataset(scene, name, values, nodes, node_attractors, tracks, n_starts,
     return xr.Dataset(variables, coords, attrs)
 
 
-COLUMN_ATTRS = {
-    "share": {"long_name": "share of the starts", "units": "1"},
-    "share_low": {"long_name": "lower bound of the share at 95 %", "units": "1"},
-    "share_high": {"long_name": "upper bound of the share at 95 %", "units": "1"},
-    "label": {"long_name": "n drive periods, p impacts on the left wall, q on the right"},
-    "kind": {"long_name": "periodic or chaotic"},
-    "periods": {"long_name": "drive periods of the orbit, 0 where there is none"},
-    "exponent": {"long_name": "largest Lyapunov exponent", "units": "per drive period"},
-    "state_x": {"long_name": "position on it at phase 0", "units": LENGTH},
-    "state_v": {"long_name": "velocity on it at phase 0", "units": SPEED},
-    "mirror_of": {"long_name": "its mirror image among the attractors, -1 for none"},
+# Variables of an attractor at a value: type, value if the attractor or the value is missing, and attributes.
+ENTRY_VARIABLES: dict[str, tuple[type, Any, dict[str, str]]] = {
+    "share": (float, np.nan, {"long_name": "share of the starts", "units": "1"}),
+    "share_low": (float, np.nan, {"long_name": "lower bound of the share at 95 %", "units": "1"}),
+    "share_high": (float, np.nan, {"long_name": "upper bound of the share at 95 %", "units": "1"}),
+    "label": (str, "", {"long_name": "n drive periods, p impacts on the left wall, q on the right"}),
+    "kind": (str, "", {"long_name": "periodic or chaotic"}),
+    "periods": (np.int32, 0, {"long_name": "drive periods of the orbit, 0 where there is none"}),
+    "exponent": (float, np.nan, {"long_name": "largest Lyapunov exponent", "units": "per drive period"}),
+    "state_x": (float, np.nan, {"long_name": "position on it at phase 0", "units": LENGTH}),
+    "state_v": (float, np.nan, {"long_name": "velocity on it at phase 0", "units": SPEED}),
+    "mirror_of": (np.int32, -1, {"long_name": "its mirror image among the attractors, -1 for none"}),
 }
-ABSENT_ENTRY: dict[str, Any] = dict.fromkeys(
-    ("share", "share_low", "share_high", "exponent", "state_x", "state_v"), np.nan
-)
-ABSENT_ENTRY |= {"label": "", "kind": "", "periods": 0}
-BLANK_VALUES = {"label": "", "kind": "", "periods": 0, "mirror_of": -1, "status": -1}  # at a value that is not done
+BLANK_VALUES = {name: blank for name, (_, blank, _) in ENTRY_VARIABLES.items()} | {"status": -1}
 
 
-def _make_entry_array(entries_by_value, variable_name):
+def _make_entry_array(entries_by_value, variable_name, dtype):
     """Return a variable of the entries as an array (values, attractors) of a type that NetCDF files can store."""
-    dtype = {"label": str, "kind": str, "periods": np.int32, "mirror_of": np.int32}.get(variable_name, float)
     return np.array(
         [
             [attractor_variables[variable_name] for attractor_variables in value_entries]
@@ -298,14 +281,12 @@ def _make_entry_array(entries_by_value, variable_name):
     ).reshape(len(entries_by_value), -1)
 
 
-def _make_attractor_entry(node_attractors, attractor_by_node, node_index):
+def _make_attractor_entry(node_attractors, attractor_by_node, node_index, tracks):
     """Return the variables of an attractor at one value; attractor_by_node: {node index: attractor index}."""
     if node_index not in attractor_by_node:
-        return dict(ABSENT_ENTRY)
-    attractor, section_points = (
-        node_attractors[node_index][attractor_by_node[node_index]],
-        node_attractors[node_index][attractor_by_node[node_index]].points,
-    )
+        return BLANK_VALUES
+    attractor = node_attractors[node_index][attractor_by_node[node_index]]
+    section_points = attractor.points
     if node_index - 1 in attractor_by_node and attractor.periods:
         previous_attractor = node_attractors[node_index - 1][attractor_by_node[node_index - 1]]
         if previous_attractor.periods == attractor.periods:
@@ -317,19 +298,17 @@ def _make_attractor_entry(node_attractors, attractor_by_node, node_index):
         **{key: getattr(attractor, key) for key in ("label", "kind", "periods", "exponent")},
         "state_x": section_points[0, 0] if attractor.periods else attractor.state.x,
         "state_v": section_points[0, 1] if attractor.periods else attractor.state.v,
+        "mirror_of": _mirror_track_index(attractor, node_index, tracks),
     }
 
 
-def _mirror_track_index(attractors, attractor_by_node, node_index, tracks):
+def _mirror_track_index(attractor, node_index, tracks):
     """Return the index of the track of an attractor's mirror image at a value, -1 for none."""
-    mirror_attractor_index = (
-        attractors[attractor_by_node[node_index]].mirror_of if node_index in attractor_by_node else None
-    )
     return next(
         (
             track_index
             for track_index, other_track in enumerate(tracks)
-            if mirror_attractor_index is not None and other_track.get(node_index) == mirror_attractor_index
+            if attractor.mirror_of is not None and other_track.get(node_index) == attractor.mirror_of
         ),
         -1,
     )

@@ -13,17 +13,17 @@ from jaxtyping import ArrayLike, Float, Real
 
 from continuation.computation_limits import make_limits
 
-from ..attractors.sweep import UNITS_TEXT, equation_text, non_parameter_attributes, other_parameters
+from ..attractors.dataset_attributes import other_parameters, survey_attributes
+from ..attractors.survey_arguments import check_survey_values, is_increasing
 from ..flight.wall_positions import adapt_to_moved_walls
 from ..maps.initial_conditions import states_in_box
 from ..output import label_codes
-from ..output.units import scales_attributes, unit_of
+from ..output.units import unit_of
 from ..scene import check
 from ..scene.codes import Status
 from ..scene.scene import Scene
 from ..scene.scene_table import scene_toml, scene_toml_or_empty
 from ..scene.state import State, check_start_within_walls
-from ..scene.unit_mistakes import require_scene_units
 from ..stores.study_completion import Progress, Store, complete_study
 from ..stores.study_protocol import Column, Grid, fingerprint_array
 from . import coexisting_attractors, map_columns
@@ -262,18 +262,16 @@ class MapStudy:
                 np.array(DIRECTIONS),
                 {"long_name": f"way of {self.names[self.carry_axis]}: 1 up, -1 down"},
             )
-        attrs = {
-            "equation": equation_text(self.scene),
-            "units": UNITS_TEXT,
-            **non_parameter_attributes(self.scene),
-            **scales_attributes(self.scene),
-        }
         fixed_parameter_names = set.intersection(*(set(other_parameters(self.scene, name)) for name in self.names))
-        attrs |= {key: float(self.scene.parameter(key)) for key in self.scene.names if key in fixed_parameter_names}
-        attrs |= {"settle": self.settle, "patience": self.max_periods, "walls": " ".join(self.scene.walls) or "none"}
-        attrs |= {"along": self.names[self.carry_axis]} if self.carry_axis is not None else {}
-        attrs |= {"starts": self.n_starts, "seed": self.seed} if self.n_starts else {}
-        attrs["scene_file"] = scene_toml_or_empty(self._first_scene)
+        attrs = {
+            **survey_attributes(self.scene),
+            **{key: float(self.scene.parameter(key)) for key in self.scene.names if key in fixed_parameter_names},
+            "settle": self.settle,
+            "patience": self.max_periods,
+            **({"along": self.names[self.carry_axis]} if self.carry_axis is not None else {}),
+            **({"starts": self.n_starts, "seed": self.seed} if self.n_starts else {}),
+            "scene_file": scene_toml_or_empty(self._first_scene),
+        }
         return xr.Dataset(coords=coords, attrs=attrs)
 
     def compute(self, number: int, frame: Any) -> tuple[dict[str, np.ndarray], int]:
@@ -412,14 +410,17 @@ def make_map_study(
     check.require_single_scene(scene)
     if not isinstance(grid, Mapping) or not grid:
         raise check.ArgumentError("grid", "must be a mapping {name: values} of one or more parameters", grid)
-    axis_values = []
-    for name, parameter_values in grid.items():
-        check.require_parameter(name, scene.names, name)
-        parameter_values = check.check_finite_array(name, parameter_values, scene.dtype)
-        if parameter_values.ndim != 1 or not len(parameter_values) or not (np.diff(parameter_values) > 0).all():
-            raise check.ArgumentError(name, "must be one or more numbers in increasing order", parameter_values)
-        require_scene_units(f"grid.{name}", scene, name, parameter_values)
-        axis_values.append(parameter_values)
+    axis_values = [
+        check_survey_values(
+            scene,
+            name,
+            parameter_values,
+            f"grid.{name}",
+            "must be one or more numbers in increasing order",
+            is_increasing,
+        )
+        for name, parameter_values in grid.items()
+    ]
     names = tuple(grid)
     if along is not None and along not in names:
         raise check.ArgumentError("along", f"must be a parameter of the grid ({', '.join(names)}), or None", along)

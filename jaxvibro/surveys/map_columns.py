@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from ..attractors.sweep import STATUS_FLAGS
+from ..attractors.dataset_attributes import STATUS_FLAGS
 from ..attractors.tangent_growth import RECORDED_PERIODS
 from ..compiled.kernel_calls import BLOCK_WIDTH
 from ..maps.long_iteration import take_lanes, take_padded_block
@@ -17,8 +17,9 @@ from ..stores.study_protocol import Column
 from .motion_classification import CHAOTIC, UNDECIDED, MotionResults
 
 MAX_ATTRACTORS = 8  # attractors of a cell that are stored, the largest shares first
-RATE_ATTRS = {"units": "per drive period"}
+RATE_UNIT = "per drive period"
 LABEL, STATUS, PERIOD, ATTRACTORS = "label", "status", "period", "attractors"
+SHARES = "shares"  # columns of every map with several initial states per cell
 QUANTITY_NAMES = (LABEL, PERIOD, "exponent", "state", "loads", ATTRACTORS)
 
 
@@ -40,43 +41,53 @@ def check_quantities(scene, quantities, n_starts):
 def make_columns(scene, quantities, is_motion_carried, n_starts) -> Mapping[str, Column]:
     """Return {name: `Column`} of the requested quantities of a scene's cells."""
     direction_dims = {"way": 2} if is_motion_carried else {}
-    dims_within_cell = {"attractor": MAX_ATTRACTORS} if n_starts else direction_dims
-    float_dtype = np.dtype(scene.dtype)
-    columns = {
-        LABEL: Column(np.dtype(np.int32), label_codes.NOT_DONE, {"long_name": label_codes.CODE_RULE}, dims_within_cell),
-        STATUS: Column(
-            np.dtype(np.int8), -1, {"long_name": "worst status, -1 not done", **STATUS_FLAGS}, direction_dims
-        ),
-    }
-    if n_starts:
-        columns["share"] = Column(
-            float_dtype, np.nan, {"long_name": "share of the starts", "units": "1"}, dims_within_cell
-        )
-        column_attrs = {"long_name": "share of the starts that are undecided", "units": "1"}
-        columns["unresolved"] = Column(float_dtype, np.nan, column_attrs)
-    if ATTRACTORS in quantities:
-        columns["attractors"] = Column(np.dtype(np.int16), -1, {"long_name": "attractors, -1 not done"})
-    if PERIOD in quantities:
-        column_attrs = {"long_name": "drive periods of the orbit, 0 chaotic, -1 undecided or not done", "units": "1"}
-        columns[PERIOD] = Column(np.dtype(np.int16), UNDECIDED, column_attrs, dims_within_cell)
-    if "exponent" in quantities:
-        columns["exponent"] = Column(
-            float_dtype, np.nan, {"long_name": "largest Lyapunov exponent", **RATE_ATTRS}, dims_within_cell
-        )
-        columns["exponent_error"] = Column(
-            float_dtype, np.nan, {"long_name": "its standard error", **RATE_ATTRS}, dims_within_cell
-        )
-    if "state" in quantities:
-        for name, unit_name in (("x", LENGTH), ("v", SPEED), ("contact", "1")):
-            columns[name] = Column(
-                float_dtype, np.nan, {"long_name": f"{name} on Sigma, at the end", "units": unit_name}, dims_within_cell
+    cell_dims = {"attractor": MAX_ATTRACTORS} if n_starts else direction_dims
+    wall_dims = {**cell_dims, "wall": len(scene.walls)}
+
+    def float_column(description, unit, dims):
+        """Return a column of numbers, which is nan where they are unknown."""
+        return Column(np.dtype(scene.dtype), np.nan, {"long_name": description, "units": unit}, dims)
+
+    columns_by_quantity = {
+        LABEL: {
+            LABEL: Column(np.dtype(np.int32), label_codes.NOT_DONE, {"long_name": label_codes.CODE_RULE}, cell_dims),
+            STATUS: Column(
+                np.dtype(np.int8), -1, {"long_name": "worst status, -1 not done", **STATUS_FLAGS}, direction_dims
+            ),
+        },
+        SHARES: {
+            "share": float_column("share of the starts", "1", cell_dims),
+            "unresolved": float_column("share of the starts that are undecided", "1", {}),
+        },
+        ATTRACTORS: {ATTRACTORS: Column(np.dtype(np.int16), -1, {"long_name": "attractors, -1 not done"})},
+        PERIOD: {
+            PERIOD: Column(
+                np.dtype(np.int16),
+                UNDECIDED,
+                {"long_name": "drive periods of the orbit, 0 chaotic, -1 undecided or not done", "units": "1"},
+                cell_dims,
             )
-    if "loads" in quantities:
-        for name in ("largest_speed", "work_rate"):
-            unit_name, description = LOADS[name]
-            wall_dims = {**dims_within_cell, "wall": len(scene.walls)}
-            columns[name] = Column(float_dtype, np.nan, {"long_name": description, "units": unit_name}, wall_dims)
-    return columns
+        },
+        "exponent": {
+            "exponent": float_column("largest Lyapunov exponent", RATE_UNIT, cell_dims),
+            "exponent_error": float_column("its standard error", RATE_UNIT, cell_dims),
+        },
+        "state": {
+            name: float_column(f"{name} on Sigma, at the end", unit, cell_dims)
+            for name, unit in (("x", LENGTH), ("v", SPEED), ("contact", "1"))
+        },
+        "loads": {
+            name: float_column(description, unit, wall_dims)
+            for name, (unit, description) in LOADS.items()
+            if name in ("largest_speed", "work_rate")
+        },
+    }
+    return {
+        name: column
+        for quantity, quantity_columns in columns_by_quantity.items()
+        if quantity in quantities or (quantity == SHARES and n_starts)
+        for name, column in quantity_columns.items()
+    }
 
 
 def motion_columns(scene, motions: MotionResults, study_columns: Mapping[str, Column]) -> dict[str, np.ndarray]:

@@ -13,7 +13,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Float, Int
 
-from continuation.persistent_jit import persistent_jit
+from continuation.hostcall import persistent_jit
 
 from ..attractors.batch_means import standard_error
 from ..attractors.classify_attractors import MIN_CHAOS_EXPONENT
@@ -25,7 +25,6 @@ from ..attractors.tangent_growth import (
     run_tangents,
     start_tangents,
     worse_status,
-    worse_status_on_host,
 )
 from ..compiled.kernel_calls import BLOCK_WIDTH
 from ..compiled.lane_arithmetic import COMPILER_OPTIONS
@@ -137,27 +136,21 @@ def _advance_lane_block(scene, state, periods):
 
 def _classify_lanes(scene, results, lanes, settle, max_periods):
     """Simulate lanes until they recur or reach the largest number of periods, and store their classification."""
-    scene_lanes, elapsed_periods = take_lanes(scene, lanes), settle
     if not len(lanes):
         return
+    scene_lanes, elapsed_periods, growth_by_round = take_lanes(scene, lanes), settle + RECORDED_PERIODS, []
     tangent_lanes, period_records = run_tangents(
         scene_lanes, start_tangents(take_lanes(results.state, lanes)), RECORDED_PERIODS
     )
     max_state_magnitude, status = _max_state_magnitude(scene_lanes, period_records), period_records.status
-    previous_distances, elapsed_periods, growth_by_round = (
-        _return_distance_if_near(period_records.points, max_state_magnitude),
-        elapsed_periods + RECORDED_PERIODS,
-        [],
-    )
+    previous_distances = _return_distance_if_near(period_records.points, max_state_magnitude)
     while len(lanes):
         tangent_lanes, period_records = run_tangents(scene_lanes, tangent_lanes, RECORDED_PERIODS)
-        status = worse_status_on_host(status, period_records.status)
+        status = worse_status(status, period_records.status, np)
         elapsed_periods += RECORDED_PERIODS
-        results.points[
-            (first_point_row := len(growth_by_round) % SAMPLE_ROUNDS * RECORDED_PERIODS) : first_point_row
-            + RECORDED_PERIODS,
-            lanes,
-        ] = period_records.points
+        first_point_row = len(growth_by_round) % SAMPLE_ROUNDS * RECORDED_PERIODS
+        end_point_row = first_point_row + RECORDED_PERIODS
+        results.points[first_point_row:end_point_row, lanes] = period_records.points
         growth_by_round.append(
             np.ascontiguousarray(period_records.log_growth.T).reshape(len(lanes), -1, BLOCK_PERIODS).sum(axis=-1)
         )
@@ -168,9 +161,7 @@ def _classify_lanes(scene, results, lanes, settle, max_periods):
         is_finished = (status >= Status.CAP) | (recurrence_periods > 0) | (elapsed_periods >= max_periods)
         is_periodic = (recurrence_periods > 0) & (status < Status.CAP)
         _store_states(results, lanes[is_finished], take_lanes(tangent_lanes, is_finished), status[is_finished])
-        results.points[:, lanes[is_finished]] = np.roll(
-            results.points[:, lanes[is_finished]], -first_point_row - RECORDED_PERIODS, axis=0
-        )
+        results.points[:, lanes[is_finished]] = np.roll(results.points[:, lanes[is_finished]], -end_point_row, axis=0)
         _store_orbits(
             scene,
             results,
@@ -186,16 +177,9 @@ def _classify_lanes(scene, results, lanes, settle, max_periods):
         continuing_indices = continuing_indices[
             np.argsort(period_records.n_impacts[:, continuing_indices].sum(axis=0), kind="stable")
         ]
-        lanes, scene_lanes, max_state_magnitude, status, previous_distances = (
-            lanes[continuing_indices],
-            take_lanes(scene_lanes, continuing_indices),
-            max_state_magnitude[continuing_indices],
-            status[continuing_indices],
-            return_distances[:, continuing_indices],
-        )
-        tangent_lanes, growth_by_round = (
-            take_lanes(tangent_lanes, continuing_indices),
-            [round_growth[continuing_indices] for round_growth in growth_by_round],
+        previous_distances = return_distances[:, continuing_indices]
+        lanes, scene_lanes, tangent_lanes, max_state_magnitude, status, growth_by_round = take_lanes(
+            (lanes, scene_lanes, tangent_lanes, max_state_magnitude, status, growth_by_round), continuing_indices
         )
 
 

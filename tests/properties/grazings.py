@@ -5,8 +5,7 @@ import numpy as np
 import jaxvibro as jv
 from jaxvibro.branches.scenario import grazing_return_of
 from jaxvibro.problem.added_impact_orbits import added_impact_orbits
-from jaxvibro.problem.orbit_point import orbit_from_point
-from jaxvibro.scene.typical_scales import typical_length
+from jaxvibro.problem.orbit_conversion import orbit_from_point
 from tests.special_points import grazing_reference
 
 GRADUAL = "OVERLAPPING", "ADDING", "CHAOS"
@@ -90,7 +89,7 @@ def attractor_distance(point, depth):
 
 def orbit_with_added_impact(point, returns, speed):
     """Return the orbit with one impact of a speed in so many returns, None where it is not reached or inadmissible."""
-    orbits = added_impact_orbits(grazing_return_of(point), returns, typical_length(point.scene))
+    orbits = added_impact_orbits(grazing_return_of(point), returns)
     z = orbits.grazing_z
     for share in np.linspace(0.1, 1.0, 10):
         solution = orbits.point_at_speed(z, share * speed)

@@ -11,9 +11,8 @@ import numpy as np
 import pytest
 
 import continuation as co
-from continuation.jaxpr_to_python import build_program, compile_program_text, load_program
-from continuation.numpy_evaluation import NumpyEvaluator
-from continuation.trusted_cache_file import read
+from continuation.hostcall.program_writer import build_program, load_program
+from continuation.hostcall.trusted_cache_file import read
 from tests import cached_functions
 from tests.cached_functions import DIGEST, compiled, evaluated, flipped, own_files, require_right, separate_cache
 from tests.tiers import generator, of_numbers
@@ -159,7 +158,7 @@ def test_primitives(kind, number):
     given = {name: arrays for name, (_, arrays) in cases.items()}
     expected = jax.jit(lambda given: {name: cases[name][0](*arrays) for name, arrays in given.items()})(given)
     for name, (function, arrays) in cases.items():
-        computed = NumpyEvaluator(function, (), {})(tuple(arrays))
+        computed = cached_functions.in_numpy(function, *arrays)
         if computed is not None:  # else no rule: it is compiled
             evaluated += 1
             assert_alike(computed, expected[name], 64, 16, name)
@@ -170,11 +169,11 @@ def test_primitives(kind, number):
 def test_program(kind, number):
     """A random function gives in NumPy what it gives compiled, and the same bits from the stored text."""
     function, arguments = kind.draw(generator(kind, number))
-    computed = NumpyEvaluator(function, (), {})(arguments)
+    computed = cached_functions.in_numpy(function, *arguments)
     assert computed is not None
     assert_alike(computed, jax.jit(function)(*arguments), 1e5, 1e5)
     program = build_program(jax.jit(function).trace(*arguments).jaxpr)
-    again = load_program(compile_program_text(program.text))
+    again = load_program(program.byte_code)
     (one, cost), (other, same_cost) = program.run(*arguments), again.run(*arguments)
     assert (again.size, cost) == (program.size, same_cost)
     assert_alike(one, other, 0, 0)

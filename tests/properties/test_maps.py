@@ -10,7 +10,7 @@ import numpy as np
 
 import jaxvibro as jv
 from jaxvibro.design.impact_chain_equations import ChainNodes
-from jaxvibro.design.impact_prediction import Impact, MotionPredictor
+from jaxvibro.design.impact_prediction import Impact, min_clearances, next_impacts
 from jaxvibro.maps.strobe_inverse import strobe_backward
 from tests import truths
 from tests.kinds import GRID, LANES, wall_ends
@@ -441,22 +441,21 @@ def test_impact_prediction(kind, number):
     hit = np.flatnonzero(first.side)[:20]
     if len(hit) < 10 or first.least_speed < 1e-2:
         return
-    nodes = ChainNodes(first.side[hit].astype(float), 0.0 * hit, first.time[hit], first.speed[hit])
-    rows = np.array([nodes.sides, nodes.time_or_x, nodes.speed_or_v]).T
+    nodes = ChainNodes(first.side[hit].astype(float), first.time[hit], first.speed[hit])
+    rows = np.array(nodes).T
     for way, expected in ((1, rows), (-1, rows[::-1])):
-        predictor = MotionPredictor(scene, state.phase, way)
         for before, after in pairwise(expected):
-            (found,) = predictor.next_impacts(Impact(*before), expected[-1][1] + way, 1)
+            (found,) = next_impacts(scene, state.phase, Impact(*before), expected[-1][1] + way, 1, way)
             loss = before[2] / after[2] + after[2] / before[2] + 1.0 / min(before[2], after[2]) ** 2
             growth = np.exp(2.0 * scene.damping * max(0.0, before[1] - after[1]))  # of roundings, backward
             assert np.allclose(found, after, rtol=0, atol=1e-11 * loss * (1.0 + growth))
-        assert predictor.next_impacts(Impact(*expected[0]), expected[1][1] - 0.01 * way, 5) == []
-    predictor = MotionPredictor(scene, state.phase)
-    assert len(predictor.next_impacts(Impact(*rows[0]), rows[9, 1] + 1e-6, 20)) == 9
-    least, _, _ = predictor.min_clearances(nodes)
+        early = expected[1][1] - 0.01 * way
+        assert next_impacts(scene, state.phase, Impact(*expected[0]), early, 5, way) == []
+    assert len(next_impacts(scene, state.phase, Impact(*rows[0]), rows[9, 1] + 1e-6, 20)) == 9
+    least, _, _ = min_clearances(scene, state.phase, nodes)
     assert np.all(least > 0) and np.min(least) >= first.least_clearance - 1e-6
-    least, sides, when = predictor.min_clearances(ChainNodes(*(np.delete(each, 3) for each in nodes)))
-    assert least[2] < 0 and sides[2] == nodes.sides[3] and nodes.time_or_x[3] < when[2] < nodes.time_or_x[4]
+    least, sides, when = min_clearances(scene, state.phase, ChainNodes(*(np.delete(each, 3) for each in nodes)))
+    assert least[2] < 0 and sides[2] == nodes.sides[3] and nodes.times[3] < when[2] < nodes.times[4]
     assert np.all(np.delete(least, 2) > 0)
 
 
