@@ -24,7 +24,7 @@ def csv_table(table_name, results, units):
     """
     _, field_name, make_dataframe_of_results = _CSV_TABLES[table_name]
     field_value = getattr(results, field_name)
-    if field_value is None or (field_value == () and table_name != "attractors"):
+    if field_value is None or (len(field_value) == 0 and table_name != "attractors"):
         return None
     return make_dataframe_of_results(results, units).to_csv(index=False, lineterminator="\n").encode()
 
