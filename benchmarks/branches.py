@@ -13,7 +13,7 @@ from continuation import arclength
 from continuation.hostcall import compile_at_once
 from jaxvibro.branches.follow import polish_orbit
 from jaxvibro.compiled.lane_arithmetic import COMPILER_OPTIONS
-from jaxvibro.problem import orbit_diagnostics
+from jaxvibro.problem import orbit_equations
 from jaxvibro.problem.orbit_equations import IMPACT_PROBLEM
 
 LANES, STEPS, POINTS, ROUNDS = 1_000, 32, 8, 9
@@ -85,7 +85,7 @@ def many(orbit, lanes, rounds):
 
     def one(place, along):
         _, points = arclength.track_branch(IMPACT_PROBLEM.function, IMPACT_PROBLEM.solve, place, control, along, STEPS)
-        return points.accepted, jax.vmap(lambda z: orbit_diagnostics.impact_diagnostics(along, z, 1))(points.z)
+        return points.accepted, jax.vmap(lambda z: orbit_equations.impact_diagnostics(along, z, 1))(points.z)
 
     call = jax.jit(jax.vmap(one, in_axes=(0, None)), compiler_options=COMPILER_OPTIONS)
     jax.block_until_ready(call(start, along))

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 import jaxvibro as jv
-from continuation.computation_limits import UNLIMITED
+from continuation.branch_segment import UNLIMITED
 from continuation.implicit_function import make_lane_loop_function
 from jaxvibro.compiled.kernel_calls import call_as_kernel
 from jaxvibro.contact.kinds import flow_coefficients

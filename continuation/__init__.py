@@ -10,8 +10,7 @@ value of the point with respect to other parameters. `save` and `load` write and
 To read the code, start at `one_parameter.py`. `continuation_loop.py` contains the loop and `arclength.py` the steps.
 """
 
-from .branch import Branch, Special
-from .branch_file import load, save
+from .branch import Branch, Special, load, save
 from .errors import ContinuationError
 from .one_parameter import switch, trace
 from .problem import equilibria, fixed_points

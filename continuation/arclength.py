@@ -13,7 +13,7 @@ from jax import lax
 from jaxtyping import ArrayLike, Bool, Float, Int
 
 from .array_type import Array
-from .linear_solver import solve as dense
+from .newton import solve as dense
 
 RUNNING, OUTSIDE, UNDERFLOW, NONFINITE = range(4)
 MIN_STEP = 1e-8  # smallest step length, unless the first step is smaller

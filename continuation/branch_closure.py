@@ -9,12 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from .continuation_loop import EventDetector
-from .event_search import SAME_POINT_DISTANCE
+from .event_search import SAME_POINT_DISTANCE, find_bracketed_root, point_at_length
 from .hostcall import persistent_jit
-from .intermediate_points import point_at_length
-from .multiple_shooting import points_and_period
-from .problem import ORBITS
-from .roots import find_bracketed_root
+from .problem import ORBITS, points_and_period
 
 SAMPLES_PER_SEGMENT = 8  # samples of a shooting segment among which the nearest point is selected
 NEWTON_STEPS = 8  # Newton steps that refine it

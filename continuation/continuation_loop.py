@@ -13,13 +13,23 @@ import numpy as np
 
 from . import arclength, event_search
 from .arclength import OUTSIDE, RUNNING, Point, StepControl, make_start_point, make_track_state
-from .branch_point_tangents import tangent_through_point
-from .branch_segment import BranchSegment, SpecialIndex, join_segments
-from .computation_limits import UNLIMITED, Limits
-from .intermediate_points import point_from_z, truncate_at_length, truncate_at_value
-from .point_rows import first_rows, insert_row, join_rows, map_fields, row_at
+from .augmented_systems import tangent_through_point
+from .branch_segment import (
+    UNLIMITED,
+    BranchSegment,
+    Limits,
+    SpecialIndex,
+    first_rows,
+    has_slow_progress,
+    insert_row,
+    join_rows,
+    join_segments,
+    map_fields,
+    row_at,
+    warn_if_slow,
+)
+from .event_search import point_from_z, truncate_at_length, truncate_at_value
 from .problem import Problem
-from .slow_progress import has_slow_progress, warn_if_slow
 
 POINT_LIMIT = 20_000  # largest number of points of a branch
 RETRY_FACTOR = 0.25  # ratio of the step after a failed step to the failed one

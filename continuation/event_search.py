@@ -1,4 +1,4 @@
-"""Compute chunks of steps along a branch, locate the special points between steps and detect jumps between branches."""
+"""Search events along a branch: chunks of steps, special points between steps, and points where branches end."""
 
 from typing import NamedTuple
 
@@ -9,8 +9,62 @@ from jaxtyping import Float
 
 from . import arclength, augmented_systems
 from .arclength import RUNNING, make_start_point, make_track_state
+from .branch_segment import first_rows, insert_row, map_fields, row_at
 from .hostcall import persistent_jit
-from .point_rows import map_fields, row_at
+
+
+def find_bracketed_root(function, upper_end):
+    """Find the root of a function between 0 and `upper_end`, accurate to 1e-14, by Chandrupatla's method.
+
+    Parameters
+    ----------
+    function : callable
+        Function of one number with different signs at 0 and `upper_end`.
+    upper_end : float
+        Upper end of the interval.
+
+    Returns
+    -------
+    float
+        The root, accurate to ``1e-14*(1 + abs(root))``.
+
+    Notes
+    -----
+    The method combines bisection and inverse quadratic interpolation (Advances in Engineering Software 28, 145, 1997).
+    SciPy's root finders are not used, because importing them would take as long as all other imports.
+    """
+    newest_point, opposite_point, previous_point = (
+        upper_end,
+        0.0,
+        0.0,
+    )  # newest point, point of opposite sign, previous point
+    f_newest, f_opposite, f_previous = function(newest_point), function(opposite_point), 0.0
+    step_fraction = 0.5
+    while True:
+        trial_point = newest_point + step_fraction * (opposite_point - newest_point)
+        value = function(trial_point)
+        if value * f_newest > 0:
+            previous_point, f_previous = newest_point, f_newest
+        else:
+            opposite_point, f_opposite, previous_point, f_previous = newest_point, f_newest, opposite_point, f_opposite
+        newest_point, f_newest = trial_point, value
+        best_point = newest_point if abs(f_newest) < abs(f_opposite) else opposite_point
+        min_fraction = 1e-14 * (1.0 + abs(best_point)) / abs(opposite_point - newest_point)
+        if f_newest == 0 or min_fraction > 0.5:
+            return best_point
+        point_ratio, value_ratio = (
+            (newest_point - opposite_point) / (previous_point - opposite_point),
+            (f_newest - f_opposite) / (f_previous - f_opposite),
+        )
+        step_fraction = 0.5
+        if value_ratio * value_ratio < point_ratio and (1.0 - value_ratio) ** 2 < 1.0 - point_ratio:
+            step_fraction = f_newest / (f_opposite - f_newest) * f_previous / (f_opposite - f_previous) + (
+                previous_point - newest_point
+            ) / (opposite_point - newest_point) * f_newest / (f_previous - f_newest) * f_opposite / (
+                f_previous - f_opposite
+            )
+        step_fraction = min(max(step_fraction, min_fraction), 1.0 - min_fraction)
+
 
 CHUNK_SIZE = 128  # steps attempted in a compiled call
 POLISH_TOLERANCE = 1e-10  # Newton step, a length, after which the next step leaves only rounding errors
@@ -431,3 +485,138 @@ def find_first_pass(problem, points, target_points, control, constants):
         ):
             return row_before, length
     return None
+
+
+def point_at_length(task, points, row_before, length):
+    """Compute the point at a length after a row of points.
+
+    Parameters
+    ----------
+    task : ContinuationTask
+        The task.
+    points : Point
+        Points, one row each.
+    row_before : int
+        Row from which the step is taken.
+    length : float
+        Length of the step.
+
+    Returns
+    -------
+    Point or None
+        The point; None if Newton's method does not converge.
+    """
+    point = take_step(task.problem, row_at(points, row_before), length, task.control, task.args)
+    return point if point.converged else None
+
+
+def point_from_z(task, points, row_before, z):
+    """Make the `Point` at z, with the tangent and determinant of the branch at z.
+
+    If the step to z fails, the tangent and determinant are those of the row before.
+
+    Parameters
+    ----------
+    task : ContinuationTask
+        The task.
+    points : Point
+        Points, one row each.
+    row_before : int
+        Row before the point.
+    z : ndarray
+        The point.
+
+    Returns
+    -------
+    Point
+        The point.
+    """
+    base_point = row_at(points, row_before)
+    length = float(np.sum(task.control.scale**2 * base_point.tangent * (z - base_point.z)))
+    point = take_step(task.problem, base_point, length, task.control, task.args)
+    if not point.converged or not np.isfinite(point.tangent).all():
+        point = base_point
+    return point._replace(z=z, step=np.float64(length), converged=np.True_, accepted=np.True_)
+
+
+def truncate_at_value(task, points, row_beyond, z_index, target_value):
+    """Truncate points where an entry of z reaches a value.
+
+    Parameters
+    ----------
+    task : ContinuationTask
+        The task.
+    points : Point
+        Points, one row each.
+    row_beyond : int
+        First row beyond the value.
+    z_index : int
+        Index of the entry of z.
+    target_value : float
+        The value.
+
+    Returns
+    -------
+    points : Point
+        Points up to the value, or up to the row before the value if no point with the value was located.
+    is_located : bool
+        True if the point with the value was located.
+    """
+    (value_before, value_after) = points.z[row_beyond - 1 : row_beyond + 1, z_index]
+    fraction = (target_value - value_before) / (value_after - value_before)
+    z_guess = point_at_length(task, points, row_beyond - 1, fraction * float(points.step[row_beyond]))
+    z_guess = (
+        points.z[row_beyond - 1] + fraction * (points.z[row_beyond] - points.z[row_beyond - 1])
+        if z_guess is None
+        else z_guess.z
+    )
+    point = solve_with_fixed_entry(task.problem, z_guess, z_index, target_value, task.control, task.args)
+    points_before = first_rows(points, row_beyond)
+    if not point.converged:
+        return points_before, False
+    z = np.array(point.z)
+    z[z_index] = target_value  # exactly, without a rounding error
+    return insert_row(points_before, row_beyond, point_from_z(task, points, row_beyond - 1, z)), True
+
+
+def truncate_at_length(task, points, row_before, length):
+    """Truncate points at a length after a row, or at the row if Newton's method fails."""
+    point = point_at_length(task, points, row_before, length)
+    points_before = first_rows(points, row_before + 1)
+    return points_before if point is None else insert_row(points_before, row_before + 1, point)
+
+
+def locate_sign_changes(task, points, kind, values, value_at, make_error):
+    """Yield the `Event` of each sign change of a function along a branch.
+
+    Parameters
+    ----------
+    task : ContinuationTask
+        The task.
+    points : Point
+        Points, one row each.
+    kind : str
+        Kind of the events.
+    values : ndarray
+        Values of the function at the points.
+    value_at : callable
+        The function of z.
+    make_error : callable
+        Function of (kind, row before). It returns the error to raise if Newton's method fails between two points.
+
+    Yields
+    ------
+    Event
+        The sign changes, in order.
+    """
+    for row_before in np.flatnonzero(values[:-1] * values[1:] < 0).tolist():
+
+        def value_at_length(length, row_before=row_before):
+            point = point_at_length(task, points, row_before, length)
+            if point is None:
+                raise make_error(kind, row_before)
+            return value_at(point.z)
+
+        length = find_bracketed_root(value_at_length, float(points.step[row_before + 1]))
+        point = point_at_length(task, points, row_before, length)
+        yield Event(kind, row_before, length, point.z, float(point.residual))

@@ -10,17 +10,42 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jax.custom_batching import sequential_vmap
 from jaxtyping import Float
 
 from .array_type import Array
-from .linear_solver import solve
+from .newton import solve
 from .problem import call_directly
 
 Unknowns = Float[Array, " unknowns"]
 Parameters = Float[Array, " numbers"]
 Runner = Callable[..., Any]  # calls (function, *arrays), as `problem.Problem.runner`
+
+
+def root_derivatives(jacobian, n_unknowns, solve_system=np.linalg.solve):
+    """Return du/dp of a root u of F(u, p) = 0.
+
+    Parameters
+    ----------
+    jacobian : array
+        Derivatives of F by u and then by p, array of shape (unknowns, unknowns + numbers).
+    n_unknowns : int
+        Length of u.
+    solve_system : callable, optional
+        Function of (matrix, right sides). By default that of NumPy, which raises LinAlgError for a singular matrix.
+
+    Returns
+    -------
+    array
+        Derivatives, array of shape (unknowns, numbers).
+    """
+    return -solve_system(jacobian[:, :n_unknowns], jacobian[:, n_unknowns:])
+
+
+def _solve_traced(matrix, right_sides):
+    return solve(matrix, right_sides).x
 
 
 def make_lane_loop_function(function: Callable[..., Any], runner: Runner = call_directly) -> Callable[..., Any]:
@@ -106,7 +131,7 @@ def make_implicit_root(
         def root_jacobian(root_and_params, constants):
             n_unknowns = len(u)
             jacobian = jax.jacfwd(lambda z: function(z[:n_unknowns], z[n_unknowns:], constants))(root_and_params)
-            return -solve(jacobian[:, :n_unknowns], jacobian[:, n_unknowns:]).x
+            return root_derivatives(jacobian, n_unknowns, _solve_traced)
 
         tangent = force_forward_mode(root_jacobian, runner)(jnp.concatenate([u, p]), constants) @ tangent
         return (u, aux), (tangent, jax.tree.map(jnp.zeros_like, aux))

@@ -9,16 +9,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike, Real
 
-from . import constraint, continuation_loop, emanating_branches, event_search, hopf_orbits
+from . import constraint, continuation_loop, emanating_branches, event_search
 from .arclength import make_control, make_start_point
 from .branch import Branch, Special
 from .branch_closure import SystemEventDetector
-from .branch_segment import join_segments, reverse_segment
-from .computation_limits import make_limits
+from .branch_segment import join_segments, make_limits, reverse_segment
 from .continuation_loop import ContinuationTask, follow_both_directions
 from .errors import ContinuationError, check_types
+from .event_search import locate_sign_changes
 from .hostcall import persistent_jit
-from .intermediate_points import locate_sign_changes
 from .newton import ADVICE, newton
 from .problem import (
     EQUILIBRIA,
@@ -54,7 +53,11 @@ class BranchEventDetector(SystemEventDetector):
         self.monitors = monitors
 
     def find_early_end(self, task, points):
-        return hopf_orbits.find_hopf_end(self.system, self.names, task, points) if self.system.kind == ORBITS else None
+        return (
+            emanating_branches.find_hopf_end(self.system, self.names, task, points)
+            if self.system.kind == ORBITS
+            else None
+        )
 
     def find_events(self, task, points, diagnostics, known_branch_points, termination):
         test_signs = _test_signs(self.system, self.names, points.z, task.args)
@@ -288,7 +291,7 @@ def switch(
     task = task._replace(starts=(), limits=limits)
     start_points = [make_start_point(start_z, tangent) for tangent in tangents]
     if special.kind == "HB":
-        start_points = [hopf_orbits.first_orbit(task, branch_half) for branch_half in start_points]
+        start_points = [emanating_branches.first_orbit(task, branch_half) for branch_half in start_points]
     segments = [continuation_loop.follow_branch(task, branch_half) for branch_half in start_points]
     return tuple(assemble_branch(system, None, bounds, constants, None, branch_half) for branch_half in segments)
 

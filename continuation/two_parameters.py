@@ -15,10 +15,11 @@ from jaxtyping import Float
 
 from . import augmented_systems, event_search
 from .branch import Branch, Special, unknowns_and_constants
+from .branch_segment import make_limits
 from .codim2_events import INTERSECTIONS, CurveEventDetector
-from .computation_limits import make_limits
 from .continuation_loop import follow_both_directions
 from .errors import ContinuationError, check_types
+from .implicit_function import root_derivatives
 from .one_parameter import assemble_branch, make_task
 from .problem import extend_function, make_dense_problem, make_test_function, singular_matrix
 from .validation import require_settings, validate_bounds
@@ -194,4 +195,4 @@ def sensitivity(special: Special, names: str | Sequence[str]) -> Float[np.ndarra
     problem = curve_problem(system, special.kind, all_param_names)
     _, jacobian = augmented_systems.evaluate_problem(problem, z, constants)
     n_unknowns = len(z) - len(other_param_names)
-    return -np.linalg.solve(jacobian[:, :n_unknowns], jacobian[:, n_unknowns:])[-1]
+    return root_derivatives(jacobian, n_unknowns)[-1]

@@ -10,7 +10,7 @@ import numpy as np
 
 import jaxvibro as jv
 from benchmarks.rows import Row
-from jaxvibro.scene.codes import Status
+from jaxvibro.scene.state import Status
 
 from . import cases, methods, near_grazing
 

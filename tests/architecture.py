@@ -19,7 +19,10 @@ import jaxvibro as jv
 ROOT = Path(__file__).parents[1]
 PACKAGES = "jaxvibro", "continuation"
 MAX_FILE, MAX_FUNCTION = 350, 60  # lines of code
-KIND = re.compile(r"force|law|soft|stiffness|hardness|solver|spring|flow|push|contact_kind|kinds|rigid", re.IGNORECASE)
+KIND = re.compile(
+    r"force|(?<!f)law|soft|stiffness|hardness|solver|spring|flow|push|contact_kind|(?<!inadmissible_)kinds|rigid",
+    re.IGNORECASE,
+)
 
 
 def files():

@@ -4,8 +4,8 @@ import mpmath
 import numpy as np
 from mpmath import mpf, workdps
 
-from jaxvibro.scene.codes import Contact
-from jaxvibro.scene.typical_scales import typical_length
+from jaxvibro.scene.scene_properties import typical_length
+from jaxvibro.scene.state import Contact
 
 from .reference import rests
 from .reference import special as reference

@@ -18,8 +18,7 @@ import numpy as np
 import xarray as xr
 
 import jaxvibro as jv
-from jaxvibro.stores.study_completion import complete_study
-from jaxvibro.stores.study_protocol import Column, Grid
+from jaxvibro.stores.study import Column, Grid, complete_study
 
 
 @dataclass(frozen=True)

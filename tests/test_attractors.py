@@ -9,7 +9,7 @@ import pytest
 import jaxvibro as jv
 from jaxvibro.attractors import classify_attractors
 from jaxvibro.attractors.basin_fraction_bounds import format_share
-from jaxvibro.attractors.recurrence import compute_return_distances, find_recurrence_periods
+from jaxvibro.attractors.transients import compute_return_distances, find_recurrence_periods
 from jaxvibro.attractors.weak_chaos import assess_weak_chaos
 from jaxvibro.maps.initial_conditions import draw_initial_states
 

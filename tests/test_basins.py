@@ -10,9 +10,9 @@ from matplotlib.figure import Figure
 
 import jaxvibro as jv
 from jaxvibro.attractors.basin_boundaries import basin_entropies, boundary_dimension
+from jaxvibro.attractors.basin_labels import find_trapping_ellipses
 from jaxvibro.attractors.manifold import _assemble_side
 from jaxvibro.attractors.manifold_growth import ManifoldLevel, ManifoldPointRules
-from jaxvibro.attractors.trapping_region import find_trapping_ellipses
 from jaxvibro.plot.basins import PALE_COLOURS
 
 from .plane_curves import bisected, distance, points_of

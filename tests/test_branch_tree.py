@@ -8,7 +8,7 @@ import pytest
 
 import jaxvibro as jv
 from jaxvibro.branches import branch_tree
-from jaxvibro.problem.end import End
+from jaxvibro.problem.curve_ends import End
 from jaxvibro.problem.orbit_point import OrbitPoint, make_orbit_point
 from jaxvibro.problem.orbit_problem import make_orbit_problem
 

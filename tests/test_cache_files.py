@@ -20,13 +20,13 @@ import pytest
 
 import jaxvibro as jv
 from continuation.hostcall import persistent_jit, reason_without_cache
-from continuation.hostcall.trusted_cache_file import distrust_from_status, read, reason_for_distrust, write
+from continuation.hostcall.module_store import distrust_from_status, read, reason_for_distrust, write
 from jaxvibro.compiled.lane_arithmetic import COMPILER_OPTIONS
 from jaxvibro.maps.strobe import _two_tier_strobe
 
 from .cached_functions import DIGEST, FOLDER, compiled, evaluated, flipped, own_files, require_right, separate_cache
 
-CACHE_FILE, STORE = "continuation.hostcall.trusted_cache_file", "continuation.hostcall.module_store"
+CACHE_FILE, STORE = "continuation.hostcall.module_store", "continuation.hostcall.module_store"
 TREES = "continuation.hostcall.tree_description"
 ROOT = Path(__file__).parents[1]
 GENERATIONS = 3  # versions of the sources whose modules are kept

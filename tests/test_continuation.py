@@ -9,9 +9,8 @@ import pytest
 
 import continuation as co
 from continuation.arclength import make_start_point
-from continuation.augmented_systems import solve_newton
-from continuation.branch_point_tangents import branch_tangents, less_aligned_tangent
-from continuation.branch_segment import SpecialIndex
+from continuation.augmented_systems import branch_tangents, less_aligned_tangent, solve_newton
+from continuation.branch_segment import SpecialIndex, first_rows, insert_row, join_rows, reverse_rows
 from continuation.continuation_loop import (
     End,
     EventDetector,
@@ -19,12 +18,9 @@ from continuation.continuation_loop import (
     _diagnose_new_points,
     follow_branch,
 )
-from continuation.event_search import _event_between, find_jump, take_step, unit_tangent
-from continuation.intermediate_points import truncate_at_length
-from continuation.linear_solver import solve
-from continuation.newton import ADVICE, newton
+from continuation.event_search import _event_between, find_jump, take_step, truncate_at_length, unit_tangent
+from continuation.newton import ADVICE, newton, solve
 from continuation.one_parameter import make_task
-from continuation.point_rows import first_rows, insert_row, join_rows, reverse_rows
 from continuation.problem import SystemConstants, bialternate_product, bialternate_sum
 from tests.test_trace import close
 

@@ -9,8 +9,8 @@ import pytest
 from mpmath import mp, mpf
 
 import jaxvibro as jv
-from jaxvibro.scene.codes import Status
-from jaxvibro.scene.typical_scales import is_driven
+from jaxvibro.scene.scene_properties import is_driven
+from jaxvibro.scene.state import Status
 
 STUCK = 0.0, 0.0, -2.0  # x, v and contact of a mass that sticks to a left wall at 0
 PERIOD = 2.0 * np.pi

@@ -11,7 +11,7 @@ from jax import lax
 from mpmath import mp, mpf
 
 import jaxvibro as jv
-from jaxvibro.scene.area_growth_proof import areas_never_grow
+from jaxvibro.scene.force_operations import areas_never_grow
 from jaxvibro.scene.interval_arithmetic import OPERATION_RULES, Interval
 
 WALLS = (-1.0, 1.0)

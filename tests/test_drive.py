@@ -10,7 +10,7 @@ import pytest
 
 import jaxvibro as jv
 from jaxvibro.maps.initial_conditions import initial_box
-from jaxvibro.scene.symmetry import is_symmetric
+from jaxvibro.scene.scene_properties import is_symmetric
 
 OMEGA, GAMMA, R = 2.1, 0.05, 0.7
 TERMS = [(0.5, 3, 0.625), (0.25, 0, 0.0), (-0.375, 1, 0.5)]

@@ -7,7 +7,7 @@ import pytest
 import xarray as xr
 
 import jaxvibro as jv
-from jaxvibro.problem.end import End, parse_end
+from jaxvibro.problem.curve_ends import End, parse_end
 
 WALLS = -1.0, jv.Wall(1.0, 0.6)
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import jaxvibro as jv
-from jaxvibro.problem.orbit_diagnostics import diagnose
+from jaxvibro.problem.orbit_equations import diagnose
 from jaxvibro.problem.orbit_problem import make_orbit_problem
 
 from . import figure_4

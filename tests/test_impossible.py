@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import jaxvibro as jv
-from jaxvibro.branches import impossible_points
-from jaxvibro.branches.impossible_points import ImpossiblePointError, require_no_area_growth, require_possible_points
+from jaxvibro.branches import assemble
+from jaxvibro.branches.assemble import ImpossiblePointError, require_no_area_growth, require_possible_points
 
 WALLS = (jv.Wall(-1.0), jv.Wall(1.0))
 
@@ -46,7 +46,7 @@ def test_no_two_multipliers_of_size_one(symmetric, kinds, monkeypatch):
     z = broken.spot.z.copy()
     z[broken.spot.problem.n_rows : -1] *= 1.0 + 1e-6  # the speeds
     aside = replace(broken, spot=broken.spot._replace(z=z))
-    monkeypatch.setattr(impossible_points, "is_own_mirror_image", lambda *_: False)
+    monkeypatch.setattr(assemble, "is_own_mirror_image", lambda *_: False)
     both = [replace(broken, kind=kind) for kind in kinds]
     with pytest.raises(ImpossiblePointError, match=f"of ({kinds[0]} and {kinds[1]}|{kinds[1]} and {kinds[0]}) at"):
         require_possible_points(both)
@@ -73,6 +73,6 @@ def test_follow_refuses_what_it_finds(monkeypatch):
     scene = jv.make_scene(4.75, 2.1, 0.05, 0.7, WALLS)
     orbit = jv.find_orbit(scene, jv.State(0.9, -1.1))
     assert jv.follow(orbit, "amplitude", (4.7, 4.8)).points("PD")
-    monkeypatch.setattr(impossible_points, "is_own_mirror_image", lambda *_: True)
+    monkeypatch.setattr(assemble, "is_own_mirror_image", lambda *_: True)
     with pytest.raises(ImpossiblePointError, match=r"amplitude = 4\.7874"):
         jv.follow(orbit, "amplitude", (4.7, 4.8))

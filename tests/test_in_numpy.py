@@ -12,11 +12,9 @@ from jax import lax
 import continuation as co
 import jaxvibro as jv
 from continuation.hostcall import CompilationQueue, compile_at_once, fallback_counts, persistent_jit
-from continuation.hostcall.gather_scatter import NoRuleError
-from continuation.hostcall.literals import literal_text
-from continuation.hostcall.packed_call import PackedCall
-from continuation.hostcall.program_writer import ProgramWriter, load_program
-from continuation.hostcall.rules import RULES, make_rule
+from continuation.hostcall.host_jit import PackedCall
+from continuation.hostcall.program_writer import ProgramWriter, literal_text, load_program
+from continuation.hostcall.rules import RULES, NoRuleError, make_rule
 from jaxvibro.branches.branch import scene_at_value
 from jaxvibro.orbits.orbit_from_impacts import padded_sequence, solve_guess
 from jaxvibro.orbits.shooting import _strobe_period_compiled

@@ -8,8 +8,8 @@ import pytest
 
 import jaxvibro as jv
 from jaxvibro.branches.isolas import _wall_orders
-from jaxvibro.orbits.deflation import solve_with_deflation
 from jaxvibro.orbits.impact_equations import ImpactSequence
+from jaxvibro.orbits.solve import solve_with_deflation
 from tests.reference import closed
 
 GAMMA, R, WALL, AMPLITUDE, BOUNDS = 0.05, 0.7, 1.0, 0.906, (1.0, 5.0)
@@ -43,13 +43,13 @@ def test_from_one_guess_to_both_orbits():
     times, speeds, sides = blank.copy(), blank.copy(), blank.copy()
     times[:, 0], speeds[:, 0], sides[:, 0] = [1.0, 1.5, 3.5, 4.0], true[1] + 0.1, 1.0
     guesses = ImpactSequence(times, speeds, sides, np.zeros(lanes), np.full(lanes, 2.0))
-    found = solve_with_deflation(scene, guesses, np.full(lanes, 3.0))
+    _, solved_speeds, is_admissible = solve_with_deflation(scene, guesses, np.full(lanes, 3.0))
     for lane in range(lanes):
-        own = found.speeds[found.admissible[:, lane], lane, 0]
+        own = solved_speeds[is_admissible[:, lane], lane, 0]
         assert len(own) == len(set(np.round(own, 6)))
-    speeds = found.speeds[..., 0][found.admissible]
+    speeds = solved_speeds[..., 0][is_admissible]
     assert all(abs(speeds - each).min() < 1e-12 for each in true)
-    assert max(np.sum(found.admissible, axis=0)) == 2
+    assert max(np.sum(is_admissible, axis=0)) == 2
 
 
 def test_an_isola_is_found_and_closes(diagram):

@@ -13,7 +13,7 @@ from jaxvibro.contact import force_law, force_spring, kinds, linear, rigid
 from jaxvibro.flight import force_flow, linear_flow
 from jaxvibro.flight.protocols import Contact, Flow
 from jaxvibro.scene.check import SceneError
-from jaxvibro.scene.wall import LINEAR_CONTACT, RIGID_CONTACT
+from jaxvibro.scene.scene import LINEAR_CONTACT, RIGID_CONTACT
 
 from . import toy_contact, toy_flow
 

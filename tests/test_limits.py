@@ -9,14 +9,13 @@ import continuation as co
 import jaxvibro as jv
 from continuation import event_search
 from continuation.arclength import Point, StepControl, TrackState, correct_step, solve_bordered
-from continuation.branch_segment import BranchSegment
-from continuation.slow_progress import SlowProgressWarning, warn_if_slow
+from continuation.branch_segment import BranchSegment, SlowProgressWarning, warn_if_slow
 from jaxvibro.branches.explore import EXPIRED_REASON
-from jaxvibro.problem import curve_grazing
+from jaxvibro.problem import curve_ends
 
 from .properties.branches import end_names
 
-CLOCK = "continuation.computation_limits.clock"
+CLOCK = "continuation.branch_segment.clock"
 
 
 def cubic(u, p, args):
@@ -103,7 +102,7 @@ def test_a_search_for_a_touch_is_given_up_when_the_time_is_over(orbit, monkeypat
         looks.append(task)
         now[0] = 9.0
 
-    monkeypatch.setattr(curve_grazing, "_locate_first_grazing", nowhere)
+    monkeypatch.setattr(curve_ends, "_locate_first_grazing", nowhere)
     branch = jv.follow(orbit, "frequency", (1.0, 5.0), max_seconds=5.0, direction="forward")
     assert len(looks) == 1 and end_names(branch)[1] == "MAX_SECONDS"
 

@@ -23,7 +23,7 @@ def ticking(monkeypatch):
 
     def start():
         read = iter(range(1_000_000))
-        monkeypatch.setattr("continuation.computation_limits.clock", lambda: float(next(read)))
+        monkeypatch.setattr("continuation.branch_segment.clock", lambda: float(next(read)))
 
     return start
 
@@ -92,8 +92,8 @@ def test_isolas_stop_between_orders_of_walls(ticking, monkeypatch):
 
 
 def test_diagrams_in_a_store_stop_between_values(tmp_path, ticking, monkeypatch):
-    monkeypatch.setattr("jaxvibro.branches.diagrams_study.seed_orbits_of_requests", lambda tasks: [()])
-    explored = "jaxvibro.branches.diagrams_study.run_exploration"
+    monkeypatch.setattr("jaxvibro.branches.diagram_family.seed_orbits_of_requests", lambda tasks: [()])
+    explored = "jaxvibro.branches.diagram_family.run_exploration"
     monkeypatch.setattr(explored, lambda task, some: empty("all", float(task.scene.amplitude)))
     task = scene(), "frequency", (1.0, 2.0), "amplitude", [1.0, 2.0, 3.0]
     store = jv.Store(tmp_path / "diagrams", jv.LocalEngine(workers=1))

@@ -10,15 +10,14 @@ import pytest
 
 import jaxvibro as jv
 from jaxvibro.maps.initial_conditions import draw_initial_states
-from jaxvibro.maps.iterate import final_states, iterate
-from jaxvibro.maps.long_iteration import unroll_ring_buffers
+from jaxvibro.maps.iterate import final_states, iterate, unroll_ring_buffers
 from tests.kinds import KINDS
 from tests.lanes import at
 from tests.properties.motions import Status
 from tests.wild import Wild
 
 LANES, KEPT, SLOTS = 70, 64, 16  # a run records the last periods, and so many impacts of each
-PERIODS, MODULE = KEPT + 3, "jaxvibro.maps.long_iteration"
+PERIODS, MODULE = KEPT + 3, "jaxvibro.maps.iterate"
 SCENES = {
     "slow impacts": jv.make_scene(3.61, 1.06, 0.14, 0.32, (-1.21, 1.15)),
     "chatter": jv.make_scene(2.98, 2.6, 0.3, 0.33, (-1.75, 0.21)),

@@ -9,14 +9,14 @@ import pytest
 from scipy.optimize import minimize
 
 import jaxvibro as jv
-from continuation.computation_limits import UNLIMITED, Limits
+from continuation.branch_segment import UNLIMITED, Limits
 from jaxvibro.branches.follow import polish_orbit
 from jaxvibro.design import place
 from jaxvibro.design.bifurcation_gradients import FLIP, FOLD, ZERO_SPEED, evaluate_test_gradients
 from jaxvibro.design.free_parameters import FreeParameters
 from jaxvibro.design.parameter_rays import impact_sequence_of
 from jaxvibro.design.special_point_equations import complete_scene, parameter_mask
-from jaxvibro.problem.orbit_diagnostics import diagnose
+from jaxvibro.problem.orbit_equations import diagnose
 from tests.reference import closed
 
 GAMMA, OMEGA, R = 0.05, 2.1, 0.7

@@ -5,7 +5,7 @@ import pytest
 
 import jaxvibro as jv
 from jaxvibro.maps.itinerary import canonical_itinerary
-from jaxvibro.orbits.orbit_comparison import impacts_as_points, is_same_orbit, mirror_points, repetition_count
+from jaxvibro.orbits.orbit import impacts_as_points, is_same_orbit, mirror_points, repetition_count
 from jaxvibro.orbits.orbit_from_impacts import orbit_of_exact_impacts
 from jaxvibro.problem.orbit_point import make_orbit_point
 from jaxvibro.problem.orbit_problem import make_orbit_problem

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import jaxvibro as jv
-from jaxvibro.branches.mirror_image import mirror_branch
-from jaxvibro.scene.symmetry import stays_symmetric
+from jaxvibro.branches.branch_tree import mirror_branch
+from jaxvibro.scene.scene_properties import stays_symmetric
 
 from . import figure_4
 

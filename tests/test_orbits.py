@@ -149,8 +149,8 @@ def test_a_wall_passed_by_a_hair_is_refused():
             continue
         tried += 1
         rows = orbit.impacts.time, orbit.impacts.speed, orbit.impacts.side
-        solution = solve_guess(far, padded_sequence(far, *rows, orbit.state.phase, orbit.periods))
-        reach = -50.0 + solution.closest_approaches[0][:, 0].min()
+        _, diagnostics, _ = solve_guess(far, padded_sequence(far, *rows, orbit.state.phase, orbit.periods))
+        reach = -50.0 + diagnostics.closest_approaches[0][:, 0].min()
         kept = jv.find_orbit(far.replace(**{"left.position": reach - 1e-9}), orbit.state, orbit.periods, settle=0)
         assert abs(kept.least_clearance - min(orbit.least_clearance, 1e-9)) < 1e-13
         near = far.replace(**{"left.position": reach + 1e-9})
@@ -207,13 +207,14 @@ def test_what_certified_flights_do_not_confirm_is_refused(scene):
     """An impact at another time, and one on another wall."""
     orbit = jv.find_orbit(scene, jv.State(0.9, -1.1))
     rows = orbit.impacts.time, orbit.impacts.speed, orbit.impacts.side
-    found = jax.device_get(solve_guess(scene, padded_sequence(scene, *rows, orbit.state.phase, 1)))
-    _require_certified(scene, found, 2, PERIOD)
-    length, sides = 1e-4 * PERIOD * np.array([0.0, 1.0]), found.sequence.sides * np.array([1.0, -1.0])
-    late = found._replace(flights=found.flights._replace(time=found.flights.time + length))
-    for wrong in (late, found._replace(sequence=found.sequence._replace(sides=sides))):
+    guess = padded_sequence(scene, *rows, orbit.state.phase, 1)
+    sequence, diagnostics, _ = jax.device_get(solve_guess(scene, guess))
+    _require_certified(scene, sequence, diagnostics, 2, 0.0)
+    length, sides = 1e-4 * PERIOD * np.array([0.0, 1.0]), sequence.sides * np.array([1.0, -1.0])
+    late = diagnostics._replace(flights=diagnostics.flights._replace(time=diagnostics.flights.time + length))
+    for wrong in ((sequence, late), (sequence._replace(sides=sides), diagnostics)):
         with pytest.raises(jv.OrbitError, match="does not meet the expected wall at the expected time"):
-            _require_certified(scene, wrong, 2, PERIOD)
+            _require_certified(scene, *wrong, 2, 0.0)
 
 
 def test_an_impact_from_behind_its_wall_is_refused():

@@ -14,7 +14,7 @@ import pytest
 import jaxvibro as jv
 from docs.site import api
 from jaxvibro.branches.branch import KIND_NAMES
-from jaxvibro.scene.codes import Contact, Status
+from jaxvibro.scene.state import Contact, Status
 from jaxvibro.studies.command import _make_parser
 
 from . import tiers
@@ -157,7 +157,7 @@ def test_the_terms_of_the_glossary_are_in_order_and_used_in_their_files():
     terms = [term for term, *_ in rows]
     assert len(terms) >= 30 and terms == sorted(set(terms)) and list(wrong_terms(rows)) == []
     meaning = "a b c d e"
-    wrong = [("margin", meaning, "`scene/wall.py`"), ("map", meaning, "`no.py`"), ("wall", "map", "`scene/wall.py`")]
+    wrong = [("margin", meaning, "`scene/scene.py`"), ("map", meaning, "`no.py`"), ("wall", "map", "`scene/scene.py`")]
     assert list(wrong_terms(wrong)) == ["margin", "map", "wall"]
 
 

@@ -9,13 +9,11 @@ import pytest
 import jaxvibro as jv
 from continuation.arclength import Point
 from continuation.branch_segment import BranchSegment, SpecialIndex
-from jaxvibro.branches import itinerary_segment, largest_position, neimark_sacker
-from jaxvibro.branches.itinerary_segment import BranchEventDetector
-from jaxvibro.branches.through_grazings import _choose_exit, _is_same_grazing
-from jaxvibro.orbits.orbit_comparison import impacts_as_points
-from jaxvibro.problem.branches_from_grazing import BranchFromGrazing, GrazingPoint
-from jaxvibro.problem.end import End
-from jaxvibro.problem.grazing_contact import GrazingContact
+from jaxvibro.branches import itinerary_segment, largest_position, user_monitors
+from jaxvibro.branches.itinerary_segment import BranchEventDetector, _choose_exit, _is_same_grazing
+from jaxvibro.orbits.orbit import impacts_as_points
+from jaxvibro.problem.curve_ends import End
+from jaxvibro.problem.grazing_contact import BranchFromGrazing, GrazingContact, GrazingPoint
 from jaxvibro.problem.orbit_problem import make_orbit_problem
 
 TOUCHES = (GrazingContact(0, -1, 0.3, False), GrazingContact(1, 1, 0.0, True))  # the branch has the second as an impact
@@ -71,7 +69,7 @@ def test_a_touch_on_which_the_mass_is_pressed_is_chatter_unless_a_branch_goes_th
     known = GrazingPoint(TOUCHES, (way(True, True),) * count, True)
     monkeypatch.setattr(itinerary_segment.soft_wall_grazing, "find_all_exits", lambda *_: known)
     monkeypatch.setattr(itinerary_segment, "is_pressed_on_wall", lambda *_: pressed)
-    monkeypatch.setattr(itinerary_segment.sticking_limits, "sticking_limit_kind", lambda *_: "")
+    monkeypatch.setattr(itinerary_segment.curve_ends, "sticking_limit_kind", lambda *_: "")
     met = BranchEventDetector(orbits(), {}).find_boundary_end(None, points, None, 2)
     expected = ("CH", End.REST) if pressed and count < 2 else ("GR", End.GRAZE)
     assert (met.special.kind, met.end) == expected
@@ -114,9 +112,9 @@ def test_a_motion_without_impacts_doubles_its_period_where_a_multiplier_is_minus
 
 @pytest.mark.parametrize("trace, kind", [(1.9, "NS"), (-1.9, "NS"), (2.1, "NSA"), (-2.1, "NSA")])
 def test_multipliers_whose_product_is_1_are_complex_at_a_neimark_sacker_point(trace, kind, monkeypatch):
-    monkeypatch.setattr(neimark_sacker, "diagnose", lambda *_: None)
-    monkeypatch.setattr(neimark_sacker, "row_at", lambda *_: SimpleNamespace(trace=trace))
-    assert neimark_sacker._event_kind(None, SimpleNamespace(z=np.zeros(3))) == kind
+    monkeypatch.setattr(user_monitors, "diagnose", lambda *_: None)
+    monkeypatch.setattr(user_monitors, "row_at", lambda *_: SimpleNamespace(trace=trace))
+    assert user_monitors._event_kind(None, SimpleNamespace(z=np.zeros(3))) == kind
 
 
 def test_a_turning_point_within_a_cell_is_found_by_false_position():

@@ -9,7 +9,7 @@ import pytest
 import jaxvibro as jv
 from jaxvibro.branches.scenario import _classify_outcome
 from jaxvibro.contact import force_law, linear
-from jaxvibro.problem.square_root_map import SquareRootMap
+from jaxvibro.problem.added_impact_orbits import SquareRootMap
 from tests.special_points import grazing_reference
 
 GAMMA, OMEGA, R = 1.2, 2.1, 0.7

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 import jaxvibro as jv
-from jaxvibro.studies.scene_file import read_scene_file
-from jaxvibro.studies.toml_limits import parse_limited_toml
+from jaxvibro.studies.scene_file import parse_limited_toml, read_scene_file
 from tests.scene_files import SCENE, SCENES, refusal
 
 FIG4, BRANCHES, LOCI = (SCENES / f"{name}.toml" for name in ("fig4", "branches", "loci"))

@@ -5,7 +5,7 @@ import pytest
 
 import jaxvibro as jv
 from jaxvibro.loci.point_continuation import make_continued_point
-from jaxvibro.reproduction.special_point_fitting import fit_parameters
+from jaxvibro.reproduction.special_points import fit_parameters
 from tests.reference import soft_orbits
 
 A, GAMMA, GAMMA2, K2 = 0.3, 0.05, 0.1, 10.0

@@ -31,19 +31,19 @@ BANNED_NAMES = words(
 )
 # Banned names, and the files in which they are public names, columns of files, keys of scene files, or the number 1.
 PUBLIC_NAMES = {
-    "_asked": words("design/located_orbit"),
-    "along": words("continuation/one_parameter design/located_orbit studies/schema surveys/map"),
+    "_asked": words("design/located"),
+    "along": words("continuation/one_parameter design/located studies/schema surveys/map"),
     "each": words("stores/dask_engine stores/engines"),
-    "found": words("branches/period_adding maps/return_map plot/fit plot/fractions plot/spectrum"),
+    "found": words("branches/scenario maps/return_map plot/fit plot/fractions plot/spectrum"),
     "held": words("branches/branch_file branches/held_branch plot/held"),
     "met": words("design/place design/search"),
-    "more": words("reproduction/claim stores/study_protocol"),
+    "more": words("reproduction/claim stores/study"),
     "one": words("orbits/impact_equations plot/branch plot/held plot/locus plot/orbit"),
     "others": words("design/margin_result"),
-    "own": words("scene/wall"),
+    "own": words("scene/scene"),
     "place": words(
         "branches/branch continuation/branch design/place explorer/page_calls "
-        "explorer/page_state loci/locus problem/orbit_curve problem/plane_curve surveys/least_shock"
+        "explorer/page_state loci/locus problem/orbit_curve surveys/least_shock"
     ),
     "spot": words("branches/branch loci/locus problem/orbit_curve"),
     "told": words("reproduction/run"),

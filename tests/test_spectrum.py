@@ -10,7 +10,7 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 import jaxvibro as jv
-from jaxvibro.attractors.batch_means import standard_error
+from jaxvibro.attractors.chaotic_exponents import standard_error
 from jaxvibro.flight.wall_positions import adapt_to_moved_walls, wall_states
 from tests.reference.soft_lanes import Lanes, Wall, exponents
 

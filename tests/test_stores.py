@@ -21,9 +21,8 @@ import xarray as xr
 from distributed import LocalCluster
 
 import jaxvibro as jv
-from jaxvibro.output.atomic_folder import create_folder_atomically, remove_abandoned_folders
-from jaxvibro.output.file_lock import acquire_lock, lock_file
-from jaxvibro.stores.study_completion import spread_chunk_order
+from jaxvibro.output.atomic_files import acquire_lock, create_folder_atomically, lock_file, remove_abandoned_folders
+from jaxvibro.stores.study import spread_chunk_order
 from jaxvibro.stores.zarr_store import OpenStore
 
 from .stored_studies import Counted, bits, complete_study, counts, keep
@@ -88,7 +87,7 @@ def test_a_folder_that_is_no_store_is_refused(tmp_path):
 
 def test_sizes_are_checked_before_anything_is_made(tmp_path, monkeypatch):
     with monkeypatch.context() as patch:
-        patch.setattr("jaxvibro.stores.study_completion.MAX_BYTES", 700)
+        patch.setattr("jaxvibro.stores.study.MAX_BYTES", 700)
         with pytest.raises(jv.ArgumentError, match="store: must be given for results of more than"):
             complete_study(Counted(9), None, None)  # of 9 times 4 times 20 bytes
     monkeypatch.setattr(shutil, "disk_usage", lambda path: SimpleNamespace(free=100))
@@ -243,7 +242,7 @@ def test_a_name_that_is_taken_before_it_is_locked_is_given_up(tmp_path, monkeypa
             removed[0].unlink()
         return acquire_lock(descriptor)
 
-    monkeypatch.setattr("jaxvibro.output.atomic_folder.acquire_lock", slow)
+    monkeypatch.setattr("jaxvibro.output.atomic_files.acquire_lock", slow)
     with create_folder_atomically(tmp_path / "store") as part:
         part.mkdir()
         assert part.with_suffix(".lock").is_file() and part.with_suffix(".lock") not in removed
@@ -254,7 +253,7 @@ def test_a_name_that_is_taken_before_it_is_locked_is_given_up(tmp_path, monkeypa
 
 
 def test_without_locks_nothing_is_taken_for_abandoned(tmp_path, monkeypatch):
-    monkeypatch.setattr("jaxvibro.output.file_lock.fcntl", None)
+    monkeypatch.setattr("jaxvibro.output.atomic_files.fcntl", None)
     path = tmp_path / "store"
     with create_folder_atomically(path) as part:
         part.mkdir()

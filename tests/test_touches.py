@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from continuation.augmented_systems import RootAndResidual
-from jaxvibro.loci import bistability
-from jaxvibro.problem import branches_from_grazing, curve_grazing, missed_grazings
+from jaxvibro.loci import loci_of_branches
+from jaxvibro.problem import curve_ends, grazing_contact
 from jaxvibro.problem.grazing_contact import are_admissible
 from jaxvibro.problem.orbit_problem import PERIODIC
 
@@ -42,8 +42,8 @@ def test_a_touch_that_another_is_before_is_not_the_first(clear, found, monkeypat
     rows = {"sequence": SimpleNamespace(sides=np.zeros(0)), "impact_rows": np.zeros(0, int)}
     along = SimpleNamespace(**rows, condition=PERIODIC, length_scale=1.0)
     task = SimpleNamespace(args=along, control=SimpleNamespace(scale=np.ones(3)))
-    monkeypatch.setattr(curve_grazing, "locate_grazing", lambda *_: RootAndResidual(z, 1e-15))
-    monkeypatch.setattr(curve_grazing, "diagnose", lambda *_: SimpleNamespace(clearance=np.array([[[clear]]])))
+    monkeypatch.setattr(curve_ends, "locate_grazing", lambda *_: RootAndResidual(z, 1e-15))
+    monkeypatch.setattr(curve_ends, "diagnose", lambda *_: SimpleNamespace(clearance=np.array([[[clear]]])))
     good = SimpleNamespace(z=np.array([0.1, 0.2, 1.0]), tangent=np.array([0.0, 0.0, 1.0]))
     there, seen = (
         SimpleNamespace(z=np.array([0.1, 0.2, 1.5])),
@@ -54,9 +54,9 @@ def test_a_touch_that_another_is_before_is_not_the_first(clear, found, monkeypat
             min_contact_force=np.zeros(0),
         ),
     )
-    told = curve_grazing._locate_first_grazing(task, good, there, seen, 0.0, 0.5)
+    told = curve_ends._locate_first_grazing(task, good, there, seen, 0.0, 0.5)
     assert (told is not None) == found
-    assert curve_grazing._locate_first_grazing(task, good, there, seen, 0.0, 0.2) is None  # it is beyond
+    assert curve_ends._locate_first_grazing(task, good, there, seen, 0.0, 0.2) is None  # it is beyond
 
 
 @pytest.mark.parametrize(
@@ -66,21 +66,17 @@ def test_a_touch_that_another_is_before_is_not_the_first(clear, found, monkeypat
 def test_a_value_whose_parabola_falls_to_half_of_it_is_looked_at_more_closely(values, places, monkeypatch):
     """A parabola through three values falls below the middle one by the outer ones' difference squared over 8 bends."""
     seen = []
-    monkeypatch.setattr(
-        missed_grazings, "_find_inadmissible_point", lambda task, points, after, columns: seen.append(after)
-    )
+    monkeypatch.setattr(curve_ends, "_find_inadmissible_point", lambda task, points, after, columns: seen.append(after))
     along = SimpleNamespace(sequence=SimpleNamespace(sides=np.zeros(0)), impact_rows=np.zeros(0, int), slack=0.0)
     points, look = SimpleNamespace(z=np.zeros((3, 3))), SimpleNamespace(clearance=np.reshape(values, (3, 1, 1)))
-    assert missed_grazings.insert_missed_grazings(SimpleNamespace(args=along), points, look) == (points, look)
+    assert curve_ends.insert_missed_grazings(SimpleNamespace(args=along), points, look) == (points, look)
     assert seen == places
 
 
 @pytest.mark.parametrize(("rates", "leaves"), [((1.0, 0.3), True), ((1.0, -1e-9), True), ((1.0, -1e-3), False)])
 def test_a_branch_leaves_a_grazing_where_speeds_and_distances_grow(rates, leaves, monkeypatch):
-    monkeypatch.setattr(branches_from_grazing, "step_along_exit", lambda *_: ("way", True))
-    found = branches_from_grazing.check_exit_along_tangent(
-        None, np.zeros(3), np.ones(3), np.array(rates), (True, False)
-    )
+    monkeypatch.setattr(grazing_contact, "step_along_exit", lambda *_: ("way", True))
+    found = grazing_contact.check_exit_along_tangent(None, np.zeros(3), np.ones(3), np.array(rates), (True, False))
     assert found == (("way", True) if leaves else (None, True))
 
 
@@ -96,6 +92,7 @@ class Branch:
 
 def test_two_motions_exist_together_where_both_are_stable():
     told = [
-        bistability._stable_motion_labels(Branch(), *pair) for pair in ((0, 3), (3, 4), (0, 1), (2, 4), (-1, 3), (0, 5))
+        loci_of_branches._stable_motion_labels(Branch(), *pair)
+        for pair in ((0, 3), (3, 4), (0, 1), (2, 4), (-1, 3), (0, 5))
     ]
     assert told == ["P100 and P111", "P111", None, None, None, None]

@@ -13,9 +13,8 @@ from matplotlib.figure import Figure
 import jaxvibro as jv
 from jaxvibro.output.units import display_unit, unit_of
 from jaxvibro.plot.branch import find_covering_line
-from jaxvibro.problem.end import End, parse_end
-from jaxvibro.problem.impact_loads import largest_speed, work_rate
-from jaxvibro.problem.stability_descriptions import stability_around, stability_words
+from jaxvibro.problem.curve_ends import End, parse_end
+from jaxvibro.problem.orbit_curve import largest_speed, stability_around, stability_words, work_rate
 from tests.scene_files import refusal
 
 RIG = {"mass": 0.5, "damping_ratio": 0.05, "stiffness": 3e4, "force": 30.0, "frequency_hz": 82.0, "restitution": 0.7}

@@ -10,7 +10,7 @@ from collections import namedtuple
 import pytest
 
 import jaxvibro as jv
-from jaxvibro.output.atomic_write import atomic_file
+from jaxvibro.output.atomic_files import atomic_file
 from tests.scene_files import SCENES
 
 

@@ -35,7 +35,7 @@ from jaxvibro.flight.motion_in_soft_wall import is_soft_side
 from jaxvibro.flight.path_start import start_at_soft_wall as start_at_wall  # noqa: F401
 from jaxvibro.flight.taylor_polynomials import ExpansionPoint
 from jaxvibro.flight.wall_motion import select_by_side
-from jaxvibro.scene.codes import Contact
+from jaxvibro.scene.state import Contact
 
 CODE_AFTER_IMPACT: int = Contact.WITHIN
 

@@ -4,9 +4,8 @@ Other files import names of this package, never of its files. `host_jit` is the 
 """
 
 from .host_jit import FAST_COMPILE, CompilationQueue, compile_at_once, fallback_counts, persistent_jit
-from .module_store import jax_cache_folder, reason_without_cache
+from .module_store import jax_cache_folder, reason_for_distrust, reason_without_cache
 from .rules import RULES_VERSION
-from .trusted_cache_file import reason_for_distrust
 
 __all__ = [
     "FAST_COMPILE",

@@ -8,18 +8,47 @@ takes no time in the program, because its rule is applied when the program is wr
 import marshal
 import math
 from collections.abc import Callable, Sequence
+from enum import Enum
 from typing import Any, NamedTuple
 
 import jax
 import numpy as np
+from jax import lax
 from jax.extend import core
 from jax.interpreters import partial_eval
 
-from .gather_scatter import NoRuleError
-from .literals import TYPES_BY_NAME, literal_text, rule_text
 from .program_lines import Block, Conditional, Line, Loop, count_lines, prune_lines, write_lines
-from .rules import RULES, UNSUPPORTED, make_rule
+from .rules import RULES, UNSUPPORTED, NoRuleError, make_rule, rule_arguments
 from .scalar_expressions import LIST_PRIMITIVES, write_small_primitive
+
+_NAMED_TYPES = (lax.GatherDimensionNumbers, lax.ScatterDimensionNumbers, lax.GatherScatterMode, lax.RoundingMethod)
+TYPES_BY_NAME = {named_type.__name__: named_type for named_type in _NAMED_TYPES}  # types that a text may contain
+
+
+def literal_text(value: Any) -> str:
+    """Return the Python text of a value. Raises NoRuleError if the value has no text."""
+    value_type = type(value)
+    is_named = TYPES_BY_NAME.get(value_type.__name__) is value_type
+    if value is None or value_type in (bool, int, float, str):
+        return repr(value)
+    if isinstance(value, np.ndarray | np.generic) and value.dtype.kind in "biufc" and value.dtype.isbuiltin:
+        return f"np.ndarray({value.shape}, {literal_text(value.dtype)}, {value.tobytes()!r}).copy()[()]"
+    if isinstance(value, np.dtype) and value.isbuiltin:
+        return f"np.dtype({value.str!r})"
+    if is_named and isinstance(value, Enum):
+        return f"{value_type.__name__}.{value.name}"
+    if value_type is tuple or (is_named and isinstance(value, tuple)):
+        type_text = value_type.__name__ if is_named else ""
+        entries_text = "".join(f"{literal_text(entry)}, " for entry in value)
+        return f"{type_text}({entries_text})"
+    raise NoRuleError(f"no text of {value_type.__name__}")
+
+
+def rule_text(name: str, params: dict[str, Any]) -> str:
+    """Return the Python text of a call of a primitive's rule with the parameters of an equation."""
+    texts = [f"{key}={literal_text(value)}" for key, value in rule_arguments(params).items()]
+    return f"RULES[{name!r}]({', '.join(texts)})"
+
 
 MAX_SCALARS = 20  # largest size of an array that is translated entry by entry
 PYTHON_DTYPES = tuple(map(np.dtype, (np.float64, bool, np.int32, np.int64)))  # types with a Python equivalent
@@ -106,7 +135,7 @@ def build_program(closed_jaxpr: core.ClosedJaxpr) -> PythonProgram:
 def load_program(byte_code: bytes) -> PythonProgram:
     """Load a program from the byte code of a `PythonProgram`.
 
-    The byte code is executed. It must be undamaged and from a trusted source (`trusted_cache_file`).
+    The byte code is executed. It must be undamaged and from a trusted source (`module_store`).
     """
     namespace = dict(NAMESPACE)
     exec(marshal.loads(byte_code), namespace)

@@ -30,11 +30,11 @@ SUBJECTS = {
 
 # Records that calls return and that users do not import.
 RECORDS = {
-    "scene": ("scene.codes.Status", "scene.codes.Contact"),
+    "scene": ("scene.state.Status", "scene.state.Contact"),
     "attractors": ("attractors.find.Attractor",),
     "branches": (
         *("branches.branch.Special", "branches.branch.Segment", "branches.normal_form.NormalForm"),
-        *("branches.user_monitors.MonitoredPoint", "problem.end.End"),
+        *("branches.user_monitors.MonitoredPoint", "problem.curve_ends.End"),
         *("branches.branch_curves.Curves", "branches.branch_curves.Piece", "branches.branch_curves.Marks"),
     ),
     "loci": ("loci.locus.Codim2",),

@@ -1,4 +1,4 @@
-"""Average the Lyapunov exponents of motions that do not recur, over many copies of a motion.
+"""Average the Lyapunov exponents of motions that do not recur, with standard errors.
 
 The first exponent is the mean logarithmic growth of a tangent vector per period. The sum of both exponents is the mean
 of ``ln abs det M``, where M is the derivative of the stroboscopic map over one period. The determinant follows from the
@@ -14,13 +14,56 @@ from jaxtyping import Float, Int
 
 from ..compiled.kernel_calls import BLOCK_WIDTH
 from ..maps.initial_conditions import initial_box
-from ..maps.long_iteration import take_lanes
-from ..scene.codes import Contact, Status
-from ..scene.state import State
-from .batch_means import standard_error
+from ..maps.iterate import take_lanes
+from ..scene.state import Contact, State, Status
 from .orbit_exponents import ExponentEstimate, log_determinant, measured_area_growth, undefined_estimate
-from .recurrence import compute_return_distances, find_recurrence_periods
 from .tangent_growth import RECORDED_PERIODS, TangentLanes, run_tangents, start_tangents, worse_status
+from .transients import compute_return_distances, find_recurrence_periods
+
+MIN_BATCHES = 8  # fewest batches of a copy for a standard error that counts the copies one by one
+MIN_TIME_BATCHES = 32  # fewest batches in time for a standard error of the means over the copies
+EXCESS_ERRORS = 3.0  # standard errors of its own by which the second estimate must exceed the first
+
+
+def standard_error(block_sums, block_periods):
+    """Estimate the standard error of a mean per period by batch means.
+
+    Parameters
+    ----------
+    block_sums : ndarray
+        Sums of the quantity over blocks of periods, one column per copy of the motion. Array of shape (blocks, copies).
+    block_periods : int
+        Periods of a block.
+
+    Returns
+    -------
+    float
+        Standard error; inf for fewer than `MIN_BATCHES` blocks.
+
+    Notes
+    -----
+    Successive blocks of a copy are correlated. Batches of 1, 2, 4, ... blocks are therefore formed. The estimated error
+    grows with the length of the batches until the batches are independent. The result is the largest estimate.
+
+    The copies may be correlated as well. A second estimate, from the variation in time of the mean over the copies,
+    does not assume independent copies. The second estimate is included if there are at least `MIN_TIME_BATCHES` batches
+    and it is significantly larger than the first.
+    """
+    error_estimates, blocks_per_batch = [np.inf if len(block_sums) < MIN_BATCHES else 0.0], 1
+    while (n_batches := len(block_sums) // blocks_per_batch) >= MIN_BATCHES:
+        batch_means = (
+            block_sums[: n_batches * blocks_per_batch].reshape(n_batches, blocks_per_batch, -1).mean(axis=1)
+            / block_periods
+        )
+        error_estimates.append(batch_means.std(ddof=1) / batch_means.size**0.5)
+        time_scatter_error = batch_means.mean(axis=1).std(ddof=1) / n_batches**0.5
+        if n_batches >= MIN_TIME_BATCHES and time_scatter_error > error_estimates[-1] * (
+            1.0 + EXCESS_ERRORS / (2.0 * n_batches) ** 0.5
+        ):
+            error_estimates.append(time_scatter_error)
+        blocks_per_batch *= 2
+    return float(max(error_estimates))
+
 
 BLOCK_PERIODS = 16  # periods whose growth is summed
 INITIAL_CHUNKS = 16  # times `RECORDED_PERIODS` before the first check of the error
@@ -124,7 +167,7 @@ def estimate_exponents(scene, settled_lanes, target_error, max_periods):
     The copies start from visited states with slightly different velocities. They are simulated until they have
     separated. The exponents are then averaged over time and copies. If the growth rate is small, copies may remain
     correlated. All copies then start near the same state, so that their correlation appears at equal times and enters
-    the error estimate (`batch_means.standard_error`).
+    the error estimate (`standard_error`).
 
     Parameters
     ----------

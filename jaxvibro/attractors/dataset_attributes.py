@@ -3,11 +3,8 @@
 import numpy as np
 
 from ..output.units import scales_attributes
-from ..scene.codes import Status
-from ..scene.predefined_forces import force_name
+from ..scene.state import Status
 
-DRIVE_TEXT = "amplitude cos(frequency t)"
-SPRING_TEXT = f"x'' + 2 damping x' + x = {DRIVE_TEXT}"
 REBOUND_TEXT = "y+ - v_b = -restitution (y- - v_b) at a rigid wall"
 STATUS_FLAGS = {"flag_values": [int(code) for code in Status], "flag_meanings": " ".join(code.word for code in Status)}
 UNITS_TEXT = "lengths in that of the walls, time t in 1/w0"
@@ -117,7 +114,4 @@ def equation_text(scene):
         f" + drive.{term_index}.amplitude cos({drive_term.harmonic} frequency t + drive.{term_index}.phase)"
         for term_index, drive_term in enumerate(scene.drive)
     ]
-    base_equation = (
-        f"x'' = {force_name(scene.force.function)}(t, x, v) + {DRIVE_TEXT}" if scene.force is not None else SPRING_TEXT
-    )
-    return f"{base_equation}{''.join(drive_term_texts)}, {REBOUND_TEXT}"
+    return f"{scene.flow_kind.equation(scene)}{''.join(drive_term_texts)}, {REBOUND_TEXT}"

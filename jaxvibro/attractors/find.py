@@ -7,19 +7,18 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from continuation.computation_limits import EXPIRED_REASON, UNLIMITED, Results, make_limits, partial_result_reason
+from continuation.branch_segment import EXPIRED_REASON, UNLIMITED, Results, make_limits, partial_result_reason
 
 from ..maps.initial_conditions import draw_initial_states
 from ..orbits.find import find_orbit
 from ..orbits.orbit import Orbit, OrbitError
 from ..orbits.orbit_from_impacts import move_section_to_phase_0
 from ..scene import check
-from ..scene.codes import Status
 from ..scene.scales import Scales
 from ..scene.scene import Scene
-from ..scene.state import State
-from ..scene.symmetry import is_symmetric
-from . import derived_attractors
+from ..scene.scene_properties import is_symmetric
+from ..scene.state import State, Status
+from . import classify_attractors
 from .basin_fraction_bounds import compute_share_bounds
 from .classify_attractors import AttractorCandidate, find_chaotic_attractors, find_periodic_attractors
 from .transients import settle_lanes
@@ -216,8 +215,8 @@ def settle_starts(scene, start_states, settle, computation_limits=UNLIMITED):
         for lane in np.flatnonzero(iterates.status >= Status.CAP)
     }
     candidates = periodic_candidates + chaotic_candidates
-    candidates += derived_attractors.derive_free_response(scene, candidates)
-    candidates += derived_attractors.derive_mirror_images(scene, candidates, max_state_magnitude)
+    candidates += classify_attractors.derive_free_response(scene, candidates)
+    candidates += classify_attractors.derive_mirror_images(scene, candidates, max_state_magnitude)
     candidates.sort(
         key=lambda candidate: (
             -len(candidate.lanes),
@@ -256,7 +255,7 @@ def make_attractors(scene, candidates, n_starts):
         Attractor(
             **candidate.attractor_fields | _exponent_fields(candidate.attractor_fields, orbit),
             **_share_fields(len(candidate.lanes), n_starts),
-            mirror_of=derived_attractors.find_mirror_index(candidate, candidates) if is_scene_symmetric else None,
+            mirror_of=classify_attractors.find_mirror_index(candidate, candidates) if is_scene_symmetric else None,
             orbit=orbit,
             scales=scene.scales,
         )

@@ -4,19 +4,25 @@ import numpy as np
 import xarray as xr
 from jaxtyping import ArrayLike, Real
 
-from continuation.computation_limits import make_limits, partial_result_reason
+from continuation.branch_segment import make_limits, partial_result_reason
 
 from ..maps.initial_conditions import initial_box
 from ..maps.monodromy import monodromy
-from ..maps.phase_shift import shift_phase
+from ..maps.sections import shift_phase
 from ..maps.strobe_inverse import require_reversible
 from ..orbits.orbit import Orbit
 from ..output.units import LENGTH, SPEED, scales_attributes
 from ..scene import check
 from ..scene.scene import rigid_wall_positions
 from ..scene.state import State
-from .local_manifold import compute_local_manifold, iterate_map
-from .manifold_growth import ManifoldLevel, ManifoldPointRules, grow_manifold_levels, measure_neighbour_gaps
+from .manifold_growth import (
+    ManifoldLevel,
+    ManifoldPointRules,
+    compute_local_manifold,
+    grow_manifold_levels,
+    iterate_map,
+    measure_neighbour_gaps,
+)
 
 KINDS = ("stable", "unstable")
 SAME_POINT_DISTANCE = 1e-6  # times the scene's size: nearer points are one, and a point nearer to a wall is on it

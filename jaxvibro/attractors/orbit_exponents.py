@@ -13,9 +13,8 @@ import numpy as np
 from jaxtyping import ArrayLike, Bool, Float, Int
 
 from ..contact.kinds import flow_of_scene
-from ..scene.codes import Contact, Status
 from ..scene.scene import SIDES
-from ..scene.state import State
+from ..scene.state import Contact, State, Status
 from .tangent_growth import run_tangents, start_tangents
 
 NEUTRAL_RATE = 1e-5  # growth per period that rounding may produce

@@ -3,8 +3,8 @@
 import numpy as np
 
 from ..scene import check
+from ..scene.scene_parameters import require_scene_units
 from ..scene.state import State
-from ..scene.unit_mistakes import require_scene_units
 
 SEQUENCE_RULE = "must be a sequence of at least one value"
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from ..scene.check import MAX_ORBIT_PERIODS
-from ..scene.codes import Status
+from ..scene.state import Status
 from .chaotic_exponents import estimate_exponents, run_until_recurrence
 from .tangent_growth import start_tangents
 

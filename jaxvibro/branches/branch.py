@@ -1,4 +1,4 @@
-"""Branches of periodic orbits along one parameter, and their special points."""
+"""Branches of periodic orbits along one parameter, their tables and their special points."""
 
 import json
 from dataclasses import dataclass, field
@@ -16,22 +16,55 @@ from jaxtyping import Bool, Complex, Float
 from .. import __version__
 from ..orbits.orbit import Orbit
 from ..output.checksums import netcdf_bytes
-from ..output.dataframes import make_dataframe, special_kind_per_point
-from ..output.label_translation import translate_label
+from ..output.dataframes import make_dataframe, multiplier_columns, special_kind_per_point, speed_clearance_columns
+from ..output.label_codes import translate_label
 from ..output.table_text import align_columns, column_header, multipliers_text
-from ..output.units import unit_in_system, unit_of
-from ..problem import stability_descriptions
-from ..problem.end import End, rescale_reason_text
-from ..problem.orbit_conversion import orbit_from_point
+from ..output.units import LENGTH, POWER, SPEED, unit_in_system, unit_of
+from ..problem import orbit_curve
+from ..problem.curve_ends import End, rescale_reason_text
 from ..problem.orbit_curve import OrbitCurve, SpecialOrbit, dataset_row, parse_orbit_point
-from ..problem.orbit_point import OrbitPoint, label_of_point
+from ..problem.orbit_point import OrbitPoint, label_of_point, orbit_from_point
 from ..problem.orbit_problem import make_orbit_problem
 from ..scene.scene import Scene, map_scene_numbers, replace_unchecked
 from ..scene.scene_table import make_scene_table
 from . import normal_form as forms
 from .branch_curves import Curves, make_curves
 from .normal_form import NormalForm
-from .orbit_columns import orbit_columns
+
+
+def orbit_columns(scene, values_by_parameter, data, labels, multipliers):
+    """Return ``{column: (unit, values)}`` of orbits.
+
+    `values_by_parameter` maps parameters to arrays of shape (points,). `data` is the dataset of a branch. `labels` has
+    the shape (points,), and `multipliers` has the shape (points, 2)."""
+    sides, speeds, minimum_columns = data["side"].values, data["speed"].values, speed_clearance_columns(data)
+    return {
+        **{name: (unit_of(name), parameter_values) for name, parameter_values in values_by_parameter.items()},
+        "label": ("", labels),
+        "stability": ("", orbit_curve.stability_words(multipliers)),
+        "x": (LENGTH, data["x"].values[:, 0]),
+        "v": (SPEED, data["v"].values[:, 0]),
+        "least_speed": minimum_columns["least_speed"],
+        "largest_speed": (SPEED, orbit_curve.largest_speed(sides, speeds)),
+        "least_clearance": minimum_columns["least_clearance"],
+        "work_rate": (
+            POWER,
+            orbit_curve.work_rate(sides, speeds, *_work_rate_arguments(scene, values_by_parameter, data)),
+        ),
+        **multiplier_columns(multipliers),
+    }
+
+
+def _work_rate_arguments(scene, values_by_parameter, data):
+    """Return the restitution of each wall at each point, nan if soft, and the duration of each orbit."""
+    scenes, n_points = replace_unchecked(scene, values_by_parameter), data.sizes["point"]
+    restitutions_by_wall = {
+        side: np.broadcast_to(np.nan if wall.soft else scenes.parameter(f"{side}.restitution"), n_points)
+        for side, wall in scenes.walls.items()
+    }
+    periods = np.isfinite(data["x"].values).sum(axis=1)
+    return restitutions_by_wall, 2.0 * np.pi * periods / np.broadcast_to(scenes.frequency, n_points)
+
 
 STEP_SETTINGS = ("first_step", "largest_step", "tolerance")  # settings that are saved
 
@@ -316,7 +349,7 @@ class Branch(OrbitCurve[Special]):
             kind, value, stability_text = (
                 translate_label(special.kind, labels),
                 special.value * unit_factor,
-                stability_descriptions.stability_around(multipliers, special.place),
+                orbit_curve.stability_around(multipliers, special.place),
             )
             neighbours = " ".join(neighbour_labels(special)) or "-"
             point_cells = (

@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from ..flight.wall_positions import wall_states
 from ..output.equal_runs import find_equal_runs
-from ..problem.impact_loads import largest_speed
+from ..problem.orbit_curve import largest_speed
 from ..scene import check
 from ..scene.scene import SIDES
 from .largest_position import branch_peak_positions

@@ -16,7 +16,7 @@ from ..output.saved_curve_checks import (
     require_valid_field,
 )
 from ..output.units import scales_attributes
-from ..problem.end import End, parse_end
+from ..problem.curve_ends import End, parse_end
 from ..problem.orbit_curve import dataset_row
 from ..problem.orbit_point import make_orbit_point
 from ..problem.orbit_problem import make_orbit_problem

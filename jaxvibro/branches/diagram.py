@@ -10,12 +10,12 @@ from pathlib import Path
 import msgspec
 import pandas as pd
 
-from ..output.atomic_write import atomic_file
+from ..output.atomic_files import atomic_file
 from ..output.checksums import HEADER_ATTRIBUTES, fill_in_checksum, parse_checked_file, require_known_format, sha256_hex
-from ..output.label_translation import translate_label
+from ..output.label_codes import translate_label
 from ..output.table_text import align_columns, column_header
 from ..output.units import unit_in_system, unit_of
-from ..problem.end import rescale_reason_text
+from ..problem.curve_ends import rescale_reason_text
 from ..scene.check import ArgumentError, host_only, shorten_text
 from ..scene.scene import Scene
 from ..scene.scene_table import SceneTable, make_scene_table

@@ -11,24 +11,22 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from continuation.computation_limits import EXPIRED_REASON, make_limits
+from continuation.branch_segment import EXPIRED_REASON, make_limits
 
 from ..flight.wall_positions import adapt_to_moved_walls
 from ..orbits.find import find_orbit
 from ..orbits.orbit import OrbitError
-from ..problem.end import End
-from ..problem.orbit_conversion import problem_of_orbit
+from ..problem.curve_ends import End
+from ..problem.orbit_point import problem_of_orbit
 from ..scene import check
 from ..scene.scene import Scene
-from ..scene.scene_parameters import check_parameter_bounds, parameter_domain
+from ..scene.scene_parameters import check_parameter_bounds, parameter_domain, require_scene_units
+from ..scene.scene_properties import stays_symmetric
 from ..scene.state import State
-from ..scene.symmetry import stays_symmetric
-from ..scene.unit_mistakes import require_scene_units
-from .branch_membership import correct_to_seed_orbit, is_on_branch
 from .branch_tree import BranchTree
 from .diagram import Diagram
 from .follow import branch_through, check_follow_settings
-from .seed_orbits import find_seed_orbits, free_seed_orbits
+from .seed_orbits import correct_to_seed_orbit, find_seed_orbits, free_seed_orbits, is_on_branch
 from .switch import FIRST_STEP
 
 MAX_BRANCHES = 400  # if no budget is given

@@ -6,20 +6,19 @@ from typing import Any, overload
 import numpy as np
 
 from continuation.arclength import make_control, make_start_point
-from continuation.computation_limits import UNLIMITED, make_limits
+from continuation.branch_segment import UNLIMITED, make_limits
 from continuation.continuation_loop import ContinuationTask
 
 from ..orbits.orbit import Orbit, OrbitError
-from ..problem.end import End
-from ..problem.orbit_conversion import problem_of_orbit
+from ..problem.curve_ends import End
+from ..problem.orbit_point import problem_of_orbit
 from ..scene import check
 from ..scene.scene_parameters import check_parameter_bounds, limit_bounds_to_domains
 from . import held_continuation as holding
 from .assemble import START_REASON, assemble_branch
 from .branch import KIND_NAMES, Branch
 from .held_branch import HeldBranch
-from .itinerary_segment import BranchEventDetector
-from .through_grazings import continue_through_grazings
+from .itinerary_segment import BranchEventDetector, continue_through_grazings
 from .user_monitors import MonitoredPoint
 
 DIRECTIONS = ("both", "forward", "backward")

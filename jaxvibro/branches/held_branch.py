@@ -12,12 +12,11 @@ from ..output.dataframes import make_dataframe
 from ..output.equal_runs import find_equal_runs
 from ..output.table_text import align_columns, column_header
 from ..output.units import LENGTH, SPEED, unit_in_system, unit_of
-from ..problem import stability_descriptions
+from ..problem import orbit_curve
+from ..problem.orbit_curve import PlaneCurve
 from ..problem.orbit_point import label_of_point
-from ..problem.plane_curve import PlaneCurve
 from ..scene.scene import Scene
-from .branch import Special
-from .orbit_columns import orbit_columns
+from .branch import Special, orbit_columns
 
 HELD_UNITS = {"peak": LENGTH, "least_speed": SPEED}  # units of the quantities that may be held
 
@@ -117,7 +116,7 @@ class HeldBranch(PlaneCurve[Special]):
         held_unit, held_factor = unit_in_system(self.scene, HELD_UNITS[self.held], units)
         parameter_headers = [column_header(name, text, units) for name, (text, _) in column_units.items()]
         rows: list[tuple[str, ...]] = [("points", *parameter_headers, "orbit", "stability")]
-        stability_words = stability_descriptions.stability_words(self.multipliers)
+        stability_words = orbit_curve.stability_words(self.multipliers)
         for start_row, stop_row in find_equal_runs(stability_words):
             run_end_values = self.values[[start_row, stop_row - 1]] * [
                 unit_factor for _, unit_factor in column_units.values()

@@ -1,7 +1,7 @@
 """Find isolas: closed branches that are not connected to other branches.
 
 At values over the whole range of the parameter the equations of the impacts are solved for each order of walls, by
-Newton's method from random guesses, with deflation of known solutions (`orbits/deflation.py`). Each solution that lies
+Newton's method from random guesses, with deflation of known solutions (`orbits/solve.py`). Each solution that lies
 on no known branch is followed. The branches that return to their start are isolas.
 """
 
@@ -11,26 +11,24 @@ from itertools import product
 import jax
 import numpy as np
 
-from continuation.computation_limits import EXPIRED_REASON, Results, make_limits
+from continuation.branch_segment import EXPIRED_REASON, Results, make_limits
 
 from ..maps.initial_conditions import initial_box
-from ..orbits.deflation import solve_with_deflation
 from ..orbits.impact_equations import ImpactSequence
-from ..orbits.orbit_comparison import repetition_count
-from ..problem.end import End
-from ..problem.orbit_diagnostics import diagnose
-from ..problem.orbit_equivalence import comparison_points
-from ..problem.orbit_point import make_orbit_point
+from ..orbits.orbit import repetition_count
+from ..orbits.solve import solve_with_deflation
+from ..problem.curve_ends import End
+from ..problem.orbit_equations import diagnose
+from ..problem.orbit_point import comparison_points, make_orbit_point
 from ..problem.orbit_problem import make_orbit_problem
 from ..scene import check
 from ..scene.scene_parameters import parameter_domain
-from ..scene.symmetry import stays_symmetric
+from ..scene.scene_properties import stays_symmetric
 from .branch import Branch
-from .branch_membership import correct_to_seed_orbit, is_on_branch
 from .branch_tree import MAX_BRANCHES, BranchTree
 from .diagram import Diagram
 from .follow import branch_through, check_follow_settings
-from .seed_orbits import SeedOrbit
+from .seed_orbits import SeedOrbit, correct_to_seed_orbit, is_on_branch
 from .switch import FIRST_STEP
 
 N_VALUES, N_GUESSES = 256, 2  # values of the parameter; guesses at each value
@@ -175,12 +173,12 @@ def _solve_wall_order(scene, name, bounds, periods, sides, rng):
     speeds[:, :n_impacts], row_sides[:, :n_impacts] = rng.random((n_lanes, n_impacts)) * max_speeds[:, None], sides
     scenes = jax.tree.map(lambda leaf: np.broadcast_to(np.asarray(leaf), n_lanes), scenes)
     sequences = ImpactSequence(times, speeds, row_sides, np.zeros(n_lanes), np.full(n_lanes, float(periods)))
-    solutions = solve_with_deflation(scenes, sequences, max_speeds)
+    solved_times, solved_speeds, is_admissible = solve_with_deflation(scenes, sequences, max_speeds)
     template = make_orbit_problem(scene, name, periods=periods)
-    for lane, solution_index in zip(*np.nonzero(solutions.admissible.T), strict=True):
+    for lane, solution_index in zip(*np.nonzero(is_admissible.T), strict=True):
         impact_columns = (
-            solutions.times[solution_index, lane, :n_impacts],
-            solutions.speeds[solution_index, lane, :n_impacts],
+            solved_times[solution_index, lane, :n_impacts],
+            solved_speeds[solution_index, lane, :n_impacts],
             sides,
         )
         point = make_orbit_point(template, float(values[lane]), list(zip(*impact_columns, strict=True)), periods)

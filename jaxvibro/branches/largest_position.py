@@ -12,8 +12,7 @@ from ..contact.kinds import flow_coefficients
 from ..flight import motion_in_soft_wall
 from ..orbits import flight_clearance, impact_equations
 from ..problem.orbit_curve import unknowns_of_rows
-from ..problem.orbit_diagnostics import evaluate_at_points, flight_without_impacts
-from ..problem.orbit_equations import scene_at, sequence_at
+from ..problem.orbit_equations import evaluate_at_points, flight_without_impacts, scene_at, sequence_at
 
 MAX_CELLS = 50_000
 N_ITERATIONS = 6  # of false position; the error of x at a turning point is the square of that of its time

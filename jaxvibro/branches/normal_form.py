@@ -7,8 +7,8 @@ from jaxtyping import Float
 
 from ..orbits.orbit import STABILITY_MARGIN, eigenvalue_pair
 from ..problem import normal_forms
-from ..problem.grazing_jumps import GrazingJump, grazing_jumps
-from ..problem.orbit_diagnostics import diagnose
+from ..problem.grazing_return_map import GrazingJump, grazing_jumps
+from ..problem.orbit_equations import diagnose
 
 JUMP, SOFT, HARMLESS = "jump", "soft", "harmless"
 UNFOLDING_FUNCTIONS = {
@@ -30,7 +30,7 @@ class NormalForm:
         At SN, PD and SB the coefficient b: the other orbits exist at value + b s^2. The other orbits are the two orbits
         of the SN, the doubled orbit, or the two asymmetric orbits. s is the distance of their impacts from those of the
         point's orbit along `null`: the root mean square of the changes of time and of the changes of speed divided by
-        the length of the scene (`scene.typical_scales.typical_length`). At a GR the largest, over the grazing contacts,
+        the length of the scene (`scene_properties.typical_length`). At a GR the largest, over the grazing contacts,
         of the jump of the velocity divided by the square root of the depth that the contact would have.
     side : int
         Side of the parameter on which the other orbits, or the contact, exist: 1 or -1.

@@ -1,83 +1,26 @@
 """Follow the branches that emanate from a special point, and extend a branch beyond its ends."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
 from continuation import augmented_systems
-from continuation import branch_point_tangents as crossing
+from continuation import augmented_systems as crossing
 from continuation.arclength import make_start_point
-from continuation.computation_limits import UNLIMITED, Limits, make_limits
+from continuation.branch_segment import make_limits
 
-from ..problem.end import RESUMABLE_ENDS, End, EndReason
+from ..problem.curve_ends import RESUMABLE_ENDS, End, EndReason
 from ..problem.soft_wall_grazing import find_all_exits
 from ..scene import check
 from ..scene.scene_parameters import check_parameter_bounds, parameter_domain
 from .assemble import START_REASON, assemble_branch, merge_branches
-from .branch import Branch, Special
-from .follow import Monitors, check_follow_settings, make_branch_task
-from .through_grazings import continue_through_grazings
+from .branch import Branch
+from .follow import make_branch_task
+from .itinerary_segment import continue_through_grazings
 
 FIRST_STEP = 0.01  # first step of a branch that leaves a special point
 SWITCHING_KINDS = ("SB", "BP", "PD", "GR")
-
-
-@check.host_only("use strobe or monodromy")
-def switch(
-    special: Special,
-    bounds: tuple[float, float] | None = None,
-    first_step: float = FIRST_STEP,
-    largest_step: float = 0.1,
-    tolerance: float = 1e-10,
-    monitors: Monitors = (),
-    stop: str | Sequence[str] = (),
-    limits: Limits = UNLIMITED,
-) -> tuple[Branch, ...]:
-    """Follow the branches that emanate from a special point of a branch.
-
-    `jaxvibro.switch` documents the arguments.
-
-    Parameters
-    ----------
-    special : Special
-        Special point of kind SB, BP, PD or GR.
-    bounds : tuple of float, optional
-        Bounds of the parameter. None means the bounds of the point.
-    first_step : float, optional
-        First step along each branch.
-    largest_step : float, optional
-        Largest step.
-    tolerance : float, optional
-        Tolerance of Newton's method.
-    monitors : dict of str to callable, optional
-        User-defined test functions, as in `follow`.
-    stop : str or sequence of str, optional
-        Kinds of special point at which a branch ends.
-    limits : Limits, optional
-        Limits of points and time.
-
-    Returns
-    -------
-    tuple of Branch
-        The branches.
-
-    Raises
-    ------
-    ArgumentError
-        If the point is of another kind, or an argument is invalid.
-    """
-    if not isinstance(special, Special):
-        raise check.ArgumentError("special", "must be a special point of a branch", special)
-    if special.kind not in SWITCHING_KINDS:
-        raise check.ArgumentError(
-            "special",
-            f"must be of kind {', '.join(SWITCHING_KINDS)}, because no branch emanates from other kinds",
-            special.kind,
-        )
-    bounds = check_parameter_bounds(special.scene, special.name, special.bounds if bounds is None else bounds)
-    settings = check_follow_settings(first_step, largest_step, tolerance, monitors, stop) | {"limits": limits}
-    return tuple(follow_away_from_point(special, start, bounds, **settings) for start in branch_starts(special))
 
 
 def branch_starts(special):

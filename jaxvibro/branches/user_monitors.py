@@ -1,16 +1,29 @@
-"""Locate the sign changes of user-defined monitors along a branch."""
+"""Locate sign changes along a branch: of user-defined monitors, Neimark-Sacker points and resonances.
+
+Locate Neimark-Sacker points and neutral saddles, where the product of the multipliers passes 1. Such points exist only
+in scenes in which areas in the phase space grow somewhere.
+
+Locate resonances of area-preserving maps: multipliers that are primitive third or fourth roots of 1. Without damping,
+and with walls of restitution 1, the product of the multipliers is 1. A pair lies on the unit circle, where the trace is
+between -2 and 2 (elliptic), or is real (hyperbolic). The elliptic range ends at SN, SB or BP, at PD, or at a grazing.
+At the resonances 1:3 and 1:4 within this range, orbits of three and four times the period meet the orbit, and the orbit
+may lose its stability (Arnold, Mathematical Methods of Classical Mechanics, appendix 7).
+"""
 
 from typing import NamedTuple
 
+import jax
 import numpy as np
 from jaxtyping import Complex, Float
 
-from continuation.intermediate_points import locate_sign_changes
-from continuation.point_rows import row_at
+from continuation.branch_segment import row_at
+from continuation.event_search import locate_sign_changes
 
-from ..orbits.orbit import eigenvalue_pair
-from ..problem.orbit_diagnostics import diagnose
+from ..contact.kinds import flow_of_scene
+from ..orbits.orbit import eigenvalue_pair, has_unit_determinants
+from ..problem.orbit_equations import diagnose
 from ..scene.check import ArgumentError
+from ..scene.force_operations import areas_never_grow
 
 
 class MonitoredPoint(NamedTuple):
@@ -78,3 +91,64 @@ def _monitor_value(kind, monitor, point):
     except (ValueError, TypeError, IndexError, ArithmeticError) as error:
         rule = f"must return a number at every point of the branch ({type(error).__name__}: {error})"
         raise ArgumentError(f"monitors.{kind}", rule, point.value) from None
+
+
+def locate_neimark_sacker(task, points, diagnostics):
+    """Locate the `Event` of each point at which the determinant of the monodromy matrix passes 1.
+
+    The kind is NS if the multipliers are complex there, and NSA (neutral saddle) if they are real. There are no events
+    if the flow contracts areas, if areas are proved never to grow, or if the determinant is 1 everywhere.
+    """
+    determinant_excess = diagnostics.determinant - 1.0
+    if not flow_of_scene(task.args.scene).areas_may_grow() or not (np.diff(np.sign(determinant_excess)) != 0).any():
+        return []
+    if has_unit_determinants(diagnostics.trace, diagnostics.determinant) or areas_never_grow(
+        *_scenes_at_extremes(task.args, points)
+    ):
+        return []
+    return [
+        event._replace(kind=_event_kind(task.args, event))
+        for event in locate_crossings(task, points, diagnostics, "NS", _determinant_excess)
+    ]
+
+
+def _scenes_at_extremes(problem, points):
+    """Return the scenes at the least and at the largest value of the parameter."""
+    values = points.z[:, -1]
+
+    def scene_at_value(value):
+        return jax.tree.map(
+            lambda leaf, parameter_mark: np.where(parameter_mark == 1, value, leaf),
+            problem.scene,
+            problem.parameter_marks,
+        )
+
+    return scene_at_value(values.min()), scene_at_value(values.max())
+
+
+def _event_kind(problem, event):
+    return "NS" if abs(row_at(diagnose(problem, event.z[None]), 0).trace) < 2.0 else "NSA"
+
+
+def _determinant_excess(point):
+    """Return the determinant at a `MonitoredPoint` minus 1."""
+    with np.errstate(invalid="ignore"):  # multipliers are infinite at an impact with zero speed
+        return float(np.prod(point.multipliers).real) - 1.0
+
+
+RESONANT_TRACES = {"R3": -1.0, "R4": 0.0}
+
+
+def locate_resonances(task, points, diagnostics):
+    """Locate the `Event` of each R3 and R4. Return no events unless areas are preserved."""
+    if not has_unit_determinants(diagnostics.trace, diagnostics.determinant):
+        return []
+
+    def trace_offset_function(resonant_trace):
+        return lambda point: float(np.sum(point.multipliers).real) - resonant_trace
+
+    return [
+        event
+        for kind, resonant_trace in RESONANT_TRACES.items()
+        for event in locate_crossings(task, points, diagnostics, kind, trace_offset_function(resonant_trace))
+    ]

@@ -6,11 +6,14 @@ Operands are arrays of lanes of one shape, or scalars for all lanes. Inside a ca
 other jitted functions would each become a separate loop. Code for lanes therefore uses `choose` and `jax.lax`.
 """
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 from jax import lax
 from jax.experimental.xla_metadata import set_xla_metadata
 
+from . import kernel_calls
 from .kernel_calls import is_traced_for_cpu, trace_with_cache
 
 COMPILER_OPTIONS = {"xla_cpu_prefer_vector_width": 512}
@@ -199,3 +202,28 @@ def call_without_inlining(function, *lanes, **static):
     else:
         results = flat_function(*traced_function.select_used_operands(operands))
     return jax.tree.unflatten(traced_function.tree, results)
+
+
+def describe_hints() -> dict[str, Any]:
+    """Describe the compiler hints in use: options, attributes of calls, and block widths.
+
+    Returns
+    -------
+    dict
+        ``applied``: True if code is compiled for a CPU; code for other devices gets no hints. ``options``: compiler
+        options. ``marks``: attributes of each kind of call. ``block_width``, ``narrow_block_width``: number of lanes in
+        a block of the fast path and of the reference path.
+    """
+    is_for_cpu = kernel_calls.is_traced_for_cpu()
+    no_inlining_attribute = {"inlineable": "false"}
+    call_attributes = {
+        "stage": no_inlining_attribute,
+        "one_kernel": {**no_inlining_attribute, "xla_cpu_small_call": "true"},
+    }
+    return {
+        "applied": is_for_cpu,
+        "options": dict(COMPILER_OPTIONS),
+        "marks": call_attributes if is_for_cpu else {},
+        "block_width": kernel_calls.block_width(),
+        "narrow_block_width": kernel_calls.reference_block_width(),
+    }

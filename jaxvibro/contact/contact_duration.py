@@ -17,7 +17,7 @@ from ..flight.flight_state import Path, SlowMotion
 from ..flight.flight_step import certified_step
 from ..flight.motion_in_soft_wall import is_inside_soft_wall
 from ..flight.taylor_polynomials import ExpansionPoint
-from ..scene.codes import Contact
+from ..scene.state import Contact
 
 NEWTON_STEPS = 6  # from the guess of a parabola to the duration of a short contact phase
 MEMORY_STEPS = 8.0  # contact phases up to this many longest steps depend on their start

@@ -19,7 +19,7 @@ from continuation.array_type import Array
 from ..compiled.lane_arithmetic import choose
 from ..flight import flow, motion_in_soft_wall, soft_wall_polynomial
 from ..flight.soft_wall_exit import first_exit_time
-from ..scene.codes import Contact
+from ..scene.state import Contact
 from .contact_duration import MEMORY_STEPS, NEWTON_STEPS
 
 MAX_PERIODS = 8.0  # largest duration of a contact phase in drive periods

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float
 from ..compiled.lane_arithmetic import choose
 from ..flight.event_certificates import unit_roundoff
 from ..flight.motion_in_soft_wall import is_inside_soft_wall
-from ..scene.codes import Contact
+from ..scene.state import Contact
 
 END_TOLERANCE = 64.0  # rounding errors of the path's length or the drive's period: such an exit is at the end
 

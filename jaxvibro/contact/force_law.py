@@ -16,8 +16,8 @@ from ..flight import jaxpr_series
 from ..flight.motion_in_soft_wall import is_inside_soft_wall
 from ..flight.path_start import start_at_soft_wall as start_at_wall  # noqa: F401
 from ..scene import check
-from ..scene.codes import Contact
 from ..scene.force_operations import ops_without_series
+from ..scene.state import Contact
 from . import force_law_map, force_law_matrix, phase_ends, phase_maps
 from .force_law_map import state_in_contact  # noqa: F401
 from .force_law_phase import complete_contact_phases, contact_duration  # noqa: F401

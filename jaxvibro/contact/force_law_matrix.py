@@ -8,7 +8,7 @@ from ..flight import flow
 from ..flight.force_law_motion_series import ContactState, select_lanes
 from ..flight.force_law_passage import traverse_contact
 from ..flight.motion_in_soft_wall import is_inside_soft_wall
-from ..scene.codes import Contact
+from ..scene.state import Contact
 from .end_time_and_contact import exits_wall_before_end
 from .force_law_phase import entry_state, fly_contact_phase, inward_acceleration
 from .phase_ends import effect_of_phase, force_free_acceleration

@@ -9,7 +9,7 @@ from ..flight.flight_state import CAPPED
 from ..flight.force_law_motion_series import ContactState
 from ..flight.motion_in_soft_wall import is_inside_soft_wall
 from ..flight.taylor_steps import derivatives_from_terms
-from ..scene.codes import Contact
+from ..scene.state import Contact
 from .contact_duration import path_inside_wall
 from .phase_ends import ContactResult, path_after_contact, side_of_contact
 

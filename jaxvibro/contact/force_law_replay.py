@@ -17,7 +17,7 @@ from ..flight.force_law_motion_series import ContactState
 from ..flight.force_law_passage import traverse_contact
 from ..flight.motion_in_soft_wall import is_inside_soft_wall, is_soft_side
 from ..flight.taylor_polynomials import ExpansionPoint
-from ..scene.codes import Contact
+from ..scene.state import Contact
 from . import initial_contact
 from .end_time_and_contact import exits_wall_before_end
 from .force_law_phase import depth_after_delay, entry_state, fly_contact_phase, inward_acceleration

@@ -5,7 +5,7 @@ from jax import lax
 from ..compiled.lane_arithmetic import choose
 from ..flight import taylor_polynomials
 from ..flight.motion_in_soft_wall import soft_walls
-from ..scene.codes import Contact
+from ..scene.state import Contact
 
 
 def initial_relative_state(coeffs, current_state, start_contact_code, order=1):

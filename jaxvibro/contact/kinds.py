@@ -14,7 +14,7 @@ from ..flight.protocols import Contact, Flow, Kinds
 from ..scene import check
 from ..scene.force import Force
 from ..scene.push import Push
-from ..scene.wall import LINEAR_CONTACT, RIGID_CONTACT
+from ..scene.scene import LINEAR_CONTACT, RIGID_CONTACT
 from . import force_law, force_spring, linear, rigid
 
 FLOWS: dict[type, Flow] = {type(None): linear_flow, Force: force_flow}  # by the class of the force

@@ -16,9 +16,9 @@ from ..flight.motion_in_soft_wall import frame_force_derivs, is_inside_soft_wall
 from ..flight.path_start import start_at_soft_wall as start_at_wall  # noqa: F401
 from ..flight.soft_wall_lanes import wall_jet_in_lane_frame
 from ..scene import check
-from ..scene.codes import Contact
 from ..scene.scene import SIDES, harden_wall
 from ..scene.soft_walls import effective_restitution
+from ..scene.state import Contact
 from . import linear_map, phase_maps
 from .contact_duration import linear_contact_duration as contact_duration  # noqa: F401
 from .initial_contact import initial_relative_state as initial_phase  # noqa: F401

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 
 from ..compiled.lane_arithmetic import choose
 from ..flight import flow, motion_in_soft_wall
-from ..scene.codes import Contact
+from ..scene.state import Contact
 from .contact_duration import contact_phase_matrix, v_over_relative_velocity
 from .contact_phase import guess_contact_time, solve_contact_phase
 from .wall_at_contact import wall_derivatives

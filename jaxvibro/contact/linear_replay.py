@@ -11,7 +11,7 @@ from ..compiled.lane_arithmetic import choose
 from ..flight import flow, motion_in_soft_wall, taylor_polynomials
 from ..flight.motion_in_soft_wall import is_inside_soft_wall
 from ..flight.taylor_polynomials import ExpansionPoint
-from ..scene.codes import Contact
+from ..scene.state import Contact
 from . import initial_contact
 from .contact_duration import MEMORY_STEPS, linear_contact_duration, solve_contact_end
 from .end_time_and_contact import exits_wall_before_end

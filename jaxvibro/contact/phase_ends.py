@@ -16,7 +16,7 @@ from ..flight.flight_state import make_slow_motion
 from ..flight.motion_in_soft_wall import is_inside_soft_wall
 from ..flight.taylor_polynomials import ExpansionPoint
 from ..flight.wall_motion import subtract_optional, wall_jet_on_side
-from ..scene.codes import Contact
+from ..scene.state import Contact
 from .contact_duration import multiply_2x2_matrices
 from .monodromy_state import MonodromyState, add_contact_time
 

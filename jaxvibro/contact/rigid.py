@@ -10,7 +10,7 @@ import numpy as np
 
 from ..flight.path_start import start_at_rigid_wall as start_at_wall  # noqa: F401
 from ..scene import check
-from ..scene.codes import Contact
+from ..scene.state import Contact
 
 CODE_AFTER_IMPACT: int = Contact.LANDED
 

@@ -12,11 +12,10 @@ from . import fit_result, sample_fit, special_point_fit
 from .constrained_least_squares import FreeParameterSpec
 from .fit_result import Fit, FitStatus
 from .free_parameters import bounds_of_changes, check_free_parameters
-from .impact_chain_fit import fit_chain_parameters
+from .impact_chain_equations import fit_chain_parameters
 from .impact_chain_search import match_impact_record
 from .impact_chains import IMPOSSIBLE_COST, ImpactFitProblem, chain_measurements, is_possible_motion
-from .record_periodicity import count_impact_information, count_sample_information
-from .records import ImpactRecord, PointRecord, SampleRecord
+from .records import ImpactRecord, PointRecord, SampleRecord, count_impact_information, count_sample_information
 
 # Unknown phase: number of start phases, impacts that rank them, and chains that are continued.
 N_PHASES, HEAD_IMPACTS, MAX_CHAINS = 8, 10, 3

@@ -12,8 +12,7 @@ from continuation.array_type import Array
 
 from ..scene import check
 from ..scene.scene import Scene
-from ..scene.scene_parameters import parameter_domain
-from ..scene.unit_mistakes import format_parameter_value, unit_hint
+from ..scene.scene_parameters import format_parameter_value, parameter_domain, unit_hint
 from .special_point_equations import complete_scene, parameter_mask
 
 

@@ -14,8 +14,7 @@ from ..branches.branch import Special
 from ..orbits.orbit import Orbit
 from ..scene import check
 from ..scene.scene import Scene
-from .located_orbit import LocatedOrbit, OrbitOfScene, make_located_orbit
-from .located_point import Located, make_located_point
+from .located import Located, LocatedOrbit, OrbitOfScene, make_located_orbit, make_located_point
 
 N_QUADRATURE_NODES = 24  # Gauss-Legendre nodes of an area
 

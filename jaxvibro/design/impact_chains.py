@@ -12,10 +12,9 @@ from jaxtyping import Float, Int
 
 from ..scene.scene import SIDES
 from ..scene.soft_walls import effective_restitution
-from . import impact_chain_fit
+from . import impact_chain_equations
 from .constrained_least_squares import FreeParameterSpec, LeastSquaresSolution, max_plausible_chi2
-from .impact_chain_equations import ChainNodes, flight_residuals, speeds_between_impacts
-from .impact_chain_fit import TimeMeasurements
+from .impact_chain_equations import ChainNodes, TimeMeasurements, flight_residuals, speeds_between_impacts
 from .impact_prediction import min_clearances
 
 # Penalties added to chi2: for each missing and each spurious impact, and for a chain that is not a motion.
@@ -100,7 +99,7 @@ def fit_chain(fit_problem: ImpactFitProblem, chain_guess: ImpactChainGuess) -> I
     first_restitution = max(restitutions_on_sides(scene, chain_guess.sides[:1])[0], MIN_RESTITUTION)
     approach_speeds = np.append(speeds_after[0] / first_restitution, speeds_before)
     speeds = np.where(np.isnan(chain_guess.speeds), approach_speeds, chain_guess.speeds)
-    solution = impact_chain_fit.fit_chain_parameters(
+    solution = impact_chain_equations.fit_chain_parameters(
         ChainNodes(chain_guess.sides, times, speeds),
         chain_measurements(fit_problem, chain_guess),
         fit_problem.free_spec,

@@ -22,9 +22,8 @@ from ..maps.strobe_inverse import reversed_coefficients
 from ..orbits import flight_clearance
 from ..orbits.contact_maps import evaluate_contact_map
 from ..scene import check
-from ..scene.codes import Contact, Status
 from ..scene.scene import SIDES, replace_unchecked
-from ..scene.state import State
+from ..scene.state import Contact, State, Status
 from .shape_padding import pad_to_power_of_two
 
 

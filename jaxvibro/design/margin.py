@@ -9,22 +9,33 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from continuation.computation_limits import EXPIRED_REASON, make_limits
+from continuation.branch_segment import EXPIRED_REASON, make_limits
 
 from ..orbits.impact_equations import ImpactSequence
 from ..orbits.orbit import Orbit, OrbitError
 from ..scene import check
-from ..scene.codes import SolutionStatus
 from ..scene.scene_parameters import parameter_domain
-from ..scene.symmetry import stays_symmetric
-from .boundary_edge import CUSP, BoundaryEdge, find_crossed_edges, make_cusp_edge
+from ..scene.scene_properties import stays_symmetric
+from ..scene.state import SolutionStatus
 from .free_parameters import FreeParameters, SceneSpace, bounds_of_changes, check_free_parameters
-from .located_point import solve_points
+from .located import solve_points
 from .margin_result import BEHIND, REACHED, Margin, NearPoint
-from .nearest_boundary_edge import find_nearest_edge_point
-from .nearest_boundary_point import find_nearest_point
-from .parameter_rays import RayEnd, RayResult, follow_rays, impact_sequence_of, sample_unit_directions
-from .ray_end_equations import equations_at_ray_end
+from .nearest_boundary import (
+    CUSP,
+    BoundaryEdge,
+    find_crossed_edges,
+    find_nearest_edge_point,
+    find_nearest_point,
+    make_cusp_edge,
+)
+from .parameter_rays import (
+    RayEnd,
+    RayResult,
+    equations_at_ray_end,
+    follow_rays,
+    impact_sequence_of,
+    sample_unit_directions,
+)
 
 KINDS = ("SN", "PD", "SB", "GR")
 SEARCH_RADII = 1.0, 4.0, 16.0, 64.0, 256.0  # in units, tried in turn until a boundary is found

@@ -1,4 +1,4 @@
-"""Follow an orbit along straight paths in parameter space and detect the event that ends each path.
+"""Follow an orbit along straight paths in parameter space, and set up the special point that ends a path.
 
 Newton's method continues the impacts of the orbit in steps along each path. After each step, test functions detect four
 events: the equations become singular (fold), the period doubles (flip), a flight grazes a wall (touch), or an impact
@@ -14,18 +14,21 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import ArrayLike, Float
+from jaxtyping import ArrayLike, Bool, Float
 
 from continuation.array_type import Array
 from continuation.implicit_function import make_lane_loop_function
-from continuation.linear_solver import solve
-from continuation.newton import OK, SINGULAR, NewtonSolution, newton
+from continuation.newton import OK, SINGULAR, NewtonSolution, newton, solve
 
 from ..compiled.kernel_calls import call_as_kernel
 from ..contact.kinds import flow_coefficients
 from ..flight import flow, further_drive_terms
 from ..orbits import cyclic_system, flight_clearance, impact_equations
 from ..orbits.impact_equations import MAX_TIME_CHANGE, ImpactSequence
+from ..orbits.orbit import impacts_as_points, is_same_orbit, mirror_points
+from ..problem import soft_wall_grazing
+from ..scene.scene_properties import is_symmetric
+from .special_point_equations import SpecialPointEquations, grazing_equations, null_vector_at
 
 MIN_STEPS = 32.0  # smallest number of steps of a path
 END_TOLERANCE = 2.0**-10  # accuracy of the end, relative to the path
@@ -120,94 +123,118 @@ def follow_rays(scene_treedef, sequence, scene_vector, scene_displacements):
 
 def _follow_ray(scene_treedef, sequence, scene_vector, scene_displacement):
     """Continue an orbit along one path; return the `RayResult`."""
-    has_impacts = bool(len(sequence.sides))
-    start_unknowns = jnp.concatenate([sequence.times, sequence.speeds])
-    max_newton_changes = jnp.where(jnp.arange(len(start_unknowns)) < len(sequence.sides), MAX_TIME_CHANGE, jnp.inf)
+    zero = jnp.zeros((), scene_vector.dtype)
 
     def coeffs_at(fraction):
         return flow_coefficients(scene_treedef.unflatten(list(scene_vector + fraction * scene_displacement)))
 
-    def solve_orbit(coeffs, unknowns):
-        if not has_impacts:
-            return _solve_impact_free_orbit(coeffs, sequence)
-
-        def orbit_residual(unknowns):
-            return impact_equations.residual_and_jacobian(coeffs, sequence_at(sequence, unknowns))
-
-        return newton(
-            orbit_residual,
-            unknowns,
-            max_newton_changes * coeffs.period,
-            max_steps=8,
-            solve=impact_equations.solve_cyclic,
-        )
-
-    def advance_along_path(ray_state):
-        fraction, fraction_step, unknowns, unknowns_rate, current_tests, _ = ray_state
-        next_fraction = jnp.minimum(1.0, fraction + fraction_step)
-        coeffs = coeffs_at(next_fraction)
-        solution = solve_orbit(coeffs, unknowns + (next_fraction - fraction) * unknowns_rate)
-        max_unknowns_change = jnp.max(abs(solution.unknowns - unknowns))
-        next_tests = evaluate_tests(
-            coeffs, sequence_at(sequence, solution.unknowns) if has_impacts else sequence, solution.unknowns
-        )
-        is_step_accepted = (solution.status == OK) & (
-            max_unknowns_change <= MAX_CHANGE * (1.0 + jnp.max(abs(unknowns)))
-        )
-        ray_end = jnp.where(
-            next_tests.fold * current_tests.fold < 0,
-            RayEnd.FOLD,
-            jnp.where(next_tests.flip * current_tests.flip < 0, RayEnd.FLIP, next_tests.end),
-        )
-        ray_end = jnp.where(is_step_accepted, ray_end, RayEnd.FOLD)
-        is_event_free = ray_end == RayEnd.NONE
-        next_unknowns_rate = (solution.unknowns - unknowns) / jnp.where(
-            next_fraction > fraction, next_fraction - fraction, 1.0
-        )
-        fraction_step = jnp.where(is_event_free, jnp.minimum(1.5 * fraction_step, 1.0 / MIN_STEPS), 0.5 * fraction_step)
-        is_done = (~is_event_free & (fraction_step < END_TOLERANCE)) | (is_event_free & (next_fraction >= 1.0))
-        tests_after_step = next_tests._replace(
-            end=current_tests.end, row=current_tests.row, wall=current_tests.wall, time=current_tests.time
-        )
-        tests_at_event = current_tests._replace(
-            end=ray_end, row=next_tests.row, wall=next_tests.wall, time=next_tests.time
-        )
-        current_tests = jax.tree.map(
-            lambda value_after_step, value_at_event: jnp.where(is_event_free, value_after_step, value_at_event),
-            tests_after_step,
-            tests_at_event,
-        )
-        fraction, unknowns, unknowns_rate = (
-            jnp.where(is_event_free, *next_and_current)
-            for next_and_current in (
-                (next_fraction, fraction),
-                (solution.unknowns, unknowns),
-                (next_unknowns_rate, unknowns_rate),
-            )
-        )
-        return fraction, fraction_step, unknowns, unknowns_rate, current_tests, is_done
-
-    zero_scalar, evaluate_tests = (
-        jnp.zeros((), scene_vector.dtype),
-        _tests_with_impacts if has_impacts else _tests_without_impacts,
+    if len(sequence.sides):
+        start_unknowns = jnp.concatenate([sequence.times, sequence.speeds])
+    else:
+        start_unknowns = _solve_impact_free_orbit(coeffs_at(zero), sequence).unknowns
+    start_tests = _evaluate_tests(coeffs_at(zero), sequence, start_unknowns)._replace(end=zero)
+    ray_state = _RayState(
+        zero, zero + 1.0 / MIN_STEPS, start_unknowns, 0.0 * start_unknowns, start_tests, is_done=zero > 0
     )
-    start_unknowns = (
-        start_unknowns if has_impacts else _solve_impact_free_orbit(coeffs_at(zero_scalar), sequence).unknowns
+    ray_state = lax.while_loop(
+        lambda ray_state: ~ray_state.is_done, partial(_advance_along_ray, coeffs_at, sequence), ray_state
     )
-    current_tests = evaluate_tests(coeffs_at(zero_scalar), sequence, start_unknowns)._replace(end=zero_scalar)
-    initial_ray_state = (
-        zero_scalar,
-        zero_scalar + 1.0 / MIN_STEPS,
-        start_unknowns,
-        0.0 * start_unknowns,
-        current_tests,
-        zero_scalar > 0,
+    tests = ray_state.tests
+    ray_end = jnp.where(ray_state.fraction >= 1.0, 0.0, tests.end)
+    return RayResult(ray_state.fraction, ray_state.unknowns, ray_end, tests.row, tests.wall, tests.time)
+
+
+class _RayState(NamedTuple):
+    """State of the continuation along a path.
+
+    Attributes
+    ----------
+    fraction, fraction_step : array
+        Fraction of the path, and its next step.
+    unknowns, unknowns_rate : array
+        Unknowns of the orbit, and their change per fraction of the path.
+    tests : _TestsAndEvent
+        Test functions at the fraction; the event is that of the last attempt at a step.
+    is_done : array of bool
+        True at the end of the path or at an event.
+    """
+
+    fraction: Float[jax.Array, ""]
+    fraction_step: Float[jax.Array, ""]
+    unknowns: Float[jax.Array, " unknowns"]
+    unknowns_rate: Float[jax.Array, " unknowns"]
+    tests: _TestsAndEvent
+    is_done: Bool[jax.Array, ""]
+
+
+def _advance_along_ray(coeffs_at, sequence, ray_state):
+    """Take a step along the path, or halve it if there is an event within it."""
+    fraction, fraction_step, unknowns, unknowns_rate, tests, _ = ray_state
+    next_fraction = jnp.minimum(1.0, fraction + fraction_step)
+    coeffs = coeffs_at(next_fraction)
+    solution = _solve_orbit(coeffs, sequence, unknowns + (next_fraction - fraction) * unknowns_rate)
+    next_tests = _evaluate_tests(coeffs, sequence, solution.unknowns)
+    ray_end = _event_of_step(tests, next_tests, solution, unknowns)
+    is_event_free = ray_end == RayEnd.NONE
+    next_unknowns_rate = (solution.unknowns - unknowns) / jnp.where(
+        next_fraction > fraction, next_fraction - fraction, 1.0
     )
-    fraction, _, unknowns, _, current_tests, _ = lax.while_loop(
-        lambda carry: ~carry[-1], advance_along_path, initial_ray_state
+    fraction_step = jnp.where(is_event_free, jnp.minimum(1.5 * fraction_step, 1.0 / MIN_STEPS), 0.5 * fraction_step)
+    is_done = (~is_event_free & (fraction_step < END_TOLERANCE)) | (is_event_free & (next_fraction >= 1.0))
+    values_after_step = (
+        next_fraction,
+        solution.unknowns,
+        next_unknowns_rate,
+        next_tests._replace(end=tests.end, row=tests.row, wall=tests.wall, time=tests.time),
     )
-    ray_end = jnp.where(fraction >= 1.0, 0.0, current_tests.end)
-    return RayResult(fraction, unknowns, ray_end, current_tests.row, current_tests.wall, current_tests.time)
+    values_at_event = (
+        fraction,
+        unknowns,
+        unknowns_rate,
+        tests._replace(end=ray_end, row=next_tests.row, wall=next_tests.wall, time=next_tests.time),
+    )
+    fraction, unknowns, unknowns_rate, tests = jax.tree.map(
+        partial(jnp.where, is_event_free), values_after_step, values_at_event
+    )
+    return _RayState(fraction, fraction_step, unknowns, unknowns_rate, tests, is_done)
+
+
+def _event_of_step(tests, next_tests, solution, unknowns):
+    """Return the `RayEnd` within a step from `unknowns`; a step that is not accepted counts as a fold."""
+    max_unknowns_change = jnp.max(abs(solution.unknowns - unknowns))
+    is_step_accepted = (solution.status == OK) & (max_unknowns_change <= MAX_CHANGE * (1.0 + jnp.max(abs(unknowns))))
+    ray_end = jnp.where(
+        next_tests.fold * tests.fold < 0,
+        RayEnd.FOLD,
+        jnp.where(next_tests.flip * tests.flip < 0, RayEnd.FLIP, next_tests.end),
+    )
+    return jnp.where(is_step_accepted, ray_end, RayEnd.FOLD)
+
+
+def _solve_orbit(coeffs, sequence, unknowns):
+    """Solve for the orbit with the impacts of `sequence`, starting at `unknowns`; return a `NewtonSolution`."""
+    n_impacts = len(sequence.sides)
+    if not n_impacts:
+        return _solve_impact_free_orbit(coeffs, sequence)
+
+    def orbit_residual(unknowns):
+        return impact_equations.residual_and_jacobian(coeffs, sequence_at(sequence, unknowns))
+
+    max_newton_changes = jnp.where(jnp.arange(len(unknowns)) < n_impacts, MAX_TIME_CHANGE, jnp.inf)
+    return newton(
+        orbit_residual,
+        unknowns,
+        max_newton_changes * coeffs.period,
+        max_steps=8,
+        solve=impact_equations.solve_cyclic,
+    )
+
+
+def _evaluate_tests(coeffs, sequence, unknowns):
+    """Return the `_TestsAndEvent` of the orbit with the impacts of `sequence` and these unknowns."""
+    if len(sequence.sides):
+        return _tests_with_impacts(coeffs, sequence_at(sequence, unknowns))
+    return _tests_without_impacts(coeffs, sequence, unknowns)
 
 
 def sequence_at(sequence, unknowns):
@@ -221,10 +248,8 @@ def bifurcation_test_values(coeffs, sequence, unknowns):
     The test functions are the determinants that vanish at a fold and at a period doubling, the smallest clearance, and
     the smallest impact speed. Without impacts, the values are 1, 1, the smallest clearance and infinity.
     """
-    if len(sequence.sides):
-        orbit_tests, min_speed = _tests_with_impacts(coeffs, sequence, unknowns), jnp.min(sequence.speeds)
-    else:
-        orbit_tests, min_speed = _tests_without_impacts(coeffs, sequence, unknowns), jnp.inf
+    orbit_tests = _evaluate_tests(coeffs, sequence, unknowns)
+    min_speed = jnp.min(sequence.speeds) if len(sequence.sides) else jnp.inf
     return jnp.stack(
         [orbit_tests.fold, orbit_tests.flip, orbit_tests.min_clearance, min_speed + 0.0 * orbit_tests.fold]
     )
@@ -235,7 +260,7 @@ def impact_free_state(coeffs, sequence):
     return _solve_impact_free_orbit(coeffs, sequence).unknowns
 
 
-def _tests_with_impacts(coeffs, sequence, _):
+def _tests_with_impacts(coeffs, sequence):
     flights = impact_equations.compute_flights(coeffs, sequence)
     fold_test, flip_test = cyclic_system.closure_determinants(
         cyclic_system.assemble_block_matrix(impact_equations.residual_and_jacobian(coeffs, sequence, flights)[1])
@@ -333,3 +358,68 @@ def sample_unit_directions(n_params, n_directions, seed):
     axis_directions = np.concatenate([np.eye(n_params), -np.eye(n_params)])
     random_normals = np.random.default_rng(seed).normal(size=(n_directions - len(axis_directions), n_params))
     return np.concatenate([axis_directions, random_normals / np.linalg.norm(random_normals, axis=1, keepdims=True)])
+
+
+SAME_IMPACT_TOLERANCE = 1e-6  # relative to the largest speed: impacts closer than this coincide
+
+
+def equations_at_ray_end(scene_treedef, sequence, scene_vector, ray):
+    """Return (kind, `SpecialPointEquations`, approximate unknowns) of the special point that ends a `RayResult`.
+
+    `sequence` is the `ImpactSequence` of the orbit at the start of the ray. `scene_vector` holds the numbers of the
+    scene at the end of the ray. The unknown distance is set to 0. The caller must replace this value.
+    """
+    unknowns, n_impacts = np.asarray(ray.unknowns), len(sequence.sides)
+    columns = [*np.split(unknowns, 2), np.asarray(sequence.sides)] if n_impacts else [np.zeros(0)] * 3
+    sequence = sequence._replace(**dict(zip(("times", "speeds", "sides"), map(jnp.asarray, columns), strict=True)))
+    if ray.end in (RayEnd.TOUCH, RayEnd.ZERO_SPEED):
+        return _grazing_at_ray_end(scene_treedef, sequence, scene_vector, ray)
+    kind = "SN" if ray.end == RayEnd.FOLD else "PD"
+    if kind == "SN" and _is_symmetric_orbit(scene_treedef, sequence, scene_vector):
+        null_vector = null_vector_at(SpecialPointEquations("SN", False, scene_treedef, sequence), scene_vector)
+        null_vector_halves = null_vector.reshape(2, 2, -1)  # axes: times or speeds, first or second half, impact
+        if np.sum(null_vector_halves[:, 0] * null_vector_halves[:, 1]) < 0:
+            kind, n_half_impacts = "SB", n_impacts // 2
+            half_columns = {
+                "times": sequence.times[:n_half_impacts],
+                "speeds": sequence.speeds[:n_half_impacts],
+                "sides": sequence.sides[:n_half_impacts],
+            }
+            sequence = sequence._replace(**half_columns, periods=0.5 * sequence.periods, closure_sign=jnp.asarray(-1.0))
+    equations = SpecialPointEquations(kind, False, scene_treedef, sequence)
+    null_vector = null_vector_at(equations, scene_vector)
+    start_unknowns = np.concatenate([np.asarray(sequence.times), np.asarray(sequence.speeds), [0.0], null_vector])
+    return kind, equations, start_unknowns
+
+
+def _is_symmetric_orbit(scene_treedef, sequence, scene_vector):
+    """Check that the orbit is its own mirror image."""
+    scene = scene_treedef.unflatten([np.asarray(scene_number) for scene_number in scene_vector])
+    if len(sequence.sides) % 2 or not is_symmetric(scene):
+        return False
+    speeds = np.asarray(sequence.speeds)
+    impact_points = impacts_as_points(
+        float(scene.frequency), np.asarray(sequence.times), np.asarray(sequence.sides), speeds, speeds.max()
+    )
+    return is_same_orbit(impact_points, mirror_points(impact_points), SAME_IMPACT_TOLERANCE)
+
+
+def _grazing_at_ray_end(scene_treedef, sequence, scene_vector, ray):
+    """Return ("GR", `SpecialPointEquations`, unknowns) with the grazing contact as an impact with zero speed."""
+    scene = scene_treedef.unflatten([np.asarray(number_or_column) for number_or_column in scene_vector])
+    times, speeds, sides = (
+        np.asarray(number_or_column) for number_or_column in (sequence.times, sequence.speeds, sequence.sides)
+    )
+    if ray.end == RayEnd.ZERO_SPEED:
+        grazing_row, speeds = int(ray.row), np.where(np.arange(len(times)) == int(ray.row), 0.0, speeds)
+    else:
+        wall_side_codes = [side for side, wall in ((-1.0, scene.left), (1.0, scene.right)) if wall is not None]
+        duration = float(sequence.periods) * 2.0 * np.pi / float(scene.frequency)
+        grazing_time = float(ray.time) % duration
+        grazing_row = int(np.searchsorted(times, grazing_time))
+        times, speeds = np.insert(times, grazing_row, grazing_time), np.insert(speeds, grazing_row, 0.0)
+        sides = np.insert(sides, grazing_row, wall_side_codes[int(ray.wall)])
+    sequence = sequence._replace(times=times, speeds=speeds, sides=sides)
+    if soft_wall_grazing.is_smooth_soft_wall(scene, sides[grazing_row]):
+        sequence = sequence._replace(grazing=np.eye(len(times))[grazing_row])
+    return "GR", *grazing_equations(scene_treedef, sequence, grazing_row, 0.0, float(scene.frequency))

@@ -9,16 +9,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from continuation.computation_limits import EXPIRED_REASON, make_limits
+from continuation.branch_segment import EXPIRED_REASON, make_limits
 
 from ..branches.branch import Special
 from ..output.table_text import align_columns
 from ..scene import check
-from ..scene.codes import SolutionStatus
 from ..scene.scene import Scene
+from ..scene.state import SolutionStatus
 from .free_parameters import FreeParameters, bounds_of_changes, check_free_parameters
-from .located import located
-from .located_point import Located
+from .located import Located, located
 
 MAX_ITERATIONS = 30  # Newton steps
 DIFFERENCE_STEP = 1e-5  # in units: step of central differences

@@ -11,13 +11,14 @@ import numpy as np
 import xarray as xr
 
 from continuation.hostcall import persistent_jit
+from continuation.implicit_function import root_derivatives
 
 from ..branches.branch import Special
-from ..loci.locus_start import make_locus_start, problems_at_locus_start
+from ..loci.locus_start import check_special_point, problems_at_locus_start
 from ..scene import check
 from ..scene.scene import SIDES
 from ..scene.scene_parameters import common_parameter_value, flatten_names
-from ..scene.symmetry import stays_symmetric
+from ..scene.scene_properties import stays_symmetric
 from .special_point_equations import SpecialPointEquations, complete_scene, equations_at_point, parameter_mask
 
 EQUAL_TOLERANCE = 1e-6  # derivatives closer than this agree
@@ -65,19 +66,16 @@ def sensitivity(
     >>> round(float(derivatives.sel(number="damping")), 6)
     4.00908
     """
-    locus_start = make_locus_start(special)
-    name_groups = _check_name_groups(locus_start, names)
+    check_special_point(special)
+    name_groups = _check_name_groups(special, names)
     if wall not in (None, *SIDES):
         raise check.ArgumentError("wall", 'must be "left", "right" or None', wall)
-    values = [common_parameter_value(locus_start.scene, name_group) for name_group in name_groups]
+    values = [common_parameter_value(special.scene, name_group) for name_group in name_groups]
     parameter_masks = np.stack(
-        [np.max([parameter_mask(locus_start.scene, name) for name in name_group], axis=0) for name_group in name_groups]
+        [np.max([parameter_mask(special.scene, name) for name in name_group], axis=0) for name_group in name_groups]
     )
     derivatives = _select_wall_derivatives(
-        [
-            (side, parameter_masks @ number_derivatives)
-            for side, number_derivatives in _contact_derivatives(locus_start)
-        ],
+        [(side, parameter_masks @ number_derivatives) for side, number_derivatives in _contact_derivatives(special)],
         wall,
     )
     array_attributes = {"long_name": f"d {special.name} / d number", "point": f"{special.kind} of {special.label}"}
@@ -87,14 +85,14 @@ def sensitivity(
     )
 
 
-def _check_name_groups(locus_start, names):
+def _check_name_groups(special, names):
     """Check the parameter names and return each as a tuple of names."""
-    scene, point_parameter = locus_start.scene, locus_start.name
+    scene, point_parameter = special.scene, special.name
     if names is None:
         return [
             (name,)
             for name in scene.names
-            if name not in (point_parameter, "hardness") and _is_allowed_parameter(locus_start, name)
+            if name not in (point_parameter, "hardness") and _is_allowed_parameter(special, name)
         ]
     name_groups = [check.make_name_tuple("names", entry) for entry in check.make_name_tuple("names", names)]
     all_names = flatten_names(name_groups)
@@ -106,39 +104,39 @@ def _check_name_groups(locus_start, names):
         )
     check.require_independent(point_parameter, *all_names)
     for name_group in name_groups:
-        if not _keeps_point_kind(locus_start, name_group):
+        if not _keeps_point_kind(special, name_group):
             raise check.ArgumentError("names", "must keep the scene symmetric, as an SB requires", name_group)
     return name_groups
 
 
-def _is_allowed_parameter(locus_start, name):
-    depends_on_hardness = locus_start.name == "hardness" and name.endswith((".stiffness", ".damping"))
-    return not depends_on_hardness and _keeps_point_kind(locus_start, (name,))
+def _is_allowed_parameter(special, name):
+    depends_on_hardness = special.name == "hardness" and name.endswith((".stiffness", ".damping"))
+    return not depends_on_hardness and _keeps_point_kind(special, (name,))
 
 
-def _keeps_point_kind(locus_start, name_group):
+def _keeps_point_kind(special, name_group):
     """Check that a parameter preserves the symmetry that the kind of the point requires."""
-    return locus_start.kind != "SB" or stays_symmetric(locus_start.scene, *name_group)
+    return special.kind != "SB" or stays_symmetric(special.scene, *name_group)
 
 
-def _contact_derivatives(locus_start):
+def _contact_derivatives(special):
     """Yield (side of the wall, derivatives of the value by all numbers of the scene) for each grazing contact.
 
     The side is None for a point other than a GR, which yields a single pair. Contacts that do not determine the value
     are omitted.
     """
-    scene = complete_scene(locus_start.scene)
-    point_parameter_mask = parameter_mask(locus_start.scene, locus_start.name)
+    scene = complete_scene(special.scene)
+    point_parameter_mask = parameter_mask(special.scene, special.name)
     scene_vector = np.stack([np.asarray(leaf) for leaf in jax.tree.leaves(scene)]) * (1.0 - point_parameter_mask)
-    for problem_and_z in problems_at_locus_start(locus_start, (locus_start.name,), use_whole_orbit=True):
-        equations, unknowns = equations_at_point(locus_start.kind, *problem_and_z)
-        if locus_start.name == "hardness":
+    for problem_and_z in problems_at_locus_start(
+        special.kind, special.scene, special.spot, (special.name,), use_whole_orbit=True
+    ):
+        equations, unknowns = equations_at_point(special.kind, *problem_and_z)
+        if special.name == "hardness":
             unknowns[equations.n_orbit_unknowns] = 0.0
-        unknown_jacobian, scene_number_jacobian = _point_jacobians(
-            equations, unknowns, scene_vector, point_parameter_mask
-        )
+        jacobian = np.hstack(_point_jacobians(equations, unknowns, scene_vector, point_parameter_mask))
         try:
-            value_derivatives = -np.linalg.solve(unknown_jacobian, scene_number_jacobian)[equations.n_orbit_unknowns]
+            value_derivatives = root_derivatives(jacobian, len(unknowns))[equations.n_orbit_unknowns]
         except np.linalg.LinAlgError:
             continue
         yield (SIDES[int(equations.sequence.sides[0] > 0)] if equations.is_grazing else None), value_derivatives

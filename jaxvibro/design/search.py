@@ -14,7 +14,7 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from continuation.computation_limits import EXPIRED_REASON, make_limits
+from continuation.branch_segment import EXPIRED_REASON, make_limits
 
 from ..branches.branch import Special
 from ..branches.follow import branch_through, check_follow_settings

@@ -28,7 +28,7 @@ from ..orbits import cyclic_system, impact_equations
 from ..orbits.impact_equations import ImpactSequence
 from ..problem.orbit_equations import scene_at
 from ..scene.scene import Scene, replace_unchecked
-from ..scene.symmetry import symmetrise_scene
+from ..scene.scene_properties import symmetrise_scene
 
 CLOSURE_MULTIPLIER = {"SN": 1.0, "PD": -1.0, "SB": -1.0}
 STATIC = {"static": True}

@@ -7,10 +7,9 @@ import numpy as np
 from jaxtyping import Float
 
 from ..scene import check
-from ..scene.codes import SolutionStatus
 from ..scene.scene import replace_unchecked
-from .located import located
-from .located_point import Located
+from ..scene.state import SolutionStatus
+from .located import Located, located
 
 MAX_ITERATIONS, STEP_TOLERANCE = 60, 1e-12  # Gauss-Newton steps; a shorter step, in scales, is the last
 # In scales: a shorter step that is no shorter than its predecessor is rounding, and is the last.

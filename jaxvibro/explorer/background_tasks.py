@@ -10,7 +10,7 @@ from typing import Any
 import jax
 
 from ..scene.check import ArgumentError
-from ..stores.study_completion import Progress
+from ..stores.study import Progress
 
 PROGRESS_INTERVAL = 0.1  # s between two reports
 MAX_TASKS = 4  # simultaneous tasks

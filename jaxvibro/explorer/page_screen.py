@@ -10,7 +10,7 @@ from ..branches.branch import Branch, Special
 from ..branches.branch_curves import variable_columns
 from ..orbits.orbit import Orbit
 from . import page_state, panels
-from .error_records import error_record, message_record
+from .messages import error_record, message_record
 from .page_calls import resolve_reference
 from .page_state import PageState
 from .panels import AxisLimits, Panel

@@ -21,11 +21,11 @@ from tornado import httpserver, netutil, web, websocket
 
 from ..scene.check import ArgumentError
 from ..scene.scene import Scene
+from ..studies.scene_file import MAX_BYTES
 from ..studies.schema import SceneFile
-from ..studies.toml_limits import MAX_BYTES
 from . import downloads, messages
-from .error_records import error_record, message_record
-from .page_display_data import program_text, scene_file_text
+from .messages import error_record, message_record
+from .page_display import program_text, scene_file_text
 from .precomputation import PrecomputationThread
 from .session import Session
 

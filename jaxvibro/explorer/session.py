@@ -14,15 +14,14 @@ from ..scene.check import ArgumentError
 from ..scene.scene import Scene
 from ..scene.state import State
 from ..studies import scene_file
+from ..studies.scene_file import MAX_BYTES
 from ..studies.schema import SceneFile, ViewTable
-from ..studies.toml_limits import MAX_BYTES
-from . import action_calls, messages, page_descriptions, page_screen, page_state
+from . import action_calls, messages, page_display, page_screen, page_state
 from .background_tasks import BackgroundTasks, Schedule, progress_text
-from .error_records import error_record
-from .nearest_point import nearest_point
+from .messages import error_record
 from .page_calls import SCENE_NAME, evaluate_call_line, evaluate_rounds, resolve_reference
-from .page_display_data import display_data_on_drag, display_data_when_idle
-from .page_state import PageState
+from .page_display import display_data_on_drag, display_data_when_idle
+from .page_state import PageState, nearest_point
 from .panels import AxisLimits, Panel, PanelSize
 from .view_replay import replay_call_lines, restore_page
 
@@ -194,7 +193,7 @@ class Session:
     @_handle.register
     def _(self, message: messages.RunAction) -> None:
         line_rounds = list(action_calls.action_call_lines(message, self.page, self.results, self._new_result_name))
-        self._start_rounds_task(page_descriptions.action_label(message.call, self.page, self.results), line_rounds)
+        self._start_rounds_task(page_display.action_label(message.call, self.page, self.results), line_rounds)
 
     @_handle.register
     def _(self, message: messages.StopTasks) -> None:

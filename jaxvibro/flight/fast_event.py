@@ -167,8 +167,8 @@ def _target_side(coeffs, lane_states, drive_forces, wall_phasors):
 def _other_wall_num_denom(event_polynomial, cubic_coefficient, largest_length, wall_gap):
     """Return the `event_certificates.safe_step_ratio` for the wall that is not the target.
 
-    Between fixed walls `wall_gap` is their distance, and the polynomial is that towards the target. Otherwise
-    `wall_gap` is None, and the polynomial is that towards the other wall.
+    Between fixed walls `scene_checks` is their distance, and the polynomial is that towards the target. Otherwise
+    `scene_checks` is None, and the polynomial is that towards the other wall.
     """
     terms = event_polynomial.terms
     clearance, slope, curvature = -terms[0], terms[1], terms[2]

@@ -8,11 +8,16 @@ The unit of time is the longest step, so that all coefficients of the oscillator
 the displacement in one longest step.
 """
 
+from functools import partial
+from typing import NamedTuple
+
+import jax
 import jax.numpy as jnp
 from jax import lax
+from jaxtyping import Float
 
 from ..compiled.lane_arithmetic import call_without_inlining, choose, maximum, minimum, positive_part
-from ..scene.codes import Contact
+from ..scene.state import Contact
 from . import fast_event, fast_motion, fast_tangent, fast_turning_points, flow, impact_log, recorded_turns
 from .fast_coefficients import GIVEN_UP, LaneStates
 from .fast_event import DOUBT_MARGIN
@@ -94,62 +99,17 @@ def run_lanes(coeffs, lanes, log, impact_slots, directions=(), tangents=(), with
     closest_approaches = fast_turning_points.empty_approaches(lanes.x) if with_clearance else None
     if with_clearance:
         lanes = fast_turning_points.reject_doubtful_starts(coeffs, lanes)
-
-    def advance_loop(carry):
-        lanes, log, n_steps, tangents, closest_approaches = carry
-        lanes, tangents, closest_approaches, hit_side, approach_speed = step_lanes(
-            coeffs, lanes, n_steps, directions, tangents, closest_approaches
-        )
-        log = impact_log.record_impact(
-            log,
-            hit_side,
-            approach_speed,
-            approach_speed,
-            call_without_inlining(_unscaled_time, coeffs, lanes.time_remaining),
-        )
-        return lanes, log, n_steps + 1.0, tangents, closest_approaches
-
-    def is_any_lane_running(carry):
-        return jnp.any(carry[0].time_remaining > 0)
-
-    def can_continue(carry):
-        must_pause = (
-            lax.full_like(carry[0].time_remaining, False, dtype=bool)
-            if log_holds_all_impacts
-            else impact_log.is_recent_log_full(carry[1])
-        )
-        if with_clearance:
-            must_pause |= recorded_turns.needs_measurement(carry[4])
-        return is_any_lane_running(carry) & ~jnp.any(must_pause)
-
-    def run_until_pause(carry):
-        (lanes, log, n_steps, tangents, closest_approaches), impact_slots = (
-            lax.while_loop(can_continue, advance_loop, carry[0]),
-            carry[1],
-        )
-        if not log_holds_all_impacts:
-            log, impact_slots = impact_log.flush_recent_impacts(log, impact_slots)
-        if with_clearance:
-            closest_approaches, time_remaining = fast_turning_points.measure_pending_turns(
-                coeffs, lanes.time_remaining, closest_approaches
-            )
-            lanes = lanes._replace(time_remaining=time_remaining)
-        return (lanes, log, n_steps, tangents, closest_approaches), impact_slots
-
-    def is_any_lane_pending(carry):
-        has_time_remaining = carry[0][0].time_remaining > 0
-        return (
-            jnp.any(has_time_remaining | recorded_turns.has_pending_turn(carry[0][4]))
-            if with_clearance
-            else jnp.any(has_time_remaining)
-        )
-
-    initial_carry = lanes, log, jnp.zeros((), lanes.x.dtype), tangents, closest_approaches
+    loop_state = _LoopState(lanes, log, jnp.zeros((), lanes.x.dtype), tangents, closest_approaches)
+    advance = partial(_advance, coeffs, directions)
     if log_holds_all_impacts and not with_clearance:
-        final_carry = lax.while_loop(is_any_lane_running, advance_loop, initial_carry)
+        loop_state = lax.while_loop(lambda state: jnp.any(_is_unfinished(state)), advance, loop_state)
     else:
-        final_carry, impact_slots = lax.while_loop(is_any_lane_pending, run_until_pause, (initial_carry, impact_slots))
-    lanes, log, _, tangents, closest_approaches = final_carry
+        loop_state, impact_slots = lax.while_loop(
+            lambda state_and_slots: jnp.any(_is_unfinished(state_and_slots[0])),
+            partial(_run_until_pause, coeffs, advance, log_holds_all_impacts),
+            (loop_state, impact_slots),
+        )
+    lanes, log, _, tangents, closest_approaches = loop_state
     if log_holds_all_impacts:
         log, impact_slots = impact_log.flush_recent_impacts(log, impact_slots)
     return (
@@ -159,6 +119,69 @@ def run_lanes(coeffs, lanes, log, impact_slots, directions=(), tangents=(), with
         fast_tangent.add_period_derivative(coeffs, directions, tangents, lanes),
         closest_approaches.least_clearance if with_clearance else None,
     )
+
+
+class _LoopState(NamedTuple):
+    """State of the loop of `run_lanes`; `closest_approaches` is None if no clearances are computed."""
+
+    lanes: LaneStates
+    log: impact_log.ImpactLog
+    n_steps: Float[jax.Array, ""]
+    tangents: tuple[fast_tangent.Tangent, ...]
+    closest_approaches: recorded_turns.ClosestApproaches | None
+
+
+def _advance(coeffs, directions, loop_state):
+    """Take one step of each lane and record its impact."""
+    lanes, tangents, closest_approaches, hit_side, approach_speed = step_lanes(
+        coeffs,
+        loop_state.lanes,
+        loop_state.n_steps,
+        directions,
+        loop_state.tangents,
+        loop_state.closest_approaches,
+    )
+    log = impact_log.record_impact(
+        loop_state.log,
+        hit_side,
+        approach_speed,
+        approach_speed,
+        call_without_inlining(_unscaled_time, coeffs, lanes.time_remaining),
+    )
+    return _LoopState(lanes, log, loop_state.n_steps + 1.0, tangents, closest_approaches)
+
+
+def _run_until_pause(coeffs, advance, log_holds_all_impacts, state_and_slots):
+    """Step the lanes until the log is full or a turning point must be measured; then do so."""
+    loop_state, impact_slots = state_and_slots
+
+    def can_continue(loop_state):
+        must_pause = (
+            lax.full_like(loop_state.lanes.time_remaining, False, dtype=bool)
+            if log_holds_all_impacts
+            else impact_log.is_recent_log_full(loop_state.log)
+        )
+        if loop_state.closest_approaches is not None:
+            must_pause |= recorded_turns.needs_measurement(loop_state.closest_approaches)
+        return jnp.any(loop_state.lanes.time_remaining > 0) & ~jnp.any(must_pause)
+
+    lanes, log, n_steps, tangents, closest_approaches = lax.while_loop(can_continue, advance, loop_state)
+    if not log_holds_all_impacts:
+        log, impact_slots = impact_log.flush_recent_impacts(log, impact_slots)
+    if closest_approaches is not None:
+        closest_approaches, time_remaining = fast_turning_points.measure_pending_turns(
+            coeffs, lanes.time_remaining, closest_approaches
+        )
+        lanes = lanes._replace(time_remaining=time_remaining)
+    return _LoopState(lanes, log, n_steps, tangents, closest_approaches), impact_slots
+
+
+def _is_unfinished(loop_state):
+    """Return the mask of the lanes that have time remaining or a turning point to measure."""
+    has_time_remaining = loop_state.lanes.time_remaining > 0
+    if loop_state.closest_approaches is None:
+        return has_time_remaining
+    return has_time_remaining | recorded_turns.has_pending_turn(loop_state.closest_approaches)
 
 
 def step_lanes(coeffs, lanes, n_steps, directions=(), tangents=(), closest_approaches=None):

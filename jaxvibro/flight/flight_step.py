@@ -10,7 +10,7 @@ from jax import lax
 from jaxtyping import Float
 
 from ..compiled.lane_arithmetic import call_without_inlining, choose, maximum, minimum, positive_part
-from ..scene.codes import Contact
+from ..scene.state import Contact
 from . import event_certificates, impact
 from .flight_state import Path, reduce_time_remaining, state_of_slow_motion
 from .wall_motion import select_by_side, select_lists_by_side, subtract_optional, wall_jet, wall_jet_on_side

@@ -14,8 +14,8 @@ import numpy as np
 from jax import lax
 
 from ..compiled.lane_arithmetic import call_without_inlining, choose, maximum, minimum
-from ..scene.codes import Contact
-from ..scene.typical_scales import frequency_and_damping
+from ..scene.scene_properties import frequency_and_damping
+from ..scene.state import Contact
 from . import event_certificates, flow, further_drive_terms, taylor_steps
 from .flight_coefficients import FlowCoefficients, common_fields
 from .flight_state import SlowMotion, add_to_slow_motion, rotate_drive_phasor, state_of_slow_motion

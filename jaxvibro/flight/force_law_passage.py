@@ -108,23 +108,8 @@ def _advance_lanes(coeffs, side, contact_passage):
         exits_in_step,
     )
     is_active = (time_remaining > 0) & ~contact_passage.has_exited
-    step_time = call_without_inlining(_elapsed_time, contact_series.time, scaled_step)
-    overshoots_end_time = (
-        is_active
-        & (step_time >= time_remaining)
-        & ~(
-            exits_in_step
-            & (step_time <= time_remaining + call_without_inlining(_time_tolerance, coeffs.period, time_remaining))
-        )
-    )
-    scaled_step = lax.cond(
-        jnp.any(overshoots_end_time),
-        _scaled_step_to_time,
-        _unchanged_step,
-        contact_series.time,
-        scaled_step,
-        time_remaining,
-        overshoots_end_time,
+    scaled_step, overshoots_end_time = _shorten_to_end_time(
+        coeffs, contact_series, scaled_step, time_remaining, is_active, exits_in_step
     )
     exits_in_step &= ~overshoots_end_time
     scaled_depth_root, scaled_rate, step_time = call_without_inlining(evaluate_series, contact_series, scaled_step)
@@ -155,6 +140,29 @@ def _advance_lanes(coeffs, side, contact_passage):
         contact_passage.has_exited,
     )
     return ContactPassage(*select_lanes(is_active, next_values, values), contact_passage.n_steps + 1)
+
+
+def _shorten_to_end_time(coeffs, contact_series, scaled_step, time_remaining, is_active, exits_in_step):
+    """Return (step in s, mask of the lanes whose step ends with the available time and not at an exit)."""
+    step_time = call_without_inlining(_elapsed_time, contact_series.time, scaled_step)
+    overshoots_end_time = (
+        is_active
+        & (step_time >= time_remaining)
+        & ~(
+            exits_in_step
+            & (step_time <= time_remaining + call_without_inlining(_time_tolerance, coeffs.period, time_remaining))
+        )
+    )
+    scaled_step = lax.cond(
+        jnp.any(overshoots_end_time),
+        _scaled_step_to_time,
+        _unchanged_step,
+        contact_series.time,
+        scaled_step,
+        time_remaining,
+        overshoots_end_time,
+    )
+    return scaled_step, overshoots_end_time
 
 
 def _time_tolerance(period, template):

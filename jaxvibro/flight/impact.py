@@ -11,7 +11,7 @@ from jax import lax
 from jaxtyping import Float
 
 from ..compiled.lane_arithmetic import choose, minimum, positive_part, two_sum
-from ..scene.codes import Contact
+from ..scene.state import Contact
 from . import event_certificates, flow
 from .flight_state import CAPPED, Path, SlowMotion, make_slow_motion
 from .motion_in_soft_wall import is_soft_side, restitution_of

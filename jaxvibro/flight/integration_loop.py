@@ -4,6 +4,7 @@ In each iteration every unfinished lane takes one step, with or without an event
 turning points and to move impacts into their slots. These operations apply to all lanes and are rarely due.
 """
 
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -12,7 +13,7 @@ from jax import lax
 from jaxtyping import Float
 
 from ..compiled.lane_arithmetic import bit_mask, call_without_inlining, choose, merge_bits
-from ..scene.codes import Contact
+from ..scene.state import Contact
 from . import impact_log, recorded_turns, soft_wall_long_step, turning_points
 from .flight_state import CAPPED, Path
 from .flight_step import certified_step
@@ -148,106 +149,115 @@ def run_loop(coeffs, loop_state, loop_limits, start_next_period=None):
     LoopState
         Final state.
     """
-    has_walls, tracks_clearance, contact_kind = (
-        bool(coeffs.walls),
-        loop_state.closest_approaches is not None,
-        coeffs.contact,
-    )
-
-    def step_lanes(loop_state):
-        step_result = certified_step(coeffs, loop_state.path)
-        time_after_step, contact = step_result.path.time_remaining, loop_state.path.contact
-        log, release_mask = loop_state.log, call_without_inlining(_release_mask, step_result.side, contact)
-        release_time = merge_bits(
-            release_mask, call_without_inlining(_event_time, log, time_after_step), loop_state.release_time
-        )
-        if log.n_impacts_at_release is not None:
-            log = log._replace(n_impacts_at_release=merge_bits(release_mask, log.count, log.n_impacts_at_release))
-        impact_side = call_without_inlining(_impact_side, step_result.side, contact)
-        log = impact_log.record_impact(
-            log,
-            impact_side,
-            step_result.event_outcome.approach_speed,
-            step_result.event_outcome.least_speed,
-            time_after_step,
-            release_time,
-        )
-        closest_approaches = (
-            turning_points.record_turning_point(coeffs, loop_state.path, step_result, loop_state.closest_approaches)
-            if tracks_clearance
-            else None
-        )
-        n_waiting_steps = (
-            None
-            if loop_state.n_waiting_steps is None
-            else call_without_inlining(_next_waiting_steps, loop_state.n_waiting_steps, step_result.path.contact)
-        )
-        loop_state = loop_state._replace(
-            path=step_result.path,
-            log=log,
-            closest_approaches=closest_approaches,
-            release_time=release_time,
-            n_waiting_steps=n_waiting_steps,
-        )
-        loop_state = loop_state._replace(n_steps=loop_state.n_steps + 1.0)
-        loop_state = start_next_period(loop_state) if start_next_period else loop_state
-        path = loop_state.path
-        exceeds_limits = (
-            (loop_state.log.count >= loop_limits.max_impacts) | (loop_state.n_steps > loop_limits.max_steps)
-        ) & (path.time_remaining > 0)
-        # with a nonzero low part, the next step would round CAPPED to a remaining time of zero
-        time_remaining, time_remaining_low_part = (
-            choose(exceeds_limits, CAPPED, path.time_remaining),
-            choose(exceeds_limits, 0.0, path.time_remaining_low_part),
-        )
-        return loop_state._replace(
-            path=path._replace(time_remaining=time_remaining, time_remaining_low_part=time_remaining_low_part)
-        )
-
-    def run_until_pause(loop_state):
-        impact_slots, loop_state = loop_state.impact_slots, loop_state._replace(impact_slots=None)
-        loop_state = lax.while_loop(
-            lambda loop: _combined_need_flags(contact_kind, loop) == NEEDS_STEP, step_lanes, loop_state
-        )
-        if loop_state.n_waiting_steps is not None:
-            need_flags = _combined_need_flags(contact_kind, loop_state)
-            due_and_idle_flags = (need_flags & NEEDS_LONG_STEP) != 0, (need_flags & NEEDS_STEP) == 0
-            path, n_waiting_steps = contact_kind.advance_waiting_lanes(
-                coeffs, loop_state.path, loop_state.n_waiting_steps, *due_and_idle_flags
-            )
-            loop_state = loop_state._replace(path=path, n_waiting_steps=n_waiting_steps)
-            loop_state = start_next_period(loop_state) if start_next_period else loop_state
-        need_flags = _combined_need_flags(contact_kind, loop_state)
-        is_finished = (need_flags & NEEDS_STEP) == 0
-        is_flush_due, is_measurement_due = (
-            is_finished | ((need_flags & NEEDS_FLUSH) != 0),
-            is_finished | ((need_flags & NEEDS_MEASUREMENT) != 0),
-        )
-        log, impact_slots = lax.cond(
-            is_flush_due, impact_log.flush_recent_impacts, lambda *operands: operands, loop_state.log, impact_slots
-        )
-        closest_approaches = loop_state.closest_approaches
-        if tracks_clearance:
-            closest_approaches = lax.cond(
-                is_measurement_due,
-                lambda approaches: turning_points.measure_pending_turns(coeffs, approaches),
-                lambda approaches: approaches,
-                closest_approaches,
-            )
-        return loop_state._replace(log=log, impact_slots=impact_slots, closest_approaches=closest_approaches)
-
-    def is_any_lane_pending(loop_state):
-        has_pending_turn = recorded_turns.has_pending_turn(loop_state.closest_approaches)
-        return jnp.any((loop_state.path.time_remaining > 0) | has_pending_turn)
-
-    def is_any_lane_running(loop_state):
-        return jnp.any(loop_state.path.time_remaining > 0)
-
+    step_lanes = partial(_step_lanes, coeffs, loop_limits, start_next_period)
+    run_until_pause = partial(_run_until_pause, coeffs, step_lanes, start_next_period)
     return lax.while_loop(
-        is_any_lane_pending if tracks_clearance else is_any_lane_running,
-        run_until_pause if has_walls else step_lanes,
+        _is_any_lane_running if loop_state.closest_approaches is None else _is_any_lane_pending,
+        run_until_pause if coeffs.walls else step_lanes,
         loop_state,
     )
+
+
+def _step_lanes(coeffs, loop_limits, start_next_period, loop_state):
+    """Take one step of each lane and record its event."""
+    step_result = certified_step(coeffs, loop_state.path)
+    log, release_time = _record_event(loop_state, step_result)
+    closest_approaches, n_waiting_steps = loop_state.closest_approaches, loop_state.n_waiting_steps
+    if closest_approaches is not None:
+        closest_approaches = turning_points.record_turning_point(
+            coeffs, loop_state.path, step_result, closest_approaches
+        )
+    if n_waiting_steps is not None:
+        n_waiting_steps = call_without_inlining(_next_waiting_steps, n_waiting_steps, step_result.path.contact)
+    loop_state = loop_state._replace(
+        path=step_result.path,
+        log=log,
+        closest_approaches=closest_approaches,
+        release_time=release_time,
+        n_waiting_steps=n_waiting_steps,
+        n_steps=loop_state.n_steps + 1.0,
+    )
+    loop_state = start_next_period(loop_state) if start_next_period else loop_state
+    return loop_state._replace(path=_stop_beyond_limits(loop_state, loop_limits))
+
+
+def _record_event(loop_state, step_result):
+    """Return (`ImpactLog`, release times) after the event of a step."""
+    time_after_step, contact = step_result.path.time_remaining, loop_state.path.contact
+    log, release_mask = loop_state.log, call_without_inlining(_release_mask, step_result.side, contact)
+    release_time = merge_bits(
+        release_mask, call_without_inlining(_event_time, log, time_after_step), loop_state.release_time
+    )
+    if log.n_impacts_at_release is not None:
+        log = log._replace(n_impacts_at_release=merge_bits(release_mask, log.count, log.n_impacts_at_release))
+    impact_side = call_without_inlining(_impact_side, step_result.side, contact)
+    log = impact_log.record_impact(
+        log,
+        impact_side,
+        step_result.event_outcome.approach_speed,
+        step_result.event_outcome.least_speed,
+        time_after_step,
+        release_time,
+    )
+    return log, release_time
+
+
+def _stop_beyond_limits(loop_state, loop_limits):
+    """Return the paths; lanes that exceed a limit have the remaining time CAPPED."""
+    path = loop_state.path
+    exceeds_limits = (
+        (loop_state.log.count >= loop_limits.max_impacts) | (loop_state.n_steps > loop_limits.max_steps)
+    ) & (path.time_remaining > 0)
+    # with a nonzero low part, the next step would round CAPPED to a remaining time of zero
+    return path._replace(
+        time_remaining=choose(exceeds_limits, CAPPED, path.time_remaining),
+        time_remaining_low_part=choose(exceeds_limits, 0.0, path.time_remaining_low_part),
+    )
+
+
+def _run_until_pause(coeffs, step_lanes, start_next_period, loop_state):
+    """Step the lanes until one of them needs more than a step; then meet these needs."""
+    impact_slots, loop_state = loop_state.impact_slots, loop_state._replace(impact_slots=None)
+    loop_state = lax.while_loop(
+        lambda loop: _combined_need_flags(coeffs.contact, loop) == NEEDS_STEP, step_lanes, loop_state
+    )
+    if loop_state.n_waiting_steps is not None:
+        need_flags = _combined_need_flags(coeffs.contact, loop_state)
+        due_and_idle_flags = (need_flags & NEEDS_LONG_STEP) != 0, (need_flags & NEEDS_STEP) == 0
+        path, n_waiting_steps = coeffs.contact.advance_waiting_lanes(
+            coeffs, loop_state.path, loop_state.n_waiting_steps, *due_and_idle_flags
+        )
+        loop_state = loop_state._replace(path=path, n_waiting_steps=n_waiting_steps)
+        loop_state = start_next_period(loop_state) if start_next_period else loop_state
+    need_flags = _combined_need_flags(coeffs.contact, loop_state)
+    is_finished = (need_flags & NEEDS_STEP) == 0
+    is_flush_due, is_measurement_due = (
+        is_finished | ((need_flags & NEEDS_FLUSH) != 0),
+        is_finished | ((need_flags & NEEDS_MEASUREMENT) != 0),
+    )
+    log, impact_slots = lax.cond(
+        is_flush_due, impact_log.flush_recent_impacts, lambda *operands: operands, loop_state.log, impact_slots
+    )
+    closest_approaches = loop_state.closest_approaches
+    if closest_approaches is not None:
+        closest_approaches = lax.cond(
+            is_measurement_due,
+            lambda approaches: turning_points.measure_pending_turns(coeffs, approaches),
+            lambda approaches: approaches,
+            closest_approaches,
+        )
+    return loop_state._replace(log=log, impact_slots=impact_slots, closest_approaches=closest_approaches)
+
+
+def _is_any_lane_running(loop_state):
+    """Return True if a lane has time remaining."""
+    return jnp.any(loop_state.path.time_remaining > 0)
+
+
+def _is_any_lane_pending(loop_state):
+    """Return True if a lane has time remaining or a turning point to measure."""
+    has_pending_turn = recorded_turns.has_pending_turn(loop_state.closest_approaches)
+    return jnp.any((loop_state.path.time_remaining > 0) | has_pending_turn)
 
 
 def _release_mask(side, contact):

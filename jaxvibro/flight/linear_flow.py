@@ -12,7 +12,7 @@ from jax import lax
 
 from ..compiled.lane_arithmetic import call_without_inlining, choose
 from ..scene import check
-from ..scene.typical_scales import fast_part_amplitude
+from ..scene.scene_properties import fast_part_amplitude
 from . import event_certificates, flow, further_drive_terms, wall_motion
 from .flight_coefficients import FlowCoefficients, common_fields
 from .flight_state import SlowMotion, add_to_slow_motion

@@ -18,7 +18,7 @@ from jax import lax
 from jaxtyping import Float
 
 from ..compiled.lane_arithmetic import choose
-from ..scene.codes import Contact
+from ..scene.state import Contact
 from . import flow, further_drive_terms
 from .soft_wall_first_step import FirstStepInWall, make_first_step_in_wall
 from .wall_motion import select_by_side, subtract_wall_motion, wall_derivative_bounds, wall_jet

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jax import lax
 
 from ..compiled.lane_arithmetic import choose, positive_part
-from ..scene.codes import Contact, Status
+from ..scene.state import Contact, Status
 from . import event_certificates, impact
 from .flight_coefficients import check_validity
 from .flight_state import Path, SlowMotion, make_slow_motion

@@ -7,6 +7,7 @@ equations of orbits are cheap to evaluate at each point of a branch.
 """
 
 import math
+from functools import partial
 
 import jax.numpy as jnp
 import numpy as np
@@ -64,75 +65,17 @@ def first_exit_time(coeffs, contact, entry_velocity, cosine, sine, max_time, dis
         contact,
     )
     lane_coeffs = motion_in_soft_wall.coeffs_by_lane(coeffs, contact)
-    polynomial_basis, side = soft_wall_polynomial.polynomial_basis(lane_coeffs, contact), lax.sign(contact)
-
-    def depth_polynomial(path):
-        state = path.x, path.v, path.cosine, path.sine
-        return side * soft_wall_polynomial.displacement_polynomial(lane_coeffs, contact, polynomial_basis, *state)
-
-    def advance_lanes(lane_coeffs, path, time):
-        contact_response = soft_wall_polynomial.contact_response(lane_coeffs, path.contact, polynomial_basis, time)
-        return motion_in_soft_wall.apply_response(
-            lane_coeffs, path.contact, contact_response, (path.x, path.v), path.cosine, path.sine
-        )
+    basis = soft_wall_polynomial.polynomial_basis(lane_coeffs, contact)
+    take_step, take_long_step = partial(_take_step, lane_coeffs, basis), partial(_take_long_step, coeffs, basis)
 
     def advance_iteration(carry):
         path, step_fraction, n_waiting_steps, has_exited = carry
         is_long_step_due = jnp.any(soft_wall_long_step.is_long_step_due(path, n_waiting_steps) & (has_exited == 0))
         path, n_waiting_steps = lax.cond(
-            is_long_step_due,
-            lambda path, n_waiting_steps: soft_wall_long_step.take_long_step(
-                coeffs, path, n_waiting_steps, advance_lanes
-            ),
-            lambda *operands: operands,
-            path,
-            n_waiting_steps,
+            is_long_step_due, take_long_step, lambda *operands: operands, path, n_waiting_steps
         )
-        trial_fraction = jnp.minimum(step_fraction, path.time_remaining / lane_coeffs.max_step)
-        polynomial_terms = depth_polynomial(path) * soft_wall_polynomial.scaled_time_powers(trial_fraction)
-        bernstein_coefficients = _multiply_first_axis(BERNSTEIN, polynomial_terms)
-        cumulative_negatives = _multiply_first_axis(
-            CUMULATIVE_SUM, (bernstein_coefficients < 0).astype(polynomial_terms.dtype)
-        )
-        stays_inside, ends_outside = cumulative_negatives[-1] == 0, bernstein_coefficients[-1] < 0
-        has_single_sign_change, is_step_minimal = (
-            ~jnp.any((cumulative_negatives > 0) & (bernstein_coefficients > 0), 0),
-            trial_fraction < MIN_STEP_FRACTION,
-        )
-        is_active = (path.time_remaining > 0) & (has_exited == 0)
-        exits_in_step, takes_full_step = (
-            is_active & ends_outside & (has_single_sign_change | is_step_minimal),
-            is_active & (stays_inside | (is_step_minimal & ~ends_outside)),
-        )
-        time = choose(takes_full_step, jnp.minimum(trial_fraction * lane_coeffs.max_step, path.time_remaining), 0.0)
-        next_x = side * soft_wall_polynomial.sum_along_axis(polynomial_terms)
-        next_v = (
-            side
-            * soft_wall_polynomial.sum_along_axis(soft_wall_polynomial.differentiate_polynomial(polynomial_terms))
-            / choose(takes_full_step, trial_fraction * lane_coeffs.max_step, 1.0)
-        )
-        phasor = flow.rotate_phasor_by_angle(path.cosine, path.sine, coeffs.frequency * time)
-        time_remaining, time_remaining_low_part = reduce_time_remaining(path, time)
-        next_state = choose(takes_full_step, next_x, path.x), choose(takes_full_step, next_v, path.v)
-        motion = path.motion._replace(slow_x=next_state[0], slow_v=next_state[1], cosine=phasor[0], sine=phasor[1])
-        next_path = path._replace(
-            x=next_state[0],
-            v=next_state[1],
-            motion=motion,
-            time_remaining=time_remaining,
-            time_remaining_low_part=time_remaining_low_part,
-        )
-        next_fraction = choose(
-            takes_full_step,
-            jnp.minimum(2.0 * trial_fraction, 1.0),
-            choose(exits_in_step, trial_fraction, 0.5 * trial_fraction),
-        )
-        return (
-            next_path,
-            choose(is_active, next_fraction, step_fraction),
-            n_waiting_steps + 1.0,
-            choose(exits_in_step, 1.0, has_exited),
-        )
+        path, step_fraction, has_exited = take_step(path, step_fraction, has_exited)
+        return path, step_fraction, n_waiting_steps + 1.0, has_exited
 
     def is_unfinished(carry):
         path, _, _, has_exited = carry
@@ -140,11 +83,86 @@ def first_exit_time(coeffs, contact, entry_velocity, cosine, sine, max_time, dis
 
     initial_carry = path, zero + 1.0, zero, zero
     path, step_fraction, _, has_exited = lax.while_loop(is_unfinished, advance_iteration, initial_carry)
-    polynomial_terms = depth_polynomial(path) * soft_wall_polynomial.scaled_time_powers(step_fraction)
+    polynomial_terms = _depth_terms(lane_coeffs, basis, path, step_fraction)
     exit_time_in_step = (
         step_fraction * lane_coeffs.max_step * choose(has_exited != 0, _first_root(polynomial_terms, has_exited), 0.0)
     )
     return (max_time - path.time_remaining) - path.time_remaining_low_part + exit_time_in_step
+
+
+def _depth_terms(lane_coeffs, basis, path, step_fraction):
+    """Return the terms of the polynomial of the depth over a fraction of the longest step, at its end."""
+    state = path.x, path.v, path.cosine, path.sine
+    polynomial = soft_wall_polynomial.displacement_polynomial(lane_coeffs, path.contact, basis, *state)
+    return lax.sign(path.contact) * polynomial * soft_wall_polynomial.scaled_time_powers(step_fraction)
+
+
+def _take_long_step(coeffs, basis, path, n_waiting_steps):
+    """Take a long step in the lanes that may take one."""
+
+    def advance_lanes(lane_coeffs, path, time):
+        contact_response = soft_wall_polynomial.contact_response(lane_coeffs, path.contact, basis, time)
+        return motion_in_soft_wall.apply_response(
+            lane_coeffs, path.contact, contact_response, (path.x, path.v), path.cosine, path.sine
+        )
+
+    return soft_wall_long_step.take_long_step(coeffs, path, n_waiting_steps, advance_lanes)
+
+
+def _take_step(lane_coeffs, basis, path, step_fraction, has_exited):
+    """Return (path, fraction of the longest step, 1 if the mass exits) after a step inside or an attempt at one.
+
+    A lane that exits keeps its path, and the fraction of the step in which it exits.
+    """
+    trial_fraction = jnp.minimum(step_fraction, path.time_remaining / lane_coeffs.max_step)
+    polynomial_terms = _depth_terms(lane_coeffs, basis, path, trial_fraction)
+    is_active, is_step_minimal = (
+        (path.time_remaining > 0) & (has_exited == 0),
+        trial_fraction < MIN_STEP_FRACTION,
+    )
+    exits_in_step, takes_full_step = (is_active & mask for mask in _step_outcome(polynomial_terms, is_step_minimal))
+    time = choose(takes_full_step, jnp.minimum(trial_fraction * lane_coeffs.max_step, path.time_remaining), 0.0)
+    side = lax.sign(path.contact)
+    next_x = side * soft_wall_polynomial.sum_along_axis(polynomial_terms)
+    next_v = (
+        side
+        * soft_wall_polynomial.sum_along_axis(soft_wall_polynomial.differentiate_polynomial(polynomial_terms))
+        / choose(takes_full_step, trial_fraction * lane_coeffs.max_step, 1.0)
+    )
+    phasor = flow.rotate_phasor_by_angle(path.cosine, path.sine, lane_coeffs.frequency * time)
+    time_remaining, time_remaining_low_part = reduce_time_remaining(path, time)
+    next_state = choose(takes_full_step, next_x, path.x), choose(takes_full_step, next_v, path.v)
+    motion = path.motion._replace(slow_x=next_state[0], slow_v=next_state[1], cosine=phasor[0], sine=phasor[1])
+    next_path = path._replace(
+        x=next_state[0],
+        v=next_state[1],
+        motion=motion,
+        time_remaining=time_remaining,
+        time_remaining_low_part=time_remaining_low_part,
+    )
+    next_fraction = choose(
+        takes_full_step,
+        jnp.minimum(2.0 * trial_fraction, 1.0),
+        choose(exits_in_step, trial_fraction, 0.5 * trial_fraction),
+    )
+    return next_path, choose(is_active, next_fraction, step_fraction), choose(exits_in_step, 1.0, has_exited)
+
+
+def _step_outcome(polynomial_terms, is_step_minimal):
+    """Return masks of (lanes that exit in the step, lanes that remain inside), from the terms of the depth.
+
+    Both are False where the step must be halved.
+    """
+    bernstein_coefficients = _multiply_first_axis(BERNSTEIN, polynomial_terms)
+    cumulative_negatives = _multiply_first_axis(
+        CUMULATIVE_SUM, (bernstein_coefficients < 0).astype(polynomial_terms.dtype)
+    )
+    stays_inside, ends_outside = cumulative_negatives[-1] == 0, bernstein_coefficients[-1] < 0
+    has_single_sign_change = ~jnp.any((cumulative_negatives > 0) & (bernstein_coefficients > 0), 0)
+    return (
+        ends_outside & (has_single_sign_change | is_step_minimal),
+        stays_inside | (is_step_minimal & ~ends_outside),
+    )
 
 
 def _multiply_first_axis(constant_matrix, values):

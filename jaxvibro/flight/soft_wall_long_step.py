@@ -14,7 +14,7 @@ from jax import lax
 from jaxtyping import Float
 
 from ..compiled.lane_arithmetic import bit_mask, call_without_inlining, choose, merge_bits, minimum, positive_part
-from ..scene.codes import Contact
+from ..scene.state import Contact
 from . import event_certificates, flow, further_drive_terms, motion_in_soft_wall
 from .flight_state import SlowMotion, reduce_time_remaining
 from .power_series import add_coefficients

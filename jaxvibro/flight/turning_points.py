@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from jax import lax
 
 from ..compiled.lane_arithmetic import call_without_inlining, choose, maximum, minimum
-from ..scene.codes import Contact
+from ..scene.state import Contact
 from . import event_certificates, recorded_turns
 from .flight_state import SlowMotion, state_of_slow_motion
 from .recorded_turns import ClosestApproaches, StepWithTurningPoint

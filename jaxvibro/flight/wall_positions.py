@@ -4,9 +4,8 @@ import jax.numpy as jnp
 
 from continuation.hostcall import persistent_jit
 
-from ..scene.codes import Contact
 from ..scene.scene import SIDES
-from ..scene.state import State
+from ..scene.state import Contact, State
 
 WALL_SIGNS = (-1.0, 1.0)
 

@@ -27,18 +27,16 @@ from jaxtyping import Float
 
 from continuation import augmented_systems
 from continuation.array_type import Array
-from continuation.event_search import make_event
+from continuation.branch_segment import row_at
+from continuation.event_search import make_event, point_at_length
 from continuation.hostcall import persistent_jit
-from continuation.intermediate_points import point_at_length
-from continuation.linear_solver import solve
-from continuation.point_rows import row_at
+from continuation.newton import solve
 
 from ..compiled.kernel_calls import call_as_kernel
 from ..contact.kinds import flow_coefficients
 from ..flight import flow, further_drive_terms
 from ..orbits import cyclic_system, impact_equations
-from ..problem.orbit_diagnostics import diagnose
-from ..problem.orbit_equations import scene_at, sequence_at
+from ..problem.orbit_equations import diagnose, evaluate_in_blocks, loop_over_points, scene_at, sequence_at
 from .locus_equations import GrazingCondition
 
 NODE_SPACING = 0.03  # distance of neighbouring nodes of a difference, times the fastest rate
@@ -236,18 +234,11 @@ def _normal_forms(problem, zs, order, high_accuracy, reference_null_vectors=None
         if reference_null_vectors is None
         else reference_null_vectors
     )
-    blocks = []
-    for block_start in range(0, len(zs), LANES):
-        block = zs[block_start : block_start + LANES]
-        padded_block = np.concatenate([block, np.repeat(block[-1:], LANES - len(block), axis=0)])
-        block_result = jax.tree.map(
-            np.asarray,
-            _evaluate_normal_forms(
-                problem, padded_block, reference_null_vectors, np.int32(len(block)), order, high_accuracy
-            ),
-        )
-        blocks.append([field_values[: len(block)] for field_values in block_result])
-    return _NormalFormCoefficient(*(np.concatenate(field_values) for field_values in zip(*blocks, strict=True)))
+
+    def evaluate_block(z_block, n_points):
+        return _evaluate_normal_forms(problem, z_block, reference_null_vectors, n_points, order, high_accuracy)
+
+    return _NormalFormCoefficient(*evaluate_in_blocks(evaluate_block, zs, LANES))
 
 
 @persistent_jit(static_argnums=(4, 5))
@@ -258,26 +249,10 @@ def _evaluate_normal_forms(problem, zs, reference_null_vectors, n_points, order,
 
 
 def _normal_form_kernel(problem, zs, reference_null_vectors, n_points, order, high_accuracy):
-    def evaluate_point(point_index, point_results):
-        point_result = _normal_form_at(
-            problem,
-            lax.dynamic_index_in_dim(zs, point_index, keepdims=False),
-            reference_null_vectors,
-            order,
-            high_accuracy,
-        )
-        return jax.tree.map(
-            lambda array, entry: lax.dynamic_update_index_in_dim(array, entry, point_index, 0),
-            point_results,
-            point_result,
-        )
+    def evaluate_point(problem, reference_null_vectors, z):
+        return _normal_form_at(problem, z, reference_null_vectors, order, high_accuracy)
 
-    zero_scalars, zero_vectors = (
-        jnp.zeros((len(zs), *entry_shape), zs.dtype) for entry_shape in ((), reference_null_vectors[0].shape)
-    )
-    return lax.fori_loop(
-        0, n_points, evaluate_point, _NormalFormCoefficient(zero_scalars, zero_vectors, zero_vectors, zero_scalars)
-    )
+    return loop_over_points(evaluate_point, zs, n_points, problem, reference_null_vectors)
 
 
 def _normal_form_at(problem, z, reference_null_vectors, order, high_accuracy):

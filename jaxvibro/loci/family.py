@@ -6,18 +6,18 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import ArrayLike, Real
 
-from continuation.computation_limits import EXPIRED_REASON, Results, make_limits, partial_result_reason
-from continuation.intermediate_points import truncate_at_value
+from continuation.branch_segment import EXPIRED_REASON, Results, make_limits, partial_result_reason
+from continuation.event_search import truncate_at_value
 
 from ..branches.branch import Special
 from ..problem.orbit_point import make_orbit_point
 from ..problem.orbit_problem import make_orbit_problem
 from ..scene import check
 from ..scene.scene_parameters import check_parameter_values
-from ..scene.symmetry import stays_symmetric
+from ..scene.scene_properties import stays_symmetric
 from .grazing_switchover import opposite_directions, track_across_walls
-from .locus import Locus, locus_through_start
-from .locus_start import KINDS, STICKING_KINDS, LocusStart, check_parameter_pair, make_locus_start, whole_orbit_impacts
+from .locus import Locus, locus_through_orbit
+from .locus_start import KINDS, STICKING_KINDS, check_parameter_pair, check_special_point, whole_orbit_impacts
 
 
 @check.host_only("use strobe or monodromy")
@@ -99,25 +99,27 @@ def family(
     ['SN', 'SN']
     """
     limits = make_limits(max_points, max_seconds, None, check.ArgumentError)
-    locus_start, step_settings = (
-        make_locus_start(special, (*KINDS, *STICKING_KINDS)),
-        (first_step, largest_step, tolerance, limits),
-    )
+    check_special_point(special, (*KINDS, *STICKING_KINDS))
+    step_settings = first_step, largest_step, tolerance, limits
     names, values = (
-        check_parameter_pair(locus_start.scene, names),
-        check_parameter_values(locus_start.scene, third, values),
+        check_parameter_pair(special.scene, names),
+        check_parameter_values(special.scene, third, values),
     )
     if third in names:
         raise check.ArgumentError("third", "must not be one of names", third)
-    if locus_start.kind == "SB" and not stays_symmetric(locus_start.scene, third):
+    if special.kind == "SB" and not stays_symmetric(special.scene, third):
         raise check.ArgumentError("third", "must keep the scene symmetric, as an SB requires", third)
-    opposite_directions(locus_start, names, bounds, *step_settings)  # raises ArgumentError for invalid arguments
-    starts_by_value = continue_start_to_values(
-        locus_start, names, bounds, third, values, *step_settings[:-1], replace(limits, points=None)
+    # raises ArgumentError for invalid arguments
+    opposite_directions(special.kind, special.scene, special.spot, names, bounds, *step_settings)
+    orbits_by_value = continue_orbit_to_values(
+        special, names, bounds, third, values, *step_settings[:-1], replace(limits, points=None)
     )
     is_time_expired = limits.expired
     results = [
-        None if entry is None else locus_through_start(entry, names, bounds, step_settings) for entry in starts_by_value
+        None
+        if orbit_point is None
+        else locus_through_orbit(special.kind, scene, orbit_point, names, bounds, step_settings)
+        for scene, orbit_point in orbits_by_value
     ]
     n_complete = sum(
         not is_time_expired if entry is None else not any(EXPIRED_REASON in element for element in entry.reasons)
@@ -128,31 +130,33 @@ def family(
     )
 
 
-def continue_start_to_values(locus_start, names, bounds, third_name, values, *step_settings):
-    """Return the `LocusStart` at each value of a third parameter, or None for values that the point does not reach."""
-    free_name = locus_start.name if locus_start.name in names else names[0]
-    start_value = float(locus_start.scene.parameter(third_name))
-    # A wall then has its own restitution.
-    locus_start = locus_start._replace(scene=locus_start.scene.replace(**{third_name: start_value}))
+def continue_orbit_to_values(special, names, bounds, third_name, values, *step_settings):
+    """Return (scene, `OrbitPoint`) of a special point at each value of a third parameter, or (None, None)."""
+    free_name = special.name if special.name in names else names[0]
+    start_value = float(special.scene.parameter(third_name))
+    scene = special.scene.replace(**{third_name: start_value})  # A wall then has its own restitution.
     lower, upper = min(start_value, *values), max(start_value, *values)
     if lower == upper:
-        return [locus_start] * len(values)
+        return [(scene, special.spot)] * len(values)
     directions = opposite_directions(
-        locus_start, (free_name, third_name), {free_name: bounds[free_name], third_name: (lower, upper)}, *step_settings
+        special.kind,
+        scene,
+        special.spot,
+        (free_name, third_name),
+        {free_name: bounds[free_name], third_name: (lower, upper)},
+        *step_settings,
     )
-    direction_parts = [
-        track_across_walls(locus_start, locus_direction, step_settings) for locus_direction in directions
-    ]
+    direction_parts = [track_across_walls(locus_direction, step_settings) for locus_direction in directions]
     return [
-        locus_start
+        (scene, special.spot)
         if value == start_value
-        else _start_at_value(locus_start, direction_parts, (free_name, third_name), value)
+        else _orbit_at_value(scene, direction_parts, (free_name, third_name), value)
         for value in values
     ]
 
 
-def _start_at_value(locus_start, direction_parts, names, value):
-    """Return the `LocusStart` at the first crossing of a value of the second parameter, or None if there is none.
+def _orbit_at_value(scene, direction_parts, names, value):
+    """Return (scene, `OrbitPoint`) at the first crossing of a value of the second parameter, or (None, None).
 
     The first crossing is the one with the smallest arclength from the start.
     """
@@ -178,21 +182,20 @@ def _start_at_value(locus_start, direction_parts, names, value):
     for _, row_index, points, locus_direction in sorted(crossings, key=lambda crossing: crossing[0]):
         truncated_points, is_reached = truncate_at_value(locus_direction.task, points, row_index + 1, -1, value)
         if is_reached:
-            return _locus_start_at(
-                locus_start,
+            return _orbit_of_row(
+                scene,
                 locus_direction.problem,
                 names,
                 truncated_points.z[-1],
                 float(truncated_points.residual[-1]),
             )
-    return None
+    return None, None
 
 
-def _locus_start_at(locus_start, problem, names, z, residual):
-    """Return the `LocusStart` at a point of a locus."""
+def _orbit_of_row(scene, problem, names, z, residual):
+    """Return (scene, `OrbitPoint`) at a point of a locus."""
     times, speeds, sides, periods = whole_orbit_impacts(problem, z[None])
-    scene = locus_start.scene.replace(**dict(zip(names, z[-2:].tolist(), strict=True)))
+    scene = scene.replace(**dict(zip(names, z[-2:].tolist(), strict=True)))
     template = make_orbit_problem(scene, names[0], periods=periods)
     impacts = list(zip(times[0], speeds[0], sides, strict=True))
-    point = make_orbit_point(template, float(z[-2]), impacts, periods, residual=residual)
-    return LocusStart(locus_start.kind, names[0], scene, point)
+    return scene, make_orbit_point(template, float(z[-2]), impacts, periods, residual=residual)

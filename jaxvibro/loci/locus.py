@@ -1,8 +1,9 @@
-"""Continue special points in two parameters and locate points of codimension two: `locus`."""
+"""Continue a special point of a branch in two parameters: `locus`, and the files of loci."""
 
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from os import PathLike
 
 import jax.numpy as jnp
 import numpy as np
@@ -10,23 +11,29 @@ import pandas as pd
 import xarray as xr
 from jaxtyping import Complex
 
-from continuation.branch_segment import join_segments, reverse_segment
-from continuation.computation_limits import make_limits
+from continuation.branch_segment import join_segments, make_limits, reverse_segment
 
 from ..branches.branch import Special
 from ..orbits.orbit import eigenvalue_pairs
+from ..output.checksums import parse_checked_file
 from ..output.dataframes import make_dataframe, multiplier_columns, special_kind_per_point, speed_clearance_columns
-from ..output.label_translation import translate_label
+from ..output.label_codes import translate_label
+from ..output.saved_curve_checks import (
+    decode_field,
+    decode_plane_curve,
+    parse_saved_curve,
+    require_valid_columns,
+    require_valid_field,
+)
 from ..output.table_text import align_columns, column_header
 from ..output.units import LENGTH, SPEED, TIME, scales_attributes, unit_in_system, unit_of
-from ..problem.end import End
-from ..problem.orbit_curve import SpecialOrbit, dataset_row
+from ..problem.curve_ends import End
+from ..problem.orbit_curve import PlaneCurve, SpecialOrbit, dataset_row, describe_segment_end, point_of_plane_row
 from ..problem.orbit_point import OrbitPoint
-from ..problem.plane_curve import PlaneCurve, describe_segment_end, point_of_plane_row
 from ..scene import check
 from ..scene.scene import Scene, replace_unchecked
 from .grazing_switchover import opposite_directions, track_across_walls
-from .locus_start import KINDS, STICKING_KINDS, make_locus_start, whole_orbit_impacts
+from .locus_start import KINDS, STICKING_KINDS, check_special_point, whole_orbit_impacts
 
 MEANINGS = {
     "CP": "cusp",
@@ -296,34 +303,29 @@ def locus(
     frequency reached its bound 2.15
     """
     limits = make_limits(max_points, max_seconds, progress, check.ArgumentError)
-    locus_start, step_settings = (
-        make_locus_start(special, (*KINDS, *STICKING_KINDS)),
-        (first_step, largest_step, tolerance, limits),
-    )
-    return locus_through_start(locus_start, names, bounds, step_settings)
+    check_special_point(special, (*KINDS, *STICKING_KINDS))
+    step_settings = first_step, largest_step, tolerance, limits
+    return locus_through_orbit(special.kind, special.scene, special.spot, names, bounds, step_settings)
 
 
-def locus_through_start(locus_start, names, bounds, step_settings):
-    """Return the `Locus` of a `LocusStart` in both directions; `step_settings` ends with the limits."""
+def locus_through_orbit(kind, scene, orbit_point, names, bounds, step_settings):
+    """Return the `Locus` of a kind through an `OrbitPoint` in both directions; `step_settings` ends with the limits."""
     limits = step_settings[-1]
-    forward_direction, backward_direction = opposite_directions(locus_start, names, bounds, *step_settings)
-    forward_parts = track_across_walls(locus_start, forward_direction.with_limits(limits.half_points()), step_settings)
+    forward_direction, backward_direction = opposite_directions(kind, scene, orbit_point, names, bounds, *step_settings)
+    forward_parts = track_across_walls(forward_direction.with_limits(limits.half_points()), step_settings)
     backward_direction = backward_direction.with_limits(
         limits.after_points(sum(len(segment.points.z) - 1 for _, segment in forward_parts))
     )
     return build_locus(
-        locus_start,
         forward_parts,
-        ()
-        if forward_parts[0][1].end is End.CLOSED
-        else track_across_walls(locus_start, backward_direction, step_settings),
+        () if forward_parts[0][1].end is End.CLOSED else track_across_walls(backward_direction, step_settings),
     )
 
 
-def build_locus(locus_start, forward_parts, backward_parts, start_reason="the start"):
+def build_locus(forward_parts, backward_parts, start_reason="the start"):
     """Build a `Locus` from the parts that `track_across_walls` returns for both directions.
 
-    `locus_start` provides the scene and the kind at the start. `backward_parts` is empty if the curve is closed or
+    `backward_parts` is empty if the curve is closed or
     begins at its start. `start_reason` is then the termination reason at the first point."""
     direction = forward_parts[0][0]
     segments = [reverse_segment(segment) for _, segment in reversed(backward_parts)]
@@ -346,10 +348,10 @@ def build_locus(locus_start, forward_parts, backward_parts, start_reason="the st
         if segment is not segments[-1] and segment.args.sequence.releases is None:  # corner of the boundary
             special_by_row.setdefault(last_row, ("GG", float(segment.points.residual[-1])))
         row_offset = last_row
-    data = xr.concat(data, "point", combine_attrs="override").assign_attrs(scales_attributes(locus_start.scene))
+    data = xr.concat(data, "point", combine_attrs="override").assign_attrs(scales_attributes(direction.scene))
     for row_index in (0, row_offset):
         special_by_row.setdefault(row_index, ("EP", float(data["residual"].values[row_index])))
-    common_fields = locus_start.scene, locus_start.kind, direction.bounds, data
+    common_fields = direction.scene, direction.kind, direction.bounds, data
     codim2_points = tuple(
         build_codim2(*common_fields, row_index, *special_by_row[row_index]) for row_index in sorted(special_by_row)
     )
@@ -357,8 +359,7 @@ def build_locus(locus_start, forward_parts, backward_parts, start_reason="the st
         describe_segment_end(backward_parts[-1][1], direction.names) if backward_parts else start_reason,
         describe_segment_end(forward_parts[-1][1], direction.names),
     )
-    common_fields = direction.names, direction.bounds, locus_start.scene, data
-    return Locus(locus_start.kind, *common_fields, codim2_points, reasons)
+    return Locus(direction.kind, direction.names, direction.bounds, direction.scene, data, codim2_points, reasons)
 
 
 def _segment_dataset(names, segment, n_impact_columns):
@@ -426,3 +427,64 @@ def build_codim2(scene, locus_kind, bounds, data, row_index, kind, residual):
     multipliers = row["multiplier_real"] + 1j * row["multiplier_imag"]
     point = point_of_plane_row(scene, names[0], data, row)
     return Codim2(kind, locus_kind, values, bounds, multipliers, row_index, residual, point.itinerary, scene, point)
+
+
+DIMENSIONS: dict[str, tuple[str, ...]] = dict.fromkeys(("least_speed", "least_clearance", "residual"), ("point",))
+DIMENSIONS |= dict.fromkeys(("time", "speed", "side"), ("point", "impact"))
+DIMENSIONS |= dict.fromkeys(("multiplier_real", "multiplier_imag"), ("point", "multiplier"))
+
+
+@check.host_only("use what was loaded before")
+def load_locus(path: str | PathLike[str]) -> Locus:
+    """Read a locus from a file that `Locus.save` wrote.
+
+    Parameters
+    ----------
+    path : str or os.PathLike
+        Path of the file.
+
+    Returns
+    -------
+    Locus
+        The locus, with the same numbers as when it was saved.
+
+    Raises
+    ------
+    ArgumentError
+        If the file is damaged or is not a locus.
+    OSError
+        If the file cannot be read.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> special = branch.points("SN")[0]
+    >>> curve = jv.locus(special, ("amplitude", "frequency"), {"amplitude": (0.0, 6.0), "frequency": (2.05, 2.15)})
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     curve.save(f"{folder}/curve.nc")
+    ...     print(jv.load_locus(f"{folder}/curve.nc").kind)
+    SN
+    """
+    return parse_checked_file(path, lambda content, path: parse_saved_curve(content, path, "Locus", _parse_locus))
+
+
+def _parse_locus(data):
+    """Build the `Locus` from the data of a file, or raise an error if a field is invalid."""
+    attrs = data.attrs
+    kind, (names, bounds, scene, reasons) = str(attrs["kind"]), decode_plane_curve(attrs)
+    require_valid_field("kind", kind in (*KINDS, *STICKING_KINDS))
+    require_valid_columns(data, dict.fromkeys(names, ("point",)) | DIMENSIONS, (*names, "residual"))
+    periods = int(attrs["periods"])
+    require_valid_field("periods", periods > 0)
+    codim2_entries = decode_field(attrs, "special", list[tuple[str, int, float]])
+    require_valid_field(
+        "special",
+        codim2_entries
+        and all(entry and 0 <= row_index < data.sizes["point"] for entry, row_index, _ in codim2_entries),
+    )
+    data.attrs = {"periods": periods, **scales_attributes(scene)}
+    special = tuple(
+        build_codim2(scene, kind, bounds, data, row_index, entry, residual)
+        for entry, row_index, residual in codim2_entries
+    )
+    return Locus(kind, names, bounds, scene, data, special, reasons)

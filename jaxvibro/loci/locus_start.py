@@ -1,21 +1,31 @@
-"""Set up the start of a locus: the special point, its problem, and the task of the continuation."""
+"""Start loci at special points of branches, and follow one of their directions."""
 
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
-from continuation.arclength import make_control, make_start_point
-from continuation.computation_limits import UNLIMITED
+from continuation import continuation_loop
+from continuation.arclength import Point, make_control, make_start_point
+from continuation.branch_segment import UNLIMITED, Limits, SpecialIndex, map_fields
 from continuation.continuation_loop import ContinuationTask
 from continuation.event_search import unit_tangent
 
 from ..branches.branch import Special
 from ..branches.follow import check_follow_settings
-from ..problem import soft_wall_grazing, sticking_limits
-from ..problem.grazing_contact import GRAZING_TOLERANCE, GrazingContact, find_grazing_contacts
-from ..problem.orbit_equations import are_releases, mark_impact_rows
-from ..problem.orbit_point import OrbitPoint, is_own_mirror_image
-from ..problem.orbit_problem import make_orbit_problem
+from ..orbits.flight_clearance import GRAZING_TOLERANCE
+from ..problem import curve_ends, soft_wall_grazing
+from ..problem.curve_ends import OrbitEventDetector, convert_segment_end
+from ..problem.grazing_contact import (
+    ZERO_RATE,
+    contact_durations_at,
+    distance_growth_rate,
+    find_grazing_contacts,
+    scene_wall_sides,
+)
+from ..problem.orbit_equations import are_releases, diagnose, mark_impact_rows
+from ..problem.orbit_point import is_own_mirror_image
+from ..problem.orbit_problem import OrbitProblem, make_orbit_problem
 from ..scene import check
 from ..scene.scene import Scene
 from ..scene.scene_parameters import (
@@ -24,45 +34,169 @@ from ..scene.scene_parameters import (
     flatten_names,
     limit_bounds_to_domains,
 )
-from ..scene.symmetry import stays_symmetric
-from .locus_equations import GrazingCondition, SingularCondition
-from .locus_tracking import LocusDirection, LocusEventDetector
-from .sticking_limit_equations import StickingLimitCondition
+from ..scene.scene_properties import stays_symmetric
+from . import codim2_points
+from .locus_equations import GrazingCondition, SingularCondition, StickingLimitCondition
+
+
+class LocusDirection(NamedTuple):
+    """Direction in which a locus is tracked.
+
+    Attributes
+    ----------
+    kind : str
+        Kind of the special points along the locus.
+    scene : Scene
+        Scene at the start of the locus.
+    task : ContinuationTask
+        Task whose ``args`` are the problem of the locus.
+    start : Point
+        First point. Its tangent points in the direction.
+    names : tuple of str
+        Names of the two parameters.
+    bounds : dict of str to tuple of float
+        Lower and upper bound of each parameter, by name.
+    codim2_index : SpecialIndex or None
+        Point of codimension two from which the locus emanates, as a special point in the first row of the segment.
+    codim2_z : numpy.ndarray or None
+        z of this point if `start` is at a small distance from it.
+    """
+
+    kind: str
+    scene: Scene
+    task: ContinuationTask
+    start: Point
+    names: tuple[str, str]
+    bounds: dict[str, tuple[float, float]]
+    codim2_index: SpecialIndex | None = None
+    codim2_z: Float[np.ndarray, " unknowns"] | None = None
+
+    @property
+    def problem(self) -> OrbitProblem:
+        """Problem of the locus."""
+        return self.task.args
+
+    def with_limits(self, limits: Limits) -> "LocusDirection":
+        """Return the direction with other limits."""
+        return self._replace(task=self.task._replace(limits=limits))
+
+    def from_point(
+        self, z: Float[np.ndarray, " unknowns"], tangent: Float[np.ndarray, " unknowns"]
+    ) -> "LocusDirection":
+        """Return the direction from another point of the locus, which is closed if it returns to that point."""
+        return self._replace(start=make_start_point(z, tangent), task=self.task._replace(starts=(np.asarray(z),)))
+
+    def reverse(self) -> "LocusDirection":
+        """Return the opposite direction."""
+        return self._replace(start=make_start_point(self.start.z, -self.start.tangent))
+
+    @property
+    def is_admissible(self) -> bool:
+        """True if no other grazing contact penetrates its wall and no grazing impact loses speed in this direction."""
+        problem, z, tangent = self.problem, self.start.z, self.start.tangent
+        side_codes, contact_durations, n_rows = (
+            scene_wall_sides(problem.scene),
+            contact_durations_at(problem, z),
+            len(problem.sequence.sides),
+        )
+        grazing_contacts = find_grazing_contacts(problem, z)
+        contact_locations = [
+            (
+                contact.row,
+                side_codes.index(contact.side),
+                contact.time_since_impact - float(contact_durations[contact.row]),
+            )
+            for contact in grazing_contacts
+            if not contact.is_impact
+        ]
+        speed_rates = [
+            tangent[n_rows + contact.row]
+            for contact in grazing_contacts
+            if contact.is_impact and contact.row in problem.impact_rows
+        ]
+        return all(
+            opening_rate > -ZERO_RATE
+            for opening_rate in (
+                *speed_rates,
+                *(
+                    distance_growth_rate(problem, z, tangent, *contact_location)
+                    for contact_location in contact_locations
+                ),
+            )
+        )
+
+
+class LocusEventDetector(OrbitEventDetector):
+    """Event detector of a locus: points of codimension two, and a grazing contact that ends the locus."""
+
+    def refine_points(self, task, points, diagnostics):
+        return super().refine_points(task, points._replace(residual=_newton_residuals(task, points)), diagnostics)
+
+    def end_kind(self, z):
+        """Return the kind of special point at which the orbit becomes inadmissible: GR, GG, CH or RL."""
+        problem = self.problem
+        if isinstance(problem.condition, StickingLimitCondition):
+            return "GR" if find_grazing_contacts(problem, z) else "CH"
+        return curve_ends.sticking_limit_kind(problem, z) or (
+            "GG" if isinstance(problem.condition, GrazingCondition) else "GR"
+        )
+
+    def find_events(self, task, points, diagnostics, known_branch_points, termination):
+        return codim2_points.locate_codim2_events(task, points, diagnostics)
+
+
+def track_locus(locus_direction):
+    """Track a locus in one `LocusDirection`; return its segment, from the point of codimension two if there is one."""
+    segment = convert_segment_end(continuation_loop.follow_branch(locus_direction.task, locus_direction.start))
+    if locus_direction.codim2_z is not None:
+        segment = _prepend_point(segment, locus_direction.codim2_z, locus_direction.task.control.scale)
+    if locus_direction.codim2_index is not None:
+        segment = segment._replace(specials=(locus_direction.codim2_index, *segment.specials))
+    return segment
+
+
+def _prepend_point(segment, z, scale):
+    """Return the segment with the point z, which is at a small distance from its first point, prepended."""
+    origin_distance = np.linalg.norm(scale * (segment.points.z[0] - z))
+    origin_point = make_start_point(z, (segment.points.z[0] - z) / origin_distance)
+    points = map_fields(
+        lambda leaf, first_entry: np.concatenate([np.asarray(first_entry)[None], leaf]), segment.points, origin_point
+    )
+    points.step[1] = origin_distance
+    diagnostics = map_fields(
+        lambda leaf, first_entry: np.concatenate([first_entry, leaf]),
+        segment.diagnostics,
+        diagnose(segment.args, z[None]),
+    )
+    return segment._replace(
+        points=points,
+        diagnostics=diagnostics,
+        specials=tuple(special_record._replace(row=special_record.row + 1) for special_record in segment.specials),
+    )
+
+
+def _newton_residuals(task, points):
+    """Return the residual of each point.
+
+    The stored residual is that before the last step of Newton's method. If it exceeds the tolerance, the residual is
+    evaluated again at the point.
+    """
+    residual_by_point = points.residual.copy()
+    for point_index in np.flatnonzero(
+        residual_by_point > task.control.tolerance * (1.0 + abs(points.z[:, -2:]).max(axis=1))
+    ):
+        residual_by_point[point_index] = abs(task.args.evaluate(points.z[point_index])[0]).max()
+    return residual_by_point
+
 
 KINDS = "SN", "PD", "SB", "GR"  # kinds that `follow_loci` continues by default
 STICKING_KINDS = "CH", "RL"  # limits of a sticking phase; a CH that ends a branch has no locus
 
 
-class LocusStart(NamedTuple):
-    """Special point at which a locus starts.
+def check_special_point(special, kinds=KINDS):
+    """Check that a locus may start at a special point.
 
-    Attributes
-    ----------
-    kind : str
-        Kind of the point.
-    name : str
-        Parameter whose value is ``point.value``.
-    scene : Scene
-        Scene at the point.
-    point : OrbitPoint
-        Orbit at the point.
-    """
-
-    kind: str
-    name: str
-    scene: Scene
-    point: OrbitPoint
-
-    @property
-    def grazing_contacts(self) -> list[GrazingContact]:
-        """`GrazingContact` records of the orbit."""
-        return find_grazing_contacts(self.point.problem, self.point.z)
-
-
-def make_locus_start(special, kinds=KINDS):
-    """Make the `LocusStart` of a `Special`.
-
-    Raises ArgumentError if the kind of the point is not one of `kinds`, or for a CH or RL without a sticking phase.
+    Raises ArgumentError unless it is a `Special` of one of `kinds`, and for a CH or RL without a sticking phase.
     """
     if not isinstance(special, Special) or special.kind not in kinds:
         refused_value = special.kind if isinstance(special, Special) else special
@@ -70,23 +204,24 @@ def make_locus_start(special, kinds=KINDS):
     if special.kind in STICKING_KINDS and not are_releases(special.spot.sides).any():
         rule = "must have a sticking phase; a chatter that ends its branch has no locus"
         raise check.ArgumentError("special", rule, f"{special.kind} at {special.value:.12g}")
-    return LocusStart(special.kind, special.name, special.scene, special.spot)
 
 
-def forward_locus_directions(locus_start, names, bounds, first_step, largest_step, tolerance, limits=UNLIMITED):
-    """Return the `LocusDirection` records from a `LocusStart` in two parameters.
+def forward_locus_directions(
+    kind, scene, orbit_point, names, bounds, first_step, largest_step, tolerance, limits=UNLIMITED
+):
+    """Return the `LocusDirection` records from an `OrbitPoint` at which a locus of a kind starts, in two parameters.
 
     The list has one record, or at a GR one record for each grazing contact. Each direction is that of increasing values
     of the second parameter. Raises ArgumentError if an argument is invalid.
     """
     step_settings = first_step, largest_step, tolerance
-    names, bounds = check_locus_arguments(locus_start.scene, names, bounds, *step_settings)
+    names, bounds = check_locus_arguments(scene, names, bounds, *step_settings)
     directions = []
-    for problem, z in problems_at_locus_start(locus_start, names):
-        task = make_locus_task(locus_start.scene, problem, z, names, bounds, *step_settings, limits)
+    for problem, z in problems_at_locus_start(kind, scene, orbit_point, names):
+        task = make_locus_task(scene, problem, z, names, bounds, *step_settings, limits)
         tangent = unit_tangent(problem.equations, z, task.control.scale, problem)
         solution = problem.take_step(make_start_point(z, tangent), 0.0, task.control)
-        direction = LocusDirection(task, make_start_point(z, tangent), names, bounds)
+        direction = LocusDirection(kind, scene, task, make_start_point(z, tangent), names, bounds)
         directions.append(direction.from_point(solution.z if solution.converged else z, tangent))
     return directions
 
@@ -132,36 +267,36 @@ def check_parameter_pair(scene, names):
     return pair
 
 
-def problems_at_locus_start(locus_start, names, use_whole_orbit=False):
-    """Set up the equations and the solution z of a `LocusStart` with some parameters as unknowns.
+def problems_at_locus_start(kind, scene, orbit_point, names, use_whole_orbit=False):
+    """Set up the equations and the solution z of a special point of a kind with some parameters as unknowns.
 
-    An entry of `names` may be a tuple of names: several numbers of the scene that share one value are then one
-    parameter. With `use_whole_orbit`, a symmetric orbit is not reduced to one half, except at an SB.
+    `scene` is the scene at the point, and `orbit_point` the orbit. An entry of `names` may be a tuple of names: several
+    numbers of the scene that share one value are then one parameter. With `use_whole_orbit`, a symmetric orbit is not
+    reduced to one half, except at an SB.
 
     Returns a list of (`OrbitProblem`, z). The list has one entry, or at a GR one entry for each grazing contact, in
     which the other contacts are omitted. The condition is a `GrazingCondition`, a `SingularCondition` or a
     `StickingLimitCondition`. Raises ArgumentError if none of these describes the point."""
-    scene, point = locus_start.scene, locus_start.point
-    if locus_start.kind != "GR" and not point.problem.n_rows:
+    if kind != "GR" and not orbit_point.problem.n_rows:
         rule = "must belong to an orbit with impacts; without impacts only a GR has derivatives and a locus"
-        raise check.ArgumentError("special", rule, f"{locus_start.kind} without impacts")
-    impact_entries = _impacts_and_contacts(locus_start)
+        raise check.ArgumentError("special", rule, f"{kind} without impacts")
+    impact_entries = _impacts_and_contacts(kind, scene, orbit_point)
     values = [common_parameter_value(scene, name) for name in names]
-    use_half_orbit = orbit_stays_symmetric(locus_start, names)
-    if locus_start.kind == "SB" and not use_half_orbit:
+    use_half_orbit = orbit_stays_symmetric(kind, scene, orbit_point, names)
+    if kind == "SB" and not use_half_orbit:
         raise check.ArgumentError("names", "must keep the scene symmetric, as an SB requires", names)
-    use_half_orbit = use_half_orbit and not (use_whole_orbit and locus_start.kind != "SB")
-    closure_sign, periods = (-1.0, 0.5 * point.periods) if use_half_orbit else (1.0, float(point.periods))
+    use_half_orbit = use_half_orbit and not (use_whole_orbit and kind != "SB")
+    closure_sign, periods = (-1.0, 0.5 * orbit_point.periods) if use_half_orbit else (1.0, float(orbit_point.periods))
     if use_half_orbit:
         impact_entries = impact_entries[: len(impact_entries) // 2]
     template, z = (
         make_orbit_problem(scene, *names, periods=periods, closure_sign=closure_sign),
         np.array([0.0, 0.0, *values]),
     )
-    if locus_start.kind in STICKING_KINDS:
-        return [_sticking_limit_problem(*template.with_impacts(z, impact_entries), locus_start.kind)]
-    if locus_start.kind != "GR":
-        condition = SingularCondition(np.asarray(1.0 if locus_start.kind == "SN" else -1.0))
+    if kind in STICKING_KINDS:
+        return [_sticking_limit_problem(*template.with_impacts(z, impact_entries), kind)]
+    if kind != "GR":
+        condition = SingularCondition(np.asarray(1.0 if kind == "SN" else -1.0))
         problem, z = template.with_impacts(z, impact_entries)
         return [(problem._replace(condition=condition), z)]
     slack = GRAZING_TOLERANCE * template.length_scale
@@ -169,7 +304,7 @@ def problems_at_locus_start(locus_start, names, use_whole_orbit=False):
         k for k, (_, speed, side) in enumerate(impact_entries) if speed <= slack and not are_releases(side)
     ]
     if not grazing_indices:
-        raise check.ArgumentError("special", "must touch a wall", point.value)
+        raise check.ArgumentError("special", "must touch a wall", orbit_point.value)
     impact_lists = (
         [impact for k, impact in enumerate(impact_entries) if k == grazing_index or k not in grazing_indices]
         for grazing_index in grazing_indices
@@ -182,7 +317,7 @@ def _sticking_limit_problem(problem, z, kind):
     is_release = kind == "RL"
     condition = StickingLimitCondition(np.zeros(problem.n_rows), np.asarray(float(is_release)))
     problem = problem._replace(condition=condition)
-    row_values_of = sticking_limits.min_contact_forces if is_release else sticking_limits.excess_speeds
+    row_values_of = curve_ends.min_contact_forces if is_release else curve_ends.excess_speeds
     condition.row_mask[np.argmin(abs(row_values_of(problem, z)))] = 1.0
     return problem, z
 
@@ -196,15 +331,15 @@ def _grazing_problem(problem, z, slack):
     return problem._replace(sequence=sequence, condition=GrazingCondition(row_mask)), z
 
 
-def _impacts_and_contacts(locus_start):
+def _impacts_and_contacts(kind, scene, orbit_point):
     """Return (time, speed, side) of each impact and grazing contact in order of time.
 
     The times are shifted so that the first is within the first drive period.
     """
-    times, speeds, sides = locus_start.point.problem.impacts(locus_start.point.z)
+    times, speeds, sides = orbit_point.problem.impacts(orbit_point.z)
     impact_contact_entries = [((k, 0.0), contact) for k, contact in enumerate(zip(times, speeds, sides, strict=True))]
-    if locus_start.kind == "GR":
-        for contact in locus_start.grazing_contacts:
+    if kind == "GR":
+        for contact in find_grazing_contacts(orbit_point.problem, orbit_point.z):
             if not contact.is_impact:
                 row_time = times[contact.row] if len(times) else 0.0
                 impact_contact_entries.append(
@@ -214,17 +349,17 @@ def _impacts_and_contacts(locus_start):
                     )
                 )
     impact_contact_entries = [contact for _, contact in sorted(impact_contact_entries)]
-    drive_period = 2.0 * np.pi / float(locus_start.scene.frequency)
+    drive_period = 2.0 * np.pi / float(scene.frequency)
     time_shift = drive_period * np.floor(impact_contact_entries[0][0] / drive_period)
     return [(time - time_shift, speed, side) for time, speed, side in impact_contact_entries]
 
 
-def orbit_stays_symmetric(locus_start, names):
+def orbit_stays_symmetric(kind, scene, orbit_point, names):
     """Check that an orbit is its own mirror image and that the parameters preserve the symmetry."""
-    impact_entries = _impacts_and_contacts(locus_start)
-    if len(impact_entries) % 2 or not stays_symmetric(locus_start.scene, *flatten_names(names)):
+    impact_entries = _impacts_and_contacts(kind, scene, orbit_point)
+    if len(impact_entries) % 2 or not stays_symmetric(scene, *flatten_names(names)):
         return False
-    return is_own_mirror_image(*locus_start.point.problem.with_impacts(locus_start.point.z, impact_entries))
+    return is_own_mirror_image(*orbit_point.problem.with_impacts(orbit_point.z, impact_entries))
 
 
 def whole_orbit_impacts(problem, zs):

@@ -14,13 +14,14 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from continuation import augmented_systems
+from continuation.implicit_function import root_derivatives
 
 from ..problem.orbit_problem import OrbitProblem
 from ..scene import check
 from ..scene.scene import Scene
 from ..scene.scene_parameters import mark_parameters
 from .locus_equations import GrazingCondition
-from .locus_start import make_locus_start, problems_at_locus_start
+from .locus_start import check_special_point, problems_at_locus_start
 
 MIN_FRACTION = 1.0 / 256.0  # of the path: the continuation ends if a shorter step fails
 MAX_CHANGE = 0.3  # relative to 1 + the largest unknown: largest change in a step
@@ -78,13 +79,13 @@ def make_continued_point(special, names):
     ArgumentError
         If the equations of the point do not determine its parameter value.
     """
-    start = make_locus_start(special)
-    for problem_and_z in problems_at_locus_start(start, (special.name, *names)):
+    check_special_point(special)
+    for problem_and_z in problems_at_locus_start(special.kind, special.scene, special.spot, (special.name, *names)):
         point = _continued_point_of(*problem_and_z, special.name, names)
         with suppress(np.linalg.LinAlgError):
             value_gradient(point)
             return point
-    raise check.ArgumentError("special", f"must depend on {special.name}", start.kind)
+    raise check.ArgumentError("special", f"must depend on {special.name}", special.kind)
 
 
 def _continued_point_of(problem, z, value_name, names):
@@ -124,7 +125,8 @@ def value_gradient(point):
     """
     jacobian, parameter_jacobian = _orbit_jacobian(point.problem, point.z), _parameter_jacobian(point)
     if len(point.zero_speed_indices):
-        return -np.linalg.solve(np.delete(jacobian, point.zero_speed_indices, 1), parameter_jacobian)[-1]
+        jacobian = np.delete(jacobian, point.zero_speed_indices, 1)
+        return root_derivatives(np.hstack([jacobian, parameter_jacobian]), len(jacobian))[-1]
     left_null = augmented_systems.null_vector(jacobian[:, :-1].T)
     return -(left_null @ parameter_jacobian) / (left_null @ jacobian[:, -1])
 

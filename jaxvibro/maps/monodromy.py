@@ -32,9 +32,8 @@ from ..flight.motion_in_soft_wall import restitution_of as restitution
 from ..flight.taylor_polynomials import ExpansionPoint
 from ..flight.wall_motion import subtract_optional, wall_jet_on_side
 from ..scene import check
-from ..scene.codes import Contact, Status
 from ..scene.scene import Scene
-from ..scene.state import State, make_state_arrays
+from ..scene.state import Contact, State, Status, make_state_arrays
 from . import reference_strobe
 from .reference_strobe import REPLAY_SLOTS
 
@@ -232,33 +231,16 @@ def _multiply_path_matrices(scene, state, impacts, end_contact_code, periods, sl
         )
         matrix = multiply_2x2_matrices(flight_matrix, current_state.matrix)
         if coeffs.walls:
-            restitution_coeff, saltation_shear = call_without_inlining(
-                saltation_entries, coeffs, side, speed, drive_cosine, drive_sine
-            )
-            matrix_after_impact = multiply_2x2_matrices(
-                (-restitution_coeff, zero, saltation_shear, -restitution_coeff), matrix
-            )
-            matrix = tuple(choose(is_impact, new, old) for new, old in zip(matrix_after_impact, matrix, strict=True))
-        if coeffs.walls and xv:
-            xv = _state_after_impact(coeffs, is_impact, side, speed, restitution_coeff, drive_cosine, drive_sine, xv)
+            xv, matrix = _pass_impact(coeffs, is_impact, side, speed, drive_cosine, drive_sine, xv, matrix)
         if relative_state:
             relative_state = (
                 choose(is_impact & is_soft_side(coeffs, side), side * Contact.ENTERED, 0.0),
                 zero,
                 side * speed,
             )
-        return (
-            impact_index + 1,
-            relative_state,
-            MonodromyState(
-                current_state.time + flight_time,
-                xv,
-                drive_cosine,
-                drive_sine,
-                matrix,
-                current_state.total_contact_times,
-            ),
-        )
+        time = current_state.time + flight_time
+        next_state = MonodromyState(time, xv, drive_cosine, drive_sine, matrix, current_state.total_contact_times)
+        return impact_index + 1, relative_state, next_state
 
     drive_cosine, drive_sine = jnp.cos(state.phase) + zero, jnp.sin(state.phase) + zero
     end_time, identity_entries = zero + periods * coeffs.period, (zero + 1.0, zero, zero, zero + 1.0)
@@ -273,6 +255,19 @@ def _multiply_path_matrices(scene, state, impacts, end_contact_code, periods, sl
     return lax.while_loop(
         lambda carry: carry[0] <= n_impacts, advance_to_next_impact, (jnp.int32(0), relative_state, start_state)
     )[-1]
+
+
+def _pass_impact(coeffs, is_impact, side, speed, drive_cosine, drive_sine, xv, matrix):
+    """Return (x, v) and the matrix after the impact for lanes that hit a wall, unchanged for other lanes."""
+    zero = lax.full_like(speed, 0.0)
+    restitution_coeff, saltation_shear = call_without_inlining(
+        saltation_entries, coeffs, side, speed, drive_cosine, drive_sine
+    )
+    matrix_after_impact = multiply_2x2_matrices((-restitution_coeff, zero, saltation_shear, -restitution_coeff), matrix)
+    matrix = tuple(choose(is_impact, new, old) for new, old in zip(matrix_after_impact, matrix, strict=True))
+    if xv:
+        xv = _state_after_impact(coeffs, is_impact, side, speed, restitution_coeff, drive_cosine, drive_sine, xv)
+    return xv, matrix
 
 
 def _state_after_impact(coeffs, is_impact, side, speed, restitution_coeff, drive_cosine, drive_sine, xv):

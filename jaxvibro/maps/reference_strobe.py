@@ -17,8 +17,7 @@ from ..flight import impact_log, integration_loop
 from ..flight.flight_state import CAPPED, absolute_state
 from ..flight.motion_in_soft_wall import is_inside_soft_wall
 from ..flight.path_start import start_path
-from ..scene.codes import Contact, Status
-from ..scene.state import Impacts, State
+from ..scene.state import Contact, Impacts, State, Status
 
 REPLAY_SLOTS = 32  # impacts per period that a replay can differentiate
 

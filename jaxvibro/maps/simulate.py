@@ -17,9 +17,8 @@ from ..flight.flight_state import absolute_state
 from ..flight.path_start import start_path
 from ..output.units import ANGLE, LENGTH, SPEED, TIME, scales_attributes
 from ..scene import check
-from ..scene.codes import Status
 from ..scene.scene import Scene
-from ..scene.state import State, check_start_within_walls, make_state_arrays
+from ..scene.state import State, Status, check_start_within_walls, make_state_arrays
 from .flight_stops import FlightStops, fly_to_stops
 from .reference_strobe import state_and_impacts
 

@@ -30,8 +30,7 @@ from ..flight.flow_matrix import matrix_by_rows
 from ..flight.impact import wall_state_and_force
 from ..flight.motion_in_soft_wall import restitution_of
 from ..flight.path_start import start_path
-from ..scene.codes import Contact, Status
-from ..scene.state import State
+from ..scene.state import Contact, State, Status
 from .monodromy import saltation_entries
 from .strobe import strobe
 

@@ -20,11 +20,10 @@ from ..contact.kinds import make_flow_coefficients
 from ..flight import fast_coefficients, fast_path, fast_tangent, impact_log
 from ..flight.fast_tangent import Tangent
 from ..flight.path_start import start_path
-from ..scene.codes import Contact, Status
-from ..scene.state import Impacts, State
+from ..scene.state import Contact, Impacts, State, Status
 from . import reference_strobe
+from .impact_replay import collect_replay_data, move_slots_first, replay_derivatives
 from .reference_strobe import ReplayHistory
-from .replay_derivatives import collect_replay_data, move_slots_first, replay_derivatives
 
 BLOCKS_PER_STRIP = 8  # blocks of one kernel: the launch of a kernel takes a tenth of a block's time
 

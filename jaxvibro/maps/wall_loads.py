@@ -14,10 +14,9 @@ from ..contact.kinds import contact_of_wall, flow_coefficients
 from ..flight.wall_positions import WALL_SIGNS, wall_states
 from ..output.units import FORCE, POWER, SPEED, scales_attributes
 from ..scene import check
-from ..scene.codes import Contact, Status
 from ..scene.scene import SIDES, Scene
-from ..scene.state import State, make_state_arrays
-from .long_iteration import take_lanes
+from ..scene.state import Contact, State, Status, make_state_arrays
+from .iterate import take_lanes
 from .sample import sample
 from .strobe import strobe
 

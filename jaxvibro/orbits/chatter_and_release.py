@@ -23,7 +23,7 @@ from ..contact.kinds import flow_coefficients
 from ..contact.wall_at_contact import contact_force_derivatives
 from ..flight import flow
 from ..flight.motion_in_soft_wall import restitution_of
-from ..scene.codes import Contact
+from ..scene.state import Contact
 from . import chatter
 
 SCAN_STEP = 0.2  # of `FlowCoefficients.max_step`: between two samples of the contact force

@@ -13,7 +13,7 @@ from jax import lax
 from jaxtyping import Float, Int
 
 from continuation.array_type import Array
-from continuation.linear_solver import LinearSolution, solve
+from continuation.newton import LinearSolution, solve
 
 
 class CyclicBlockMatrix(NamedTuple):

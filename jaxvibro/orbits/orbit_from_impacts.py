@@ -24,8 +24,14 @@ from ..maps.iterate import MAX_RECORDED_PERIODS, iterate
 from ..scene.state import State
 from . import flight_clearance, impact_equations
 from .impact_equations import ImpactSequence
-from .orbit import OrbitError, eigenvalue_pair, make_orbit, rotate_to_canonical_start
-from .orbit_comparison import impacts_as_points, repetition_count
+from .orbit import (
+    OrbitError,
+    eigenvalue_pair,
+    impacts_as_points,
+    make_orbit,
+    repetition_count,
+    rotate_to_canonical_start,
+)
 
 MIN_SECTION_GAP = 1e-3  # of a drive period: the section moves away from closer impacts
 ADVICE_BRANCH_ENDED = "start nearer to another orbit; the branch of this one may have ended at a grazing"
@@ -34,15 +40,11 @@ IMPACT_TOLERANCE = 1e-8  # relative to 1 + the largest speed: closer impacts are
 TIME_TOLERANCE = 1e-6  # of a drive period: tolerance of impact times in certified flights
 
 
-class SequenceSolution(NamedTuple):
-    """Impact sequence after Newton's method, with its diagnostics.
+class SequenceDiagnostics(NamedTuple):
+    """Diagnostics of an impact sequence.
 
     Attributes
     ----------
-    sequence : ImpactSequence
-        Impacts of the solution.
-    newton_result : newton.NewtonSolution
-        Result of Newton's method.
     flights : Flights
         Flights of the sequence.
     section_states : tuple of Array
@@ -55,8 +57,6 @@ class SequenceSolution(NamedTuple):
         Trace and determinant of the monodromy matrix.
     """
 
-    sequence: ImpactSequence
-    newton_result: newton.NewtonSolution
     flights: impact_equations.Flights
     section_states: tuple[Float[Array, " periods"], Float[Array, " periods"]]
     midflight_states: tuple[Float[Array, " rows"], Float[Array, " rows"]]
@@ -67,13 +67,13 @@ class SequenceSolution(NamedTuple):
 
 @persistent_jit(compiler_options=FAST_COMPILE, numpy_first=True)
 def solve_guess(scene, guess):
-    """Return the `SequenceSolution` that Newton's method reaches from an impact sequence."""
+    """Solve for an impact sequence; return (`ImpactSequence`, `SequenceDiagnostics`, `newton.NewtonSolution`)."""
     newton_result = call_as_kernel(impact_equations.solve_sequence, scene, guess)
     sequence = impact_equations.sort_sequence(scene, guess, newton_result.unknowns)
-    return call_as_kernel(_diagnose_solution, scene, sequence, newton_result)
+    return sequence, call_as_kernel(_diagnose_sequence, scene, sequence), newton_result
 
 
-def _diagnose_solution(scene, sequence, newton_result):
+def _diagnose_sequence(scene, sequence):
     coeffs = flow_coefficients(scene)
     flights = impact_equations.compute_flights(coeffs, sequence)
     section_states = impact_equations.states_at(
@@ -83,9 +83,7 @@ def _diagnose_solution(scene, sequence, newton_result):
         coeffs, flights, flight_clearance.sample_count(coeffs, flights)
     )
     midflight_states = flight_clearance.state_in_flight(coeffs, flights, 0.5 * flights.time)[:2]
-    return SequenceSolution(
-        sequence,
-        newton_result,
+    return SequenceDiagnostics(
         flights,
         section_states,
         midflight_states,
@@ -107,10 +105,12 @@ def padded_sequence(scene, times, speeds, sides, phase, periods):
 def orbit_from_impacts(scene, times, speeds, sides, phase, periods):
     """Solve for the orbit with impacts near given times since the section's phase. Raises OrbitError."""
     drive_period = 2.0 * np.pi / float(scene.frequency)
-    solution = jax.device_get(solve_guess(scene, padded_sequence(scene, times, speeds, sides, phase, periods)))
-    _require_converged(solution)
-    n_impacts = len(times)
-    times, speeds, sides = (column[:n_impacts] for column in solution.sequence[:3])
+    sequence, diagnostics, newton_result = jax.device_get(
+        solve_guess(scene, padded_sequence(scene, times, speeds, sides, phase, periods))
+    )
+    _require_converged(newton_result)
+    n_impacts, residual = len(times), float(newton_result.residual)
+    times, speeds, sides = (column[:n_impacts] for column in sequence[:3])
     minimal_period = _minimal_period(times, speeds, sides, periods, drive_period)
     if minimal_period < periods:
         n_minimal_impacts = n_impacts * minimal_period // periods
@@ -128,9 +128,9 @@ def orbit_from_impacts(scene, times, speeds, sides, phase, periods):
         order = np.argsort(shifted_times)
         phase = float(np.mod(phase + float(scene.frequency) * section_delay, 2.0 * np.pi))
         return orbit_from_impacts(scene, shifted_times[order], speeds[order], sides[order], phase, periods)
-    _require_admissible(scene, solution, n_impacts)
-    _require_certified(scene, solution, n_impacts, drive_period)
-    return _orbit_of_solution(scene, solution, n_impacts, drive_period)
+    _require_admissible(scene, speeds, diagnostics, residual)
+    _require_certified(scene, sequence, diagnostics, n_impacts, residual)
+    return _orbit_of_sequence(scene, sequence, diagnostics, n_impacts, residual)
 
 
 def orbit_of_exact_impacts(scene, times, speeds, sides, periods, residual):
@@ -206,37 +206,34 @@ def move_section_to_phase_0(orbit, itinerary):
 def _assemble_orbit(scene, times, speeds, sides, phase, periods, residual):
     """Assemble the orbit with these impacts, at times since the section's phase, without correcting them."""
     sequence = padded_sequence(scene, times, speeds, sides, phase, periods)
-    newton_fields = (np.asarray(value, scene.dtype) for value in ([], residual, 0.0, 1.0))
-    newton_result = newton.NewtonSolution(*newton_fields, np.asarray(newton.OK))
+    diagnostics = jax.device_get(_diagnose_compiled(scene, sequence))
+    return _orbit_of_sequence(scene, sequence, diagnostics, len(times), float(np.asarray(residual, scene.dtype)))
+
+
+_diagnose_compiled = persistent_jit(compiler_options=FAST_COMPILE, numpy_first=True)(_diagnose_sequence)
+
+
+def _orbit_of_sequence(scene, sequence, diagnostics, n_impacts, residual):
+    """Assemble the orbit of an impact sequence and rotate its itinerary to the canonical start."""
+    times, speeds, sides, phase, periods = sequence[:5]
     drive_period = 2.0 * np.pi / float(scene.frequency)
-    return _orbit_of_solution(
-        scene, jax.device_get(_diagnose_compiled(scene, sequence, newton_result)), len(times), drive_period
-    )
-
-
-_diagnose_compiled = persistent_jit(compiler_options=FAST_COMPILE, numpy_first=True)(_diagnose_solution)
-
-
-def _orbit_of_solution(scene, solution, n_impacts, drive_period):
-    """Assemble the orbit of a solution and rotate its itinerary to the canonical start."""
-    times, speeds, sides, phase, periods = solution.sequence[:5]
     itinerary, section_points = (
         words.itinerary_of_impacts(times[:n_impacts], sides[:n_impacts], int(periods), drive_period),
-        np.stack(solution.section_states, 1),
+        np.stack(diagnostics.section_states, 1),
     )
-    min_clearance = float(solution.closest_approaches[0][:n_impacts].min(initial=np.inf))
+    min_clearance = float(diagnostics.closest_approaches[0][:n_impacts].min(initial=np.inf))
     impact_columns = times[:n_impacts], speeds[:n_impacts], sides[:n_impacts]
     itinerary, section_state, impacts = rotate_to_canonical_start(
         itinerary, section_points[: int(periods)], *impact_columns, min_clearance, drive_period
     )
-    multiplier_pair = eigenvalue_pair(float(solution.trace), float(solution.determinant))
-    state, residual = State(*section_state, float(phase), 0.0), float(solution.newton_result.residual)
+    multiplier_pair = eigenvalue_pair(float(diagnostics.trace), float(diagnostics.determinant))
+    state = State(*section_state, float(phase), 0.0)
     return make_orbit(scene, state, impacts, itinerary, multiplier_pair, residual, "impacts")
 
 
-def _require_converged(solution):
+def _require_converged(newton_result):
     """Raise OrbitError unless Newton's method has converged."""
-    status, residual = int(solution.newton_result.status), float(solution.newton_result.residual)
+    status, residual = int(newton_result.status), float(newton_result.residual)
     if status != newton.OK:
         raise OrbitError(newton.STATUS_TEXTS[status], residual, newton.ADVICE[status])
 
@@ -260,13 +257,10 @@ def _section_delay(times, drive_period):
     return float(gap_middles[time_gaps >= time_gaps.max() - MIN_SECTION_GAP * drive_period].min())
 
 
-def _require_admissible(scene, solution, n_impacts):
+def _require_admissible(scene, speeds, diagnostics, residual):
     """Raise OrbitError for impacts with zero speed and for flights behind a wall."""
-    speeds, (clearances, approach_times) = (
-        solution.sequence.speeds[:n_impacts],
-        (approach_array[:n_impacts] for approach_array in solution.closest_approaches),
-    )
-    residual, slowest_index = float(solution.newton_result.residual), int(np.argmin(speeds))
+    n_impacts, slowest_index = len(speeds), int(np.argmin(speeds))
+    clearances, approach_times = (approach_array[:n_impacts] for approach_array in diagnostics.closest_approaches)
     if not speeds[slowest_index] > 0:
         reason = f"impact {slowest_index + 1} of {n_impacts} would have the speed {speeds[slowest_index]:.3g}"
         raise OrbitError(f"not admissible: {reason}", residual, ADVICE_BRANCH_ENDED)
@@ -281,14 +275,15 @@ def _require_admissible(scene, solution, n_impacts):
         raise OrbitError(f"not admissible: {reason}", residual, ADVICE_BRANCH_ENDED)
 
 
-def _require_certified(scene, solution, n_impacts, drive_period):
+def _require_certified(scene, sequence, diagnostics, n_impacts, residual):
     """Raise OrbitError unless certified flights confirm the impacts.
 
     Each certified motion starts in the middle of a flight, so that it does not start on a wall. Its first two impacts
     must be on the expected walls at the expected times.
     """
-    times, _, sides, phase = solution.sequence[:4]
-    flights, next_row = solution.flights, solution.flights.next_row[:n_impacts]
+    times, _, sides, phase = sequence[:4]
+    drive_period = 2.0 * np.pi / float(scene.frequency)
+    flights, next_row = diagnostics.flights, diagnostics.flights.next_row[:n_impacts]
     flight_durations = flights.time[:n_impacts]
     contact_durations = (
         np.zeros_like(flight_durations)
@@ -299,8 +294,8 @@ def _require_certified(scene, solution, n_impacts, drive_period):
         times[:n_impacts] + contact_durations + 0.5 * flight_durations
     )
     midflight_start_states = State(
-        solution.midflight_states[0][:n_impacts],
-        solution.midflight_states[1][:n_impacts],
+        diagnostics.midflight_states[0][:n_impacts],
+        diagnostics.midflight_states[1][:n_impacts],
         midflight_phases,
         np.zeros_like(midflight_phases),
     )
@@ -329,9 +324,7 @@ def _require_certified(scene, solution, n_impacts, drive_period):
     if wrong_flight_indices.size:
         reason = f"the flight after impact {wrong_flight_indices[0] + 1} of {n_impacts}"
         reason += " does not meet the expected wall at the expected time"
-        raise OrbitError(
-            f"not admissible: {reason}", float(solution.newton_result.residual), "start nearer to an orbit"
-        )
+        raise OrbitError(f"not admissible: {reason}", residual, "start nearer to an orbit")
 
 
 def solve_guesses(scene, guesses):

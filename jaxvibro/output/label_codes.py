@@ -1,4 +1,4 @@
-"""Encode orbit labels as integers, for large arrays.
+"""Encode orbit labels as integers, and translate kinds of special points to the labels of other programs.
 
 The label P n p q denotes an orbit with n drive periods, p impacts on the left wall and q on the right wall. Its code is
 1,000,000 n + 1,000 p + q. The count 999 stands for infinitely many impacts.
@@ -6,6 +6,8 @@ The label P n p q denotes an orbit with n drive periods, p impacts on the left w
 
 import numpy as np
 from jaxtyping import ArrayLike, Int
+
+from ..scene import check
 
 NOT_DONE, UNDECIDED, CHAOTIC = -1, 0, 1
 CODE_WORDS = {NOT_DONE: "not done", UNDECIDED: "undecided", CHAOTIC: "chaotic"}
@@ -81,3 +83,36 @@ def label_of(code: int | np.integer) -> str:
     label_counts = code // PERIODS_FACTOR, code // LEFT_FACTOR % 1000, code % 1000
     count_texts = ["inf" if label_count == INFINITE_COUNT else str(label_count) for label_count in label_counts]
     return "P" + ("" if all(len(count_text) == 1 for count_text in count_texts) else "-").join(count_texts)
+
+
+# Kinds without a counterpart keep their label: neither program has GR, CH or RL.
+FOREIGN_LABELS = {
+    "auto": {"SN": "LP", "SB": "BP", "NS": "TR", "NSA": "NSA"},
+    "matcont": {"SN": "LPC", "SB": "BPC", "BP": "BPC", "NSA": "NS", "CP": "CPC"},
+}
+LABEL_SYSTEMS = ("jaxvibro", *FOREIGN_LABELS)
+
+
+def translate_label(kind: str, label_system: str) -> str:
+    """Translate a kind of special point into the label of another program.
+
+    Parameters
+    ----------
+    kind : str
+        Kind of special point.
+    label_system : {"jaxvibro", "auto", "matcont"}
+        Program whose labels are used. For MatCont these are the labels for limit cycles.
+
+    Returns
+    -------
+    str
+        Label. Kinds without a counterpart are unchanged.
+
+    Raises
+    ------
+    ArgumentError
+        If `label_system` is unknown.
+    """
+    if not isinstance(label_system, str) or label_system not in LABEL_SYSTEMS:
+        raise check.ArgumentError("labels", f"must be one of {', '.join(LABEL_SYSTEMS)}", label_system)
+    return FOREIGN_LABELS.get(label_system, {}).get(kind, kind)

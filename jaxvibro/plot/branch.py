@@ -10,7 +10,7 @@ from matplotlib.font_manager import FontProperties
 from matplotlib.typing import ColorType
 
 from ..branches.branch import KIND_NAMES, Branch
-from ..output.label_translation import translate_label
+from ..output.label_codes import translate_label
 from ..scene.check import ArgumentError
 from .smooth_line import smooth_line
 from .style import (

@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.typing import ColorType
 
 from ..loci.locus import MEANINGS, Locus
-from ..output.label_translation import translate_label
+from ..output.label_codes import translate_label
 from ..scene.check import ArgumentError
 from .plane_axes import artist_gid, artists_of_kind, prepare_plane
 from .smooth_line import smooth_line

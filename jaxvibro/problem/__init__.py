@@ -2,6 +2,6 @@
 
 The input consists of the impacts of an orbit and the names of parameters. An `OrbitProblem` (`orbit_problem`) and its
 unknowns z = (times, speeds, parameters) describe the orbit; `orbit_equations` has its compiled residual and test
-functions. `orbit_diagnostics` computes the quantities that decide whether a solution is an admissible orbit.
+functions. `orbit_equations` computes the quantities that decide whether a solution is an admissible orbit.
 `grazing_contact` and `soft_wall_grazing` locate grazings. Start with `orbit_problem`.
 """

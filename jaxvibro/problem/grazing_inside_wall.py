@@ -24,10 +24,9 @@ from continuation.hostcall import FAST_COMPILE, persistent_jit
 from ..compiled.kernel_calls import call_as_kernel
 from ..contact.kinds import flow_coefficients, kinds_of_scene
 from ..flight import flow, motion_in_soft_wall
-from ..scene.codes import Contact
-from . import branches_from_grazing
-from .branches_from_grazing import LOOSE_TOLERANCE, GrazingPoint
-from .grazing_contact import GrazingContact, contact_durations_at, flight_durations_at
+from ..scene.state import Contact
+from . import grazing_contact
+from .grazing_contact import LOOSE_TOLERANCE, GrazingContact, GrazingPoint, contact_durations_at, flight_durations_at
 from .orbit_equations import scene_at, sequence_at
 from .orbit_problem import OrbitProblem
 from .soft_wall_grazing import OFFSET_SPEEDS, is_smooth_soft_wall
@@ -246,11 +245,11 @@ def _depth_and_depth_rate(problem, row, z_and_time):
 
 def _depth_growth_rate(problem, z, z_direction, row, time_in_contact):
     """Return the derivative of the depth at a time of a contact phase in a direction of z."""
-    offset_depths = (
-        _contact_motion_at(problem, z + sign * augmented_systems.DIFFERENCE_STEP * z_direction, row, time_in_contact)[0]
-        for sign in (1, -1)
-    )
-    return float(np.subtract(*offset_depths) / (2.0 * augmented_systems.DIFFERENCE_STEP))
+
+    def depth_at(z):
+        return _contact_motion_at(problem, z, row, time_in_contact)[0]
+
+    return augmented_systems.directional_derivative(depth_at, z, z_direction)
 
 
 def find_upcoming_grazing(problem, points, step_control):
@@ -334,7 +333,7 @@ def _two_contact_exit(problem, inside_grazing):
         tangent = np.zeros(len(split_z))
         tangent[row + 1], tangent[n_split_rows + row + 1] = 1.0 / inside_grazing.inward_acceleration, 1.0
         tangent /= np.linalg.norm(split_problem.weights() * tangent)
-        grazing_exit, _ = branches_from_grazing.step_along_exit(
+        grazing_exit, _ = grazing_contact.step_along_exit(
             split_problem, z_guess, tangent, (True,), LOOSE_TOLERANCE, (0.0,)
         )
         if grazing_exit:
@@ -389,7 +388,7 @@ def _find_contact_merger(problem, z, tangent, step_control):
         if end_point is None:
             continue
         exit_problem = merged_problem._replace(sequence=merged_problem.sequence._replace(min_contact_time=None))
-        grazing_exit, is_certain = branches_from_grazing.check_exit_along_tangent(
+        grazing_exit, is_certain = grazing_contact.check_exit_along_tangent(
             exit_problem, solution.z, solution.tangent, np.array([solution.depth_rate]), (False,)
         )
         grazing_exit = grazing_exit and grazing_exit._replace(

@@ -23,13 +23,13 @@ from ..contact.kinds import flow_of_scene
 from ..orbits.impact_equations import ImpactSequence
 from ..scene.scene import Scene
 from ..scene.scene_parameters import mark_parameters
-from ..scene.typical_scales import typical_length
-from .orbit_diagnostics import diagnose
+from ..scene.scene_properties import typical_length
 from .orbit_equations import (
     FREE_PROBLEM,
     IMPACT_PROBLEM,
     STICKING_PROBLEM,
     are_releases,
+    diagnose,
     free_or_fixed_value,
     mark_impact_rows,
     sides_with_release_codes,

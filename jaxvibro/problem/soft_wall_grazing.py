@@ -17,9 +17,16 @@ import numpy as np
 
 from continuation.augmented_systems import RootAndResidual
 
-from . import branches_from_grazing, grazing_contact
-from .branches_from_grazing import LOOSE_TOLERANCE, ZERO_RATE, GrazingPoint, include_grazing_contacts
-from .grazing_contact import find_grazing_contacts, locate_grazing, scene_wall_sides
+from . import grazing_contact
+from .grazing_contact import (
+    LOOSE_TOLERANCE,
+    ZERO_RATE,
+    GrazingPoint,
+    find_grazing_contacts,
+    include_grazing_contacts,
+    locate_grazing,
+    scene_wall_sides,
+)
 
 SLOW_SPEED = 1e-4  # scene's lengths per t; a slower contact is about to vanish
 OFFSET_SPEEDS = 1e-3, 1e-4  # scene's lengths per t; closer to the singular point Newton's steps are rounding
@@ -199,15 +206,15 @@ def find_all_exits(problem, z):
 
 
 def _generate_exits(problem, z, grazing_contacts):
-    """Yield the results of `branches_from_grazing.check_exit_along_tangent` for all exits.
+    """Yield the results of `grazing_contact.check_exit_along_tangent` for all exits.
 
     If `is_smooth_soft_wall` is true for all contacts, the exits are computed from the orbit that omits the contacts.
-    Otherwise `branches_from_grazing.try_contact_choices` is used.
+    Otherwise `grazing_contact.try_contact_choices` is used.
     """
     if not grazing_contacts or not all(
         is_smooth_soft_wall(problem.scene, contact_or_location.side) for contact_or_location in grazing_contacts
     ):
-        yield from branches_from_grazing.try_contact_choices(problem, z, grazing_contacts)
+        yield from grazing_contact.try_contact_choices(problem, z, grazing_contacts)
         return
     empty_inclusion_mask = (False,) * len(grazing_contacts)
     reduced_problem, reduced_z, omitted_locations = include_grazing_contacts(
@@ -223,7 +230,7 @@ def _generate_exits(problem, z, grazing_contacts):
     )
     distance_growth_rates, separation_accels = np.zeros(len(grazing_contacts)), np.zeros(len(grazing_contacts))
     for k, contact_or_location in zip(time_ordered_indices, omitted_locations, strict=True):
-        distance_growth_rates[k] = branches_from_grazing.distance_growth_rate(
+        distance_growth_rates[k] = grazing_contact.distance_growth_rate(
             reduced_problem, reduced_z, tangent, *contact_or_location
         )
         separation_accels[k] = -grazing_contact.refine_turning_point(reduced_problem, reduced_z, *contact_or_location)[
@@ -231,10 +238,10 @@ def _generate_exits(problem, z, grazing_contacts):
         ]
     for sign in (1.0, -1.0):
         if (sign * distance_growth_rates > -ZERO_RATE).all():
-            growth_rates_along = sign * branches_from_grazing.contact_growth_rates(
+            growth_rates_along = sign * grazing_contact.contact_growth_rates(
                 reduced_problem, reduced_z, tangent, omitted_locations
             )
-            yield branches_from_grazing.check_exit_along_tangent(
+            yield grazing_contact.check_exit_along_tangent(
                 reduced_problem, reduced_z, sign * tangent, growth_rates_along, empty_inclusion_mask
             )
         else:
@@ -276,7 +283,7 @@ def _exit_into_walls(problem, z, grazing_contacts, depth_growths, reduced_tangen
         z_guess, tangent = _guess_beyond_grazing(
             new_problem, grazing_z, list(depth_growths.values()), reduced_tangent, relative_speed * problem.length_scale
         )
-        grazing_exit, _ = branches_from_grazing.step_along_exit(
+        grazing_exit, _ = grazing_contact.step_along_exit(
             new_problem, z_guess, tangent, inclusion_mask, LOOSE_TOLERANCE, (0.0,)
         )
         if grazing_exit:

@@ -13,7 +13,6 @@ from . import (
     frequency_response,
     hysteresis,
     phase_portraits,
-    response_at_amplitudes,
     single_wall,
 )
 from .figure_panels import FigureResult
@@ -52,7 +51,7 @@ JOBS = {
         "Figure 10: the response between compliant walls", ("fig10",), frequency_response.reproduce_figure_10
     ),
     "fig11": FigureJob(
-        "Figure 11: the response at four amplitudes", ("fig11",), response_at_amplitudes.reproduce_figure_11
+        "Figure 11: the response at four amplitudes", ("fig11",), frequency_response.reproduce_figure_11
     ),
     "fig12": FigureJob("Figure 12: where two motions exist together", ("fig12",), coexistence.reproduce_figure_12),
     "walls": FigureJob("One wall, and a moving one", ("walls",), single_wall.reproduce_wall_diagrams),

@@ -1,4 +1,4 @@
-"""Reproduce figure 10: the frequency response between compliant walls, and the parameters that the paper omits."""
+"""Reproduce figures 10 and 11: the frequency response between compliant walls."""
 
 from dataclasses import replace
 from itertools import pairwise, product
@@ -11,24 +11,16 @@ from .. import plot
 from ..branches.branch import Branch, Special
 from ..branches.follow import follow
 from ..branches.peaks import peak, peaks
-from ..loci.point_continuation import make_continued_point, value_gradient
+from ..loci.point_continuation import continue_to_values, make_continued_point, value_gradient
 from ..orbits.find import find_orbit
 from ..orbits.orbit import OrbitError
-from ..plot.style import COLOURS
+from ..plot.style import COLOURS, SYMBOLS
 from ..scene.state import State
-from . import special_point_fitting
 from .attractor_checks import stable_labels_at
 from .claim import additional_claim, number_claim, statement_claim
-from .closed_forms import forced_motion_state
-from .figure_panels import (
-    FigureResult,
-    add_figure_legend,
-    make_figure,
-    panel_scene_files,
-    png_bytes,
-    trim_axis_labels,
-)
-from .special_points import ROUNDING
+from .closed_forms import forced_motion_state, grazing_amplitude
+from .figure_panels import FigureResult, add_figure_legend, make_figure, panel_scene_files, png_bytes, trim_axis_labels
+from .special_points import ROUNDING, fit_parameters, move_continued_points
 
 STIFFNESSES = (10, 50)
 PRINTED_FOLDS, PRINTED_GRAZING = ("1.48", "1.74"), "1.18"  # as printed in the paper
@@ -46,7 +38,7 @@ TOP_FREQUENCIES = 1.2, 1.4  # on the top of the curves of all these stiffnesses
 
 PEAK_LABEL = r"$\max|X|\,/\,d$"
 
-CAPTION = (
+CAPTION_10 = (
     "The largest x on the orbits against the drive's frequency, A = {0:g}, gamma2 = {1:g}, gamma = {2:.6f} fitted to "
     "both saddle-nodes. P100 and P111, stable (solid) and unstable (dashed), for two stiffnesses of the walls. "
     "P111 has another saddle-node within 1e-4 of the upper grazing, below its marker."
@@ -80,7 +72,7 @@ def reproduce_figure_10(scene_file, show_progress):
     initial_responses = [frequency_response(scene, branch_table) for scene in panel_scenes]
     printed_fold_frequencies = [float(printed_number) for printed_number in PRINTED_FOLDS]
     continued_folds = [make_continued_point(response.fold, ("damping",)) for response in initial_responses]
-    joint_fit = special_point_fitting.fit_parameters(
+    joint_fit = fit_parameters(
         continued_folds, printed_fold_frequencies, [float(panel_scenes[0].damping)], LOWER_BOUNDS[1], UPPER_BOUNDS[1]
     )
     gamma = float(joint_fit.values[0])
@@ -92,8 +84,8 @@ def reproduce_figure_10(scene_file, show_progress):
         *_three_parameter_claims(initial_responses, printed_fold_frequencies),
     ]
     claims += [*_coexistence_claims(responses), _flat_top_claim(panel_scenes[0].replace(damping=gamma), branch_table)]
-    caption = CAPTION.format(float(panel_scenes[0].amplitude), float(panel_scenes[0].left.damping), gamma)
-    return FigureResult(_figure_png(panel_scenes, responses), caption, tuple(claims))
+    caption = CAPTION_10.format(float(panel_scenes[0].amplitude), float(panel_scenes[0].left.damping), gamma)
+    return FigureResult(_figure_10_png(panel_scenes, responses), caption, tuple(claims))
 
 
 def frequency_response(scene, branch_table):
@@ -161,7 +153,7 @@ def _joint_fit_claims(responses, joint_fit):
 def _single_fit_claims(continued_folds, printed_fold_frequencies):
     """Yield the claims on the values of gamma that are fitted to each saddle-node alone."""
     fits = [
-        special_point_fitting.fit_parameters(
+        fit_parameters(
             [continued_fold], [printed_frequency], continued_fold.parameter_values, LOWER_BOUNDS[1], UPPER_BOUNDS[1]
         )
         for continued_fold, printed_frequency in zip(continued_folds, printed_fold_frequencies, strict=True)
@@ -197,7 +189,7 @@ def _max_fold_slope(continued_fold):
     for end_gamma in (LOWER_BOUNDS[1], max_gamma):
         current_fold = continued_fold
         for gamma in np.linspace(float(continued_fold.parameter_values[0]), end_gamma, N_SAMPLES + 1)[1:]:
-            (current_fold,), _ = special_point_fitting.move_continued_points([current_fold], [gamma])
+            (current_fold,), _ = move_continued_points([current_fold], [gamma])
             slope_gamma_pairs.append((float(value_gradient(current_fold)[0]), float(current_fold.parameter_values[0])))
     gammas = [gamma for _, gamma in slope_gamma_pairs]
     return max(slope_gamma_pairs)[0], (min(gammas), max(gammas))
@@ -224,9 +216,7 @@ def _three_parameter_claims(responses, printed_fold_frequencies):
     ]
     target_frequencies = [*printed_fold_frequencies, float(PRINTED_GRAZING)]
     fits = [
-        special_point_fitting.fit_parameters(
-            continued_points, target_frequencies, initial_parameters, LOWER_BOUNDS, UPPER_BOUNDS
-        )
+        fit_parameters(continued_points, target_frequencies, initial_parameters, LOWER_BOUNDS, UPPER_BOUNDS)
         for initial_parameters in FIT_STARTS
     ]
     best_fit = min(fits, key=lambda fit: abs(fit.misfits).max())
@@ -308,7 +298,7 @@ def keep_folds_and_grazings(branch):
     )
 
 
-def _figure_png(panel_scenes, responses):
+def _figure_10_png(panel_scenes, responses):
     figure, axes_grid = make_figure(2, 1, 2.7)
     for (ax,), scene, response in zip(axes_grid, panel_scenes, responses, strict=True):
         for branch in reversed(response.branches):  # P100 last: its GR hides an SN at nearly the same point
@@ -321,4 +311,75 @@ def _figure_png(panel_scenes, responses):
     for (ax,) in axes_grid:
         ax.set_ylabel(PEAK_LABEL)
     add_figure_legend(figure, axes_grid, n_columns=3)
+    return png_bytes(figure)
+
+
+CURVE_COLOURS = tuple(COLOURS[k] for k in (0, 5, 7, 3))
+N_CURVE_POINTS = 40  # points of the curve of the saddle-node
+LOWEST_AMPLITUDE = 0.155  # start of this curve; P100 grazes above 2 gamma sqrt(1 - gamma^2) = 0.1518
+
+CAPTION_11 = (
+    "Above, the largest x on P100 and P111 against the drive frequency at four amplitudes; below, the amplitudes of "
+    "the saddle-node of P111 and of the grazing of P100. P100 and P111 coexist between them."
+)
+
+
+def reproduce_figure_11(scene_file, show_progress):
+    """Reproduce figure 11; the paper makes no claims about it."""
+    scene_responses = [
+        (panel_scene_file.scene.make(), frequency_response(panel_scene_file.scene.make(), scene_file.branch))
+        for panel_scene_file in panel_scene_files(scene_file)
+    ]
+    return FigureResult(_figure_11_png(scene_file, scene_responses), CAPTION_11, ())
+
+
+def trace_special_point(special_point, amplitudes):
+    """Continue a special point in the amplitude and return the curve as (frequencies, amplitudes).
+
+    The curve ends at the last of the `amplitudes` at which the special point exists.
+    """
+    continued_point, curve_points = make_continued_point(special_point, ("amplitude",)), []
+    for amplitude in amplitudes:
+        continued_point, move_fraction = continue_to_values(continued_point, [amplitude])
+        if move_fraction < 1.0:
+            break
+        curve_points.append((continued_point.value, amplitude))
+    return np.array(curve_points).T
+
+
+def _figure_11_png(scene_file, scene_responses):
+    figure, ((upper_ax,), (lower_ax,)) = make_figure(2, 1, 2.9)
+    scene_folds = [(scene, response.fold) for scene, response in scene_responses if response.fold is not None]
+    for colour, (scene, response) in zip(CURVE_COLOURS, scene_responses, strict=True):
+        for branch in reversed(response.branches):
+            plot.branch(keep_folds_and_grazings(branch), "peak", upper_ax, colour)
+        lower_ax.axhline(float(scene.amplitude), color=colour, linewidth=0.8)
+        upper_ax.plot([], [], color=colour, label=f"{SYMBOLS['amplitude']} = {float(scene.amplitude):g}")
+    upper_ax.set(ylim=(0.0, None))
+    scene, fold_point = scene_folds[0]
+    start_amplitude, max_amplitude = (
+        float(scene.amplitude),
+        1.25 * max(float(scene.amplitude) for scene, _ in scene_responses),
+    )
+    lower_curve, upper_curve = (
+        trace_special_point(fold_point, np.linspace(start_amplitude, end_amplitude, N_CURVE_POINTS))
+        for end_amplitude in (LOWEST_AMPLITUDE, max_amplitude)
+    )
+    lower_ax.plot(*np.hstack([lower_curve[:, ::-1], upper_curve]), color="black", label="saddle-node of P111")
+    grazing_frequencies = np.linspace(*scene_file.branch.bounds, 400)
+    lower_ax.plot(
+        grazing_frequencies,
+        grazing_amplitude(grazing_frequencies, float(scene.damping)),
+        color="black",
+        linestyle=":",
+        label="grazing of P100",
+    )
+    lower_ax.set(
+        xlim=upper_ax.get_xlim(), ylim=(0.0, max_amplitude), xlabel=upper_ax.get_xlabel(), ylabel="drive amplitude $A$"
+    )
+    axes_grid = np.array([[upper_ax], [lower_ax]])
+    trim_axis_labels(axes_grid, max_ticks=9)
+    upper_ax.set_ylabel(PEAK_LABEL)
+    lower_ax.set_ylabel("$A$")
+    add_figure_legend(figure, axes_grid, n_columns=3, excluded_artist_ids=("branch",))
     return png_bytes(figure)

@@ -14,12 +14,11 @@ from pathlib import Path
 import jax
 
 from .. import __version__
-from ..output.atomic_write import atomic_file, require_writable_folder
+from ..output.atomic_files import atomic_file, require_writable_folder
 from ..output.checksums import HEADER_ATTRIBUTES, fill_in_checksum, has_valid_checksum, netcdf_bytes, sha256_hex
 from ..scene import check
 from ..studies import scene_file
-from .claim import Claim
-from .claim_report import report_html, report_markdown, verdict_counts_text
+from .claim import Claim, report_html, report_markdown, verdict_counts_text
 from .figure_jobs import JOBS
 from .figure_panels import FigureResult, figure_style
 

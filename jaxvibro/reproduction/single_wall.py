@@ -4,8 +4,7 @@ import numpy as np
 
 from .. import plot
 from ..branches.explore import explore
-from ..scene.scene import make_scene
-from ..scene.wall import Motion, Wall
+from ..scene.scene import Motion, Wall, make_scene
 from . import closed_forms
 from .claim import additional_claim, statement_claim
 from .figure_panels import (

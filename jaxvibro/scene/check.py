@@ -382,16 +382,15 @@ def require_independent(*names):
         )
 
 
-def require_rigid_or_soft(side, wall):
-    """Check that a wall is either rigid or soft, and that a soft wall has either a stiffness or a contact law."""
+def require_rigid_or_soft(side, wall, scene_damping):
+    """Check that a wall is rigid, or soft with either a stiffness or a contact law.
+
+    A wall with a stiffness must have its own damping if the scene has none, because of a force.
+    """
     for name in wall.contact_kind.refused:
         if getattr(wall, name) is not None:
             raise ArgumentError(f"{side}.{name}", wall.contact_kind.refusal, getattr(wall, name))
-
-
-def require_own_wall_damping(side, wall, force):
-    """Check that a soft wall in a scene with a force has its own damping, because the scene has none."""
-    if force is not None and wall.stiffness is not None and wall.damping is None:
+    if "damping" in wall.taken and scene_damping is None:
         raise ArgumentError(f"{side}.damping", "must be given for a soft wall in a scene with a force", None)
 
 
@@ -419,7 +418,7 @@ def require_spring(scene, caller):
     ArgumentError
         If the scene has a user-defined force.
     """
-    if scene.force is not None:
+    if not scene.flow_kind.is_linear:
         raise ArgumentError("force", f"must be None for {caller}, which needs spring and damper", scene.force.function)
 
 

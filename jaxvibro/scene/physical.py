@@ -12,9 +12,8 @@ from numpy.typing import DTypeLike
 
 from . import check, input_warnings
 from .scales import Scales
-from .scene import SIDES, Scene, Walls, drive_term_tuples, make_scene, restitution_or_default
+from .scene import SIDES, Motion, Scene, Wall, Walls, drive_term_tuples, make_scene, restitution_or_default
 from .scene_checks import check_value
-from .wall import Motion, Wall
 
 RECORD_LENGTH = 100  # number of force values from which an array looks like a record in time
 

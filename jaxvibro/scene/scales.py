@@ -42,11 +42,9 @@ class Scales:
 
     def __post_init__(self) -> None:
         for key, value in self.numbers.items():
-            checked_value = check.check_finite_array(key, value, np.dtype(float))
-            if np.ndim(checked_value):
-                raise check.ArgumentError(key, "must be one number", value)
+            checked_value = check.check_finite_float(key, value)
             check_value(key, checked_value)
-            object.__setattr__(self, key, float(checked_value))
+            object.__setattr__(self, key, checked_value)
 
     @property
     def numbers(self) -> dict[str, float]:

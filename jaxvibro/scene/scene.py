@@ -1,9 +1,9 @@
 """Define the scene: an oscillator, its drive and its walls, a pytree of nondimensional numbers (paper, section 1)."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import reduce
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -14,13 +14,157 @@ from numpy.typing import DTypeLike
 from continuation.array_type import Array
 
 from . import check
-from .area_growth_proof import areas_never_grow
-from .contact_law_checks import check_contact_law
+from .flow_kinds import SOLVER, SPRING, TAYLOR, SpringFlow
 from .force import Force
-from .force_checks import check_force, check_force_values, describe_flow
+from .force_operations import areas_never_grow
+from .push import Push
 from .scales import Scales
 from .scene_checks import check_scene
-from .wall import Motion, Wall
+from .user_function_checks import check_contact_law, check_force
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """Harmonic motion of a wall about the mean position of the wall, or a harmonic term of the drive.
+
+    The motion is ``amplitude cos(harmonic omega t + phase)`` with the frequency omega and the time t of the drive.
+
+    Parameters
+    ----------
+    amplitude : array_like
+        Amplitude, in lengths of the scene. Any finite real number.
+    phase : array_like, optional
+        Phase, in rad.
+    harmonic : int, optional
+        Harmonic of the drive frequency, static under transformations. At least 1 for a wall and at least 0 for the
+        drive; harmonic 0 with phase 0 is a constant force.
+
+    Examples
+    --------
+    >>> moving = jv.Wall(1.0, motion=jv.Motion(amplitude=0.1, phase=0.5))
+    >>> scene = jv.make_scene(2.0, 2.1, 0.05, 0.7, walls=(-1.0, moving))
+    >>> round(float(scene.parameter("right.motion.amplitude")), 6)
+    0.1
+    """
+
+    amplitude: Real[ArrayLike, "..."]
+    phase: Real[ArrayLike, "..."] = 0.0
+    harmonic: int = field(default=1, metadata={"static": True})
+
+
+class ContactKind(NamedTuple):
+    """Kind of the contact with a wall.
+
+    Attributes
+    ----------
+    name : str
+        Name of the kind.
+    is_soft : bool
+        True if the mass moves inside the wall.
+    parameters : tuple of str
+        Names of the parameters of the wall, except for those of a contact law.
+    inherited : tuple of str
+        Parameters that the wall takes from the scene if it has none of its own.
+    refused : tuple of str
+        Fields that must be None.
+    refusal : str
+        Rule for these fields, for an error message.
+    """
+
+    name: str
+    is_soft: bool
+    parameters: tuple[str, ...]
+    inherited: tuple[str, ...]
+    refused: tuple[str, ...]
+    refusal: str
+
+
+RIGID_CONTACT = ContactKind(
+    "rigid", False, ("restitution",), ("restitution",), ("damping",), "must not be given for a wall without stiffness"
+)
+LINEAR_CONTACT = ContactKind(
+    "spring and damper",
+    True,
+    ("stiffness", "damping"),
+    ("damping",),
+    ("restitution",),
+    "must not be given for a wall with stiffness",
+)
+LAW_CONTACT = ContactKind(
+    "contact law",
+    True,
+    (),
+    (),
+    ("restitution", "stiffness", "damping"),
+    "must not be given for a wall with a contact law",
+)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class Wall:
+    """Wall of a scene, rigid or soft.
+
+    Parameters
+    ----------
+    position : array_like
+        Mean position, in lengths of the scene.
+    restitution : array_like, optional
+        Coefficient of restitution R of a rigid wall. None selects the restitution of the scene.
+    stiffness : array_like, optional
+        Stiffness k2 > 0 of a soft wall, in units of the stiffness of the spring. It replaces the restitution.
+    damping : array_like, optional
+        Damping gamma2 >= 0 of a soft wall. None selects the damping of the scene.
+    motion : Motion, optional
+        Motion of the wall. None is a wall at rest.
+    law : Push, optional
+        Contact law of a soft wall in place of stiffness and damping. Needs a scene with a `Force`.
+
+    Notes
+    -----
+    Inside a soft wall at x_b the mass obeys ``x'' + 2 gamma2 x' + k2 (x - x_b) + x = A cos(omega t)`` until x is back
+    at x_b (paper, (39)). In a scene with a `Force`, this force also acts inside the wall. The damping of the wall must
+    be given and is added: ``x'' + 2 gamma2 x' + k2 (x - x_b) = force + A cos(omega t)``.
+
+    Examples
+    --------
+    >>> walls = jv.Wall(-1.0, restitution=0.6), jv.Wall(1.0, stiffness=400.0, damping=3.0)
+    >>> scene = jv.make_scene(2.0, 2.1, 0.05, walls=walls)
+    >>> scene.soft_sides, scene.right.own
+    (('right',), ('stiffness', 'damping'))
+    """
+
+    position: Real[ArrayLike, "..."]
+    restitution: Real[ArrayLike, "..."] | None = None
+    stiffness: Real[ArrayLike, "..."] | None = None
+    damping: Real[ArrayLike, "..."] | None = None
+    motion: Motion | None = None
+    law: Push | None = None
+
+    @property
+    def contact_kind(self) -> ContactKind:
+        """Kind of the contact: rigid, linear (spring and damper), or a contact law."""
+        if self.law is not None:
+            return LAW_CONTACT
+        return RIGID_CONTACT if self.stiffness is None else LINEAR_CONTACT
+
+    @property
+    def soft(self) -> bool:
+        """True if the wall is soft."""
+        return self.contact_kind.is_soft
+
+    @property
+    def own(self) -> tuple[str, ...]:
+        """Names of the parameters of the contact: restitution, stiffness and damping, or those of the law."""
+        law_parameters = getattr(self.law, "numbers", ())
+        return (*self.contact_kind.parameters, *(f"law.{name}" for name in law_parameters))
+
+    @property
+    def taken(self) -> tuple[str, ...]:
+        """Names of the parameters that the wall takes from the scene."""
+        return tuple(name for name in self.contact_kind.inherited if getattr(self, name) is None)
+
 
 SIDES = ("left", "right")
 MAX_DRIVE_TERMS = 32  # terms of the drive beside its first; each number of terms compiles
@@ -105,9 +249,14 @@ class Scene:
 
         The text is "exact: ..." for spring and damper. For a `Force` it states Taylor steps or the solver.
         """
+        return self.flow_kind.description(self)
+
+    @property
+    def flow_kind(self) -> SpringFlow:
+        """Kind of the flow between the walls: spring and damper, or a force by Taylor steps or by a solver."""
         if self.force is None:
-            return "exact: the flow of spring, damper and drive is known in closed form"
-        return describe_flow(self.force, self.dtype)
+            return SPRING
+        return TAYLOR if self.force.solver is None else SOLVER
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -118,11 +267,8 @@ class Scene:
         of all soft walls by one factor and adjusts the damping of each wall, so that its `effective_restitution` does
         not change.
         """
-        names = ["amplitude", "frequency", "restitution"]
-        if self.force is None:
-            names.insert(2, "damping")
-        else:
-            names += [f"force.{name}" for name in self.force.numbers]
+        names = ["amplitude", "frequency", *self.flow_kind.parameters, "restitution"]
+        names += [f"force.{name}" for name in getattr(self.force, "numbers", ())]
         names += [
             f"drive.{term_index}.{name}" for term_index in range(len(self.drive)) for name in ("amplitude", "phase")
         ]
@@ -149,7 +295,7 @@ class Scene:
     @property
     def hardens(self) -> bool:
         """True if the scene has a hardness: it has a soft wall beside the spring."""
-        return bool(self.soft_sides) and self.force is None
+        return bool(self.soft_sides) and self.flow_kind.is_linear
 
     def parameter(self, name: str) -> Float[Array, "..."] | np.floating | float | int:
         """Return the value of a parameter.
@@ -199,7 +345,7 @@ class Scene:
             Coefficient of restitution relative to the wall.
         """
         wall = getattr(self, side)
-        return -jnp.ones_like(wall.position) if wall.soft else self.parameter(f"{side}.restitution")
+        return self.parameter(f"{side}.restitution") if "restitution" in wall.own else -jnp.ones_like(wall.position)
 
     @property
     def dissipative(self) -> bool | None:
@@ -329,7 +475,7 @@ def check_scene_arguments(amplitude, frequency, damping, restitution, walls, dty
     numerical_fields = {"amplitude": amplitude, "frequency": frequency, "damping": damping}
     numerical_fields["restitution"] = restitution_or_default(restitution, wall_by_side.values())
     field_values = {**numerical_fields, **wall_by_side, "harder": None, "force": force, "drive": drive}
-    return _check_scene_and_force(_scene_from_fields(field_values, dtype))
+    return check_scene(_scene_from_fields(field_values, dtype))
 
 
 def restitution_or_default(restitution, walls):
@@ -477,15 +623,7 @@ def validate_scene(scene, dtype):
     ArgumentError
         If the scene breaks a rule.
     """
-    return _check_scene_and_force(_scene_from_fields(vars(scene), dtype))
-
-
-def _check_scene_and_force(scene):
-    """Check a scene and its force and return the scene unchanged."""
-    check_scene(scene)
-    if scene.force is not None:
-        check_force_values(scene)
-    return scene
+    return check_scene(_scene_from_fields(vars(scene), dtype))
 
 
 def _scene_from_fields(field_values, dtype):
@@ -501,41 +639,41 @@ def _scene_from_fields(field_values, dtype):
             check.check_harmonic(f"{key}.harmonic", harmonic, min_harmonic),
         )
 
-    def make_wall_motion(side, motion):
-        if motion is not None and not isinstance(motion, Motion):
-            raise check.SceneError(f"{side}.motion", "must be a Motion or None", motion)
-        return motion and make_motion(f"{side}.motion", 1, motion.amplitude, motion.harmonic, motion.phase)
+    def make_wall_motion(key, motion):
+        if not isinstance(motion, Motion):
+            raise check.SceneError(key, "must be a Motion or None", motion)
+        return make_motion(key, 1, motion.amplitude, motion.harmonic, motion.phase)
+
+    def make_law(key, contact_law):
+        return check_contact_law(key, contact_law, to_checked_array, dtype, field_values["force"])
+
+    def make_force(key, force):
+        return check_force(key, force, to_checked_array, dtype)
+
+    converters = {"motion": make_wall_motion, "law": make_law, "force": make_force}
+
+    def check_given(values, names, prefix=""):
+        return {
+            name: converters.get(name, to_checked_array)(f"{prefix}{name}", values[name])
+            for name in names
+            if values[name] is not None
+        }
 
     def make_wall(side, wall):
         if wall is None:
             return None
         if not isinstance(wall, Wall):
             return Wall(to_checked_array(f"{side}.position", wall))
-        check.require_rigid_or_soft(side, wall)
-        check.require_own_wall_damping(side, wall, field_values["force"])
-        contact_numbers = {name: getattr(wall, name) for name in ("restitution", "stiffness", "damping")}
-        contact_numbers = {
-            name: to_checked_array(f"{side}.{name}", value)
-            for name, value in contact_numbers.items()
-            if value is not None
-        }
-        contact_law = (
-            None if wall.law is None else check_contact_law(side, wall, to_checked_array, dtype, field_values["force"])
-        )
-        return Wall(
-            to_checked_array(f"{side}.position", wall.position),
-            **contact_numbers,
-            motion=make_wall_motion(side, wall.motion),
-            law=contact_law,
-        )
+        check.require_rigid_or_soft(side, wall, field_values["damping"])
+        position = to_checked_array(f"{side}.position", wall.position)
+        optional_fields = check_given(vars(wall), ("restitution", "stiffness", "damping", "law", "motion"), f"{side}.")
+        return Wall(position, **optional_fields)
 
-    force = field_values["force"]
-    check.require_spring_or_force(force, field_values["damping"])
-    optional_names = tuple(name for name in ("damping", "harder") if field_values[name] is not None)
-    number_names = ("amplitude", "frequency", "restitution", *optional_names)
-    checked_fields = {"damping": None} | {key: to_checked_array(key, field_values[key]) for key in number_names}
-    if force is not None:
-        checked_fields["force"] = check_force(force, to_checked_array, dtype)
+    check.require_spring_or_force(field_values["force"], field_values["damping"])
+    checked_fields = {
+        key: to_checked_array(key, field_values[key]) for key in ("amplitude", "frequency", "restitution")
+    }
+    checked_fields |= {"damping": None} | check_given(field_values, ("damping", "harder", "force"))
     checked_fields["drive"] = tuple(
         make_motion(f"drive.{term_index}", 0, *drive_term)
         for term_index, drive_term in enumerate(drive_term_tuples(field_values["drive"]))
@@ -594,17 +732,15 @@ def wall_positions(scene, phase):
     right : ndarray
         Position of the right wall, inf without a right wall.
     """
-    positions = [-np.inf, np.inf]
-    for side_index, side in enumerate(SIDES):
-        if (wall := getattr(scene, side)) is not None:
-            wall_motion = wall.motion
-            motion_offset = (
-                0.0
-                if wall_motion is None
-                else wall_motion.amplitude * np.cos(wall_motion.harmonic * np.asarray(phase) + wall_motion.phase)
-            )
-            positions[side_index] = np.asarray(wall.position) + motion_offset
-    return tuple(positions)
+    positions = {"left": -np.inf, "right": np.inf}
+    for side, wall in scene.walls.items():
+        motion_offset = (
+            0.0
+            if wall.motion is None
+            else wall.motion.amplitude * np.cos(wall.motion.harmonic * np.asarray(phase) + wall.motion.phase)
+        )
+        positions[side] = np.asarray(wall.position) + motion_offset
+    return tuple(positions.values())
 
 
 def rigid_wall_positions(scene, phase):

@@ -7,12 +7,11 @@ from msgspec import Struct, field
 
 from . import check
 from .force import DEFAULT_TOLERANCE, Force
-from .force_checks import diffrax_solver_name
 from .predefined_forces import NAMED_FORCES
 from .push import PREDEFINED_CONTACT_LAWS, Push
 from .scales import Scales
-from .scene import make_scene
-from .wall import Motion, Wall
+from .scene import Motion, Wall, make_scene
+from .user_function_checks import diffrax_solver_name
 
 NUMBER_KEYS = ("amplitude", "frequency", "damping", "restitution")
 
@@ -161,14 +160,18 @@ def make_scene_table(scene):
         motion = wall.motion and make_motion_table(wall.motion)
         contact_numbers = {name: getattr(wall, name) for name in ("restitution", "stiffness", "damping")}
         contact_numbers = {name: float(value) for name, value in contact_numbers.items() if value is not None}
-        law = wall.law and _make_law_table(wall.law)
+        law = wall.law and WallLawTable(*_name_and_numbers("law", wall.law, PREDEFINED_CONTACT_LAWS))
         return WallTable(position=float(wall.position), **contact_numbers, motion=motion, law=law)
 
     scene_numbers = {key: float(scene.parameter(key)) for key in NUMBER_KEYS if key in scene.names}
     wall_tables = {"left": make_wall_table(scene.left), "right": make_wall_table(scene.right)}
     scales = scene.scales and ScalesTable(**scene.scales.numbers)
     drive = [make_motion_table(drive_term) for drive_term in scene.drive]
-    force = scene.force and _make_force_table(scene.force)
+    force = scene.force and ForceTable(
+        *_name_and_numbers("force", scene.force, NAMED_FORCES),
+        scene.force.tolerance,
+        scene.force.solver and diffrax_solver_name(scene.force.solver),
+    )
     return SceneTable(**scene_numbers, **wall_tables, force=force, drive=drive, scales=scales)
 
 
@@ -218,24 +221,10 @@ def scene_toml_or_empty(scene):
     return scene_toml(scene) if all(function in predefined_functions for function in functions) else ""
 
 
-def _make_law_table(contact_law):
-    name = _predefined_name("law", contact_law.function, PREDEFINED_CONTACT_LAWS)
-    return WallLawTable(name, {key: float(value) for key, value in contact_law.numbers.items()})
-
-
-def _make_force_table(force):
-    name = _predefined_name("force", force.function, NAMED_FORCES)
-    solver = force.solver and diffrax_solver_name(force.solver)
-    if force.solver is not None and solver is None:
-        rule = "must be a solver that diffrax makes from its name alone to be saved"
-        raise check.ArgumentError("force.solver", rule, force.solver)
-    numbers = {key: float(value) for key, value in force.numbers.items()}
-    return ForceTable(name, numbers, force.tolerance, solver)
-
-
-def _predefined_name(key, function, predefined_functions):
-    """Return the name of a predefined force or contact law; raise ArgumentError for any other function."""
+def _name_and_numbers(key, user_function, predefined_functions):
+    """Return name and parameters of a predefined `Force` or `Push`; raise ArgumentError for any other function."""
+    function = user_function.function
     if function not in predefined_functions.values():
         rule = f"must be predefined ({', '.join(predefined_functions)}) to be saved"
         raise check.ArgumentError(f"{key}.function", rule, function)
-    return function.__name__
+    return function.__name__, {name: float(value) for name, value in user_function.numbers.items()}

@@ -31,12 +31,11 @@ import xarray as xr
 import zarr
 
 from .. import __version__
-from ..output.atomic_folder import create_folder_atomically, remove_abandoned_folders
+from ..output.atomic_files import create_folder_atomically, lock_file, remove_abandoned_folders
 from ..output.checksums import BLANK_CHECKSUM, fill_in_checksum, has_valid_checksum
-from ..output.file_lock import lock_file
 from ..scene import check
 from .engines import Engine, LocalEngine
-from .study_protocol import Grid, Study, study_size_bytes
+from .study import Grid, Study, study_size_bytes
 
 FORMAT_NUMBER = 1
 DONE_ARRAY, UNDECIDED_ARRAY = "done", "undecided"  # arrays beside the columns, one entry per chunk

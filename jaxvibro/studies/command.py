@@ -15,7 +15,7 @@ from importlib import import_module
 import jaxvibro as jv
 
 from .. import __version__
-from ..output.atomic_write import atomic_file
+from ..output.atomic_files import atomic_file
 from . import jax_settings, scene_template
 
 EXIT_BAD_INPUT, EXIT_INTERRUPTED = 2, 130

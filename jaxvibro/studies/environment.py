@@ -11,7 +11,7 @@ import jax
 from continuation.hostcall import RULES_VERSION, fallback_counts, jax_cache_folder, reason_without_cache
 
 from .. import __version__
-from ..compiled.hints_in_use import describe_hints
+from ..compiled.lane_arithmetic import describe_hints
 from . import jax_settings
 
 PACKAGES = ("jax", "jaxlib", "numpy", "scipy", "xarray", "zarr", "matplotlib", "msgspec", "optax", "diffrax")

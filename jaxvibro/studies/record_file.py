@@ -7,7 +7,7 @@ import numpy as np
 from ..design.records import ImpactRecord, SampleRecord, record_from_physical
 from ..scene.check import ArgumentError, SceneError
 from ..scene.scene import SIDES
-from .toml_limits import read_limited_file
+from .scene_file import read_limited_file
 
 IMPACT_HEADER = ("time", "side")
 HEADERS = (IMPACT_HEADER, ("time", "x"), ("time", "x", "v"))

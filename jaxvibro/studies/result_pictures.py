@@ -9,8 +9,7 @@ from matplotlib.lines import Line2D
 
 from .. import plot
 from ..attractors.basin_fraction_bounds import format_share
-from ..loci.bistability import find_coexistence_loci
-from ..loci.loci_of_branches import find_mirror_locus
+from ..loci.loci_of_branches import find_coexistence_loci, find_mirror_locus
 from ..maps.initial_conditions import format_initial_box
 from ..maps.simulate import simulate
 from ..output.units import FORCE, LENGTH, quantity_text

@@ -13,7 +13,7 @@ from ..loci.locus import MEANINGS as ON_LOCI
 from ..maps.initial_conditions import format_initial_box, initial_box
 from ..output.table_text import align_columns, multipliers_text
 from ..output.units import LENGTH, SPEED, quantity_text, unit_in_system, unit_of
-from ..problem.end import End
+from ..problem.curve_ends import End
 from . import map_report, sweep_report
 from .sweep_report import state_headings
 

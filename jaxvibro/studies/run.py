@@ -12,7 +12,7 @@ from typing import Any
 
 import jaxvibro as jv
 
-from ..output.atomic_write import atomic_file, require_writable_folder
+from ..output.atomic_files import atomic_file, require_writable_folder
 from ..output.checksums import netcdf_bytes
 from ..output.units import require_unit_system
 from ..scene.check import SceneError, host_only, nearest_name

@@ -23,8 +23,7 @@ from ..design.records import ImpactRecord, SampleRecord
 from ..flight.wall_positions import adapt_to_moved_walls
 from ..loci.loci_of_branches import count_points_to_follow, follow_loci
 from ..loci.locus import Locus
-from ..orbits.find import find_orbit
-from ..orbits.find_orbits import find_orbits
+from ..orbits.find import find_orbit, find_orbits
 from ..orbits.orbit import Orbit, OrbitError
 from ..scene.check import SceneError
 from ..scene.scene import Scene, replace_unchecked

@@ -3,7 +3,7 @@
 from os import PathLike
 from pathlib import Path
 
-from ..output.atomic_write import atomic_file, require_writable_folder
+from ..output.atomic_files import atomic_file, require_writable_folder
 from ..output.checksums import netcdf_bytes
 from ..output.units import require_unit_system
 from ..scene.check import ArgumentError, host_only

@@ -11,8 +11,8 @@ from continuation.hostcall import compile_at_once, jax_cache_folder, reason_for_
 
 from ..attractors.find import find_attractors
 from ..branches.follow import follow
-from ..branches.switch import switch
 from ..loci.locus import locus
+from ..loci.switch import switch
 from ..maps.initial_conditions import draw_initial_states
 from ..maps.strobe import strobe
 from ..orbits.find import find_orbit

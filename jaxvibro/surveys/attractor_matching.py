@@ -12,12 +12,12 @@ from itertools import pairwise
 import jax
 import numpy as np
 
-from ..attractors.derived_attractors import find_mirror_index
+from ..attractors.classify_attractors import find_mirror_index
 from ..attractors.transients import settle_lanes
 from ..flight.wall_positions import adapt_to_moved_walls
-from ..orbits.orbit_comparison import impacts_as_points, is_same_orbit, mirror_points
+from ..orbits.orbit import impacts_as_points, is_same_orbit, mirror_points
+from ..scene.scene_properties import is_symmetric
 from ..scene.state import State
-from ..scene.symmetry import is_symmetric
 from .attractor_transport import perturb_free_states, ramp_fraction
 
 PATH_TOLERANCE = 0.01  # relative to the largest x and v: paths in both directions that are nearer at each step are one

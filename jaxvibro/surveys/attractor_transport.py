@@ -7,7 +7,7 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from ..attractors import derived_attractors
+from ..attractors import classify_attractors
 from ..attractors.classify_attractors import (
     AttractorCandidate,
     find_chaotic_attractors,
@@ -18,12 +18,10 @@ from ..attractors.classify_attractors import (
 from ..attractors.transients import extract_orbit, is_rotated_orbit, settle_lanes
 from ..compiled.kernel_calls import BLOCK_WIDTH
 from ..flight.wall_positions import adapt_to_moved_walls
-from ..maps.iterate import iterate
-from ..maps.long_iteration import take_lanes
+from ..maps.iterate import iterate, take_lanes
 from ..scene.check import MAX_ORBIT_PERIODS
-from ..scene.codes import Status
 from ..scene.scene import Scene
-from ..scene.state import State
+from ..scene.state import State, Status
 
 N_STEPS = 64  # steps of the parameter from one value to the next
 PERTURBATION_POWER = (
@@ -188,7 +186,7 @@ def assign_or_add_attractors(node, state, settle):
     for lane in nonrecurrent_lanes:
         motion = sample_motions(scene, take_lanes(iterates.state, [lane]))
         if motion.status[0] < Status.CAP:
-            index = derived_attractors.find_attractor_index(
+            index = classify_attractors.find_attractor_index(
                 candidates, 0, make_chaotic_attractor(scene, motion, node.scale, {}).impact_points
             )
             attractor_indices[lane] = -1 if index is None else index
@@ -202,7 +200,7 @@ def assign_or_add_attractors(node, state, settle):
     )[0]:
         attractor_indices[found_candidate.lanes] = _find_or_add_attractor(candidates, found_candidate)
     if len(candidates) > n_known_candidates:
-        candidates += derived_attractors.derive_mirror_images(scene, candidates, node.scale)
+        candidates += classify_attractors.derive_mirror_images(scene, candidates, node.scale)
     return attractor_indices
 
 
@@ -222,7 +220,7 @@ def _find_orbit_index(candidates, section_points, max_state_magnitude):
 
 def _find_or_add_attractor(candidates, new_candidate):
     """Return the index of an attractor among the candidates, adding it without initial states if it is new."""
-    index = derived_attractors.find_attractor_index(
+    index = classify_attractors.find_attractor_index(
         candidates, new_candidate.attractor_fields["periods"], new_candidate.impact_points
     )
     if index is None:

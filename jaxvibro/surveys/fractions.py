@@ -7,7 +7,7 @@ import numpy as np
 import xarray as xr
 from jaxtyping import ArrayLike, Float, Real
 
-from continuation.computation_limits import UNLIMITED, make_limits, partial_result_reason
+from continuation.branch_segment import UNLIMITED, make_limits, partial_result_reason
 
 from ..attractors.basin_fraction_bounds import SIGNIFICANCE_LEVEL, compute_share_bounds
 from ..attractors.dataset_attributes import STATUS_FLAGS, other_parameters, survey_attributes

@@ -7,7 +7,7 @@ import numpy as np
 import xarray as xr
 from jaxtyping import ArrayLike, Real
 
-from continuation.computation_limits import make_limits, partial_result_reason
+from continuation.branch_segment import make_limits, partial_result_reason
 
 from ..attractors.basin_labels import build_neighbourhoods
 from ..attractors.basins import MAX_PERIODS
@@ -266,23 +266,16 @@ def least_shock(
     if place >= len(attractors) or attractors[place].kind == "unresolved":
         valid_indices = [str(index) for index, attractor in enumerate(attractors) if attractor.kind != "unresolved"]
         raise check.ArgumentError("place", f"must be the index of an attractor ({', '.join(valid_indices)})", place)
-    start_box_x_min, start_box_x_max, start_box_max_speed = (float(box_bound) for box_bound in initial_box(scene))
     shock_problems = []
     for phase_angle in phases:
-        neighbourhoods = build_neighbourhoods(
-            scene, attractors, float(phase_angle), max(abs(start_box_x_min), abs(start_box_x_max), start_box_max_speed)
-        )
+        neighbourhoods = build_neighbourhoods(scene, attractors, float(phase_angle))
         if neighbourhoods[place].region is None:
             phase_rule = "must be one at which the attractor has a trapping region and no impact; choose another phase"
             raise check.ArgumentError("phase", phase_rule, float(phase_angle))
         shock_problems.append(
             ShockProblem(scene, float(phase_angle), neighbourhoods, place, direction == "xv", patience)
         )
-    max_size = (
-        _size_covering_box(shock_problems, start_box_x_min, start_box_x_max, start_box_max_speed)
-        if max_size is None
-        else max_size
-    )
+    max_size = _size_covering_box(shock_problems, *map(float, initial_box(scene))) if max_size is None else max_size
     count_shocks = _make_shock_counter(progress)
     shock_results: list[ShockResult] = []
     for shock_problem in shock_problems:

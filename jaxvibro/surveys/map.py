@@ -11,7 +11,7 @@ import numpy as np
 import xarray as xr
 from jaxtyping import ArrayLike, Float, Real
 
-from continuation.computation_limits import make_limits
+from continuation.branch_segment import make_limits
 
 from ..attractors.dataset_attributes import other_parameters, survey_attributes
 from ..attractors.survey_arguments import check_survey_values, is_increasing
@@ -20,13 +20,11 @@ from ..maps.initial_conditions import states_in_box
 from ..output import label_codes
 from ..output.units import unit_of
 from ..scene import check
-from ..scene.codes import Status
 from ..scene.scene import Scene
 from ..scene.scene_table import scene_toml, scene_toml_or_empty
-from ..scene.state import State, check_start_within_walls
-from ..stores.study_completion import Progress, Store, complete_study
-from ..stores.study_protocol import Column, Grid, fingerprint_array
-from . import coexisting_attractors, map_columns
+from ..scene.state import State, Status, check_start_within_walls
+from ..stores.study import Column, Grid, Progress, Store, complete_study, fingerprint_array
+from . import map_columns
 from .motion_classification import classify_motions
 
 MAX_CHUNK_LANES, MIN_CHUNK_LANES = (
@@ -289,7 +287,7 @@ class MapStudy:
         if not self.n_starts:
             columns = map_columns.motion_columns(cell_scenes, cell_motions, self.columns)
             return _reshape_columns(columns, chunk_shape), int((columns["label"] == label_codes.UNDECIDED).sum())
-        columns = coexisting_attractors.attractor_columns(cell_scenes, cell_motions, self.n_starts, self.columns)
+        columns = map_columns.attractor_columns(cell_scenes, cell_motions, self.n_starts, self.columns)
         return _reshape_columns(columns, chunk_shape), int((columns["unresolved"] > 0).sum())
 
     def _scene_at(self, cell_values):

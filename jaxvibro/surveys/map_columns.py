@@ -1,4 +1,4 @@
-"""Define the columns of a parameter map and fill the columns from classified motions."""
+"""Define the columns of a parameter map, and fill them from classified motions and attractors."""
 
 from collections.abc import Mapping
 
@@ -7,13 +7,14 @@ import numpy as np
 from ..attractors.dataset_attributes import STATUS_FLAGS
 from ..attractors.tangent_growth import RECORDED_PERIODS
 from ..compiled.kernel_calls import BLOCK_WIDTH
-from ..maps.long_iteration import take_lanes, take_padded_block
+from ..maps.iterate import take_lanes, take_padded_block
 from ..maps.wall_loads import LOAD_COLUMNS as LOADS
 from ..maps.wall_loads import wall_loads
+from ..orbits.orbit import samples_fill_same_set
 from ..output import label_codes
 from ..output.units import LENGTH, SPEED
 from ..scene import check
-from ..stores.study_protocol import Column
+from ..stores.study import Column, blank_columns
 from .motion_classification import CHAOTIC, UNDECIDED, MotionResults
 
 MAX_ATTRACTORS = 8  # attractors of a cell that are stored, the largest shares first
@@ -145,3 +146,67 @@ def _wall_load_columns(scene, motions):
             for name, column_array in columns.items():
                 column_array[lane_block] = load_dataset[name].values[: len(lane_block)]
     return columns
+
+
+def attractor_columns(scene, motions: MotionResults, n_starts: int, study_columns) -> dict[str, np.ndarray]:
+    """Return the columns {name: array}, cells on the first axis, of the attractors of `n_starts` motions per cell."""
+    n_cells, label_codes = len(motions.periods) // n_starts, motion_label_codes(motions)
+    columns = blank_columns(study_columns, (n_cells,))
+    cell_index_lane_triples: list[tuple[int, int, int]] = []  # cell, index and lane of each stored attractor
+    columns["label"][:], columns["share"][:] = 0, 0.0
+    for cell_index in range(n_cells):
+        lanes = np.arange(cell_index * n_starts, (cell_index + 1) * n_starts)
+        attractor_lanes = group_by_attractor(motions, label_codes, lanes)
+        columns["status"][cell_index] = motions.status[lanes].max()
+        columns["unresolved"][cell_index] = 1.0 - sum(map(len, attractor_lanes)) / n_starts
+        if "attractors" in columns:
+            columns["attractors"][cell_index] = len(attractor_lanes)
+        for attractor_index, lane_group in enumerate(attractor_lanes[:MAX_ATTRACTORS]):
+            columns["share"][cell_index, attractor_index] = len(lane_group) / n_starts
+            cell_index_lane_triples.append((cell_index, attractor_index, lane_group[0]))
+    if cell_index_lane_triples:
+        cell_indices, attractor_indices, lane = np.array(cell_index_lane_triples).T
+        attractor_scenes, attractor_motions = select_motion_lanes(scene, motions, lane)
+        attractor_values = motion_columns(attractor_scenes, attractor_motions, study_columns)
+        for name, array in attractor_values.items():
+            if name != "status":
+                columns[name][cell_indices, attractor_indices] = array
+    return columns
+
+
+def group_by_attractor(motions: MotionResults, label_codes, lanes) -> list[list[int]]:
+    """Return the lanes of each attractor, in order of decreasing number of lanes, label code and first lane.
+
+    Undecided lanes are omitted. Two orbits are the same if they have a point on the section in common. Two chaotic
+    motions are on the same attractor if they fill the same set (`orbit.samples_fill_same_set`).
+    """
+    attractor_lanes: list[list[int]] = []
+    max_state_magnitude = np.nanmax(abs(motions.points[-1, lanes]), initial=1.0)
+    tolerance = np.finfo(motions.points.dtype).eps ** 0.4 * max_state_magnitude
+    for lane in lanes[motions.periods[lanes] != UNDECIDED].tolist():
+        lane_group = next(
+            (
+                lane_group
+                for lane_group in attractor_lanes
+                if _are_on_same_attractor(motions, lane_group[0], lane, tolerance)
+            ),
+            None,
+        )
+        if lane_group is None:
+            attractor_lanes.append([lane])
+        else:
+            lane_group.append(lane)
+    return sorted(attractor_lanes, key=lambda group: (-len(group), int(label_codes[group[0]]), group[0]))
+
+
+def _are_on_same_attractor(motions, first_lane, second_lane, tolerance):
+    """Return True if two lanes are on the same attractor."""
+    n_periods = motions.periods[first_lane]
+    if n_periods != motions.periods[second_lane]:
+        return False
+    if n_periods == CHAOTIC:
+        lane_points = (motions.points[:, lane] for lane in (first_lane, second_lane))
+        return samples_fill_same_set(*(points[np.isfinite(points).all(axis=1)] for points in lane_points))
+    return bool(
+        (abs(motions.points[-n_periods:, first_lane] - motions.points[-1, second_lane]).max(axis=1) <= tolerance).any()
+    )

@@ -15,10 +15,9 @@ from jaxtyping import Float, Int
 
 from continuation.hostcall import persistent_jit
 
-from ..attractors.batch_means import standard_error
+from ..attractors.chaotic_exponents import standard_error
 from ..attractors.classify_attractors import MIN_CHAOS_EXPONENT
 from ..attractors.orbit_exponents import compute_orbit_exponents
-from ..attractors.recurrence import compute_return_distances, find_recurrence_periods
 from ..attractors.tangent_growth import (
     RECORDED_PERIODS,
     TangentLanes,
@@ -26,16 +25,16 @@ from ..attractors.tangent_growth import (
     start_tangents,
     worse_status,
 )
+from ..attractors.transients import compute_return_distances, find_recurrence_periods
 from ..compiled.kernel_calls import BLOCK_WIDTH
 from ..compiled.lane_arithmetic import COMPILER_OPTIONS
 from ..maps.initial_conditions import initial_box
-from ..maps.long_iteration import take_lanes, take_padded_block
+from ..maps.iterate import take_lanes, take_padded_block
 from ..maps.sticking_phase_intervals import find_sticking_phases
 from ..maps.strobe import strobe
 from ..scene.check import MAX_ORBIT_PERIODS
-from ..scene.codes import Status
 from ..scene.scene import Scene
-from ..scene.state import State
+from ..scene.state import State, Status
 
 BLOCK_PERIODS = 16  # periods whose growth is summed
 CERTAIN_ERRORS = 3.0  # standard errors by which a chaotic exponent must exceed `MIN_CHAOS_EXPONENT`

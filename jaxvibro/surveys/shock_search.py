@@ -17,10 +17,16 @@ import numpy as np
 import scipy
 from jaxtyping import Float
 
-from continuation.computation_limits import UNLIMITED, Limits
+from continuation.branch_segment import UNLIMITED, Limits
 
-from ..attractors.basin_labels import OUTSIDE, UNRESOLVED, AttractorNeighbourhood, label_starts_in_parallel
-from ..attractors.trapping_region import PointCloud, TrappingEllipses
+from ..attractors.basin_labels import (
+    OUTSIDE,
+    UNRESOLVED,
+    AttractorNeighbourhood,
+    PointCloud,
+    TrappingEllipses,
+    label_starts_in_parallel,
+)
 from ..flight.wall_positions import wall_states
 from ..scene.scene import SIDES, Scene
 

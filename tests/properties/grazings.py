@@ -5,7 +5,7 @@ import numpy as np
 import jaxvibro as jv
 from jaxvibro.branches.scenario import grazing_return_of
 from jaxvibro.problem.added_impact_orbits import added_impact_orbits
-from jaxvibro.problem.orbit_conversion import orbit_from_point
+from jaxvibro.problem.orbit_point import orbit_from_point
 from tests.special_points import grazing_reference
 
 GRADUAL = "OVERLAPPING", "ADDING", "CHAOS"

@@ -6,8 +6,8 @@ import jax
 import numpy as np
 
 import jaxvibro as jv
-from jaxvibro.scene.codes import Contact as Contact
-from jaxvibro.scene.codes import Status as Status
+from jaxvibro.scene.state import Contact as Contact
+from jaxvibro.scene.state import Status as Status
 from tests.kinds import LANES, wall_ends
 
 SLOTS = 8  # impacts that are recorded

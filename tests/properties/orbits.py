@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxvibro as jv
-from jaxvibro.scene.codes import Status
+from jaxvibro.scene.state import Status
 from tests.kinds import LANES
 
 from .motions import SLOTS, strobe, take

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 import continuation as co
+from continuation.hostcall.module_store import read
 from continuation.hostcall.program_writer import build_program, load_program
-from continuation.hostcall.trusted_cache_file import read
 from tests import cached_functions
 from tests.cached_functions import DIGEST, compiled, evaluated, flipped, own_files, require_right, separate_cache
 from tests.tiers import generator, of_numbers

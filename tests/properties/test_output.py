@@ -17,8 +17,7 @@ import pytest
 import xarray as xr
 
 import jaxvibro as jv
-from jaxvibro.loci.locus import build_codim2
-from jaxvibro.loci.locus_file import DIMENSIONS
+from jaxvibro.loci.locus import DIMENSIONS, build_codim2
 from jaxvibro.output.checksums import netcdf_bytes
 from tests.kinds import KINDS
 from tests.scene_files import refusal
@@ -211,7 +210,7 @@ class StopAt:
     def patch(self):
         """Let files be written and renamed by this process."""
         with (
-            mock.patch("jaxvibro.output.atomic_write.open", self.open, create=True),
+            mock.patch("jaxvibro.output.atomic_files.open", self.open, create=True),
             mock.patch("os.replace", self.wrap(os.replace)),
         ):
             yield

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 import jaxvibro as jv
-from jaxvibro.scene.symmetry import is_symmetric, symmetrise_scene
-from jaxvibro.scene.unit_mistakes import physical_units, require_scene_units
+from jaxvibro.scene.scene_parameters import physical_units, require_scene_units
+from jaxvibro.scene.scene_properties import is_symmetric, symmetrise_scene
 from tests.kinds import LANES
 from tests.scene_files import refusal
 from tests.tiers import generator, of_batches, of_numbers

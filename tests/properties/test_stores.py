@@ -115,7 +115,7 @@ def test_limits(kind, number):
         store = jv.Store(place / "store", jv.LocalEngine(1))
         for kept in (None, store):
             seconds = iter(range(1_000_000))
-            with mock.patch("continuation.computation_limits.clock", lambda seconds=seconds: float(next(seconds))):
+            with mock.patch("continuation.branch_segment.clock", lambda seconds=seconds: float(next(seconds))):
                 part = compute(kept, max_seconds=1.5)
             done = part[name] != blank
             if kept is None and kind.name in ("basins", "sweep"):  # of one chunk

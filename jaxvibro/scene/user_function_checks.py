@@ -1,4 +1,4 @@
-"""Check user-defined forces; each error names the key, the rule and the value."""
+"""Check user-defined forces and contact laws; each error names the key, the rule and the value."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -14,6 +14,8 @@ from . import check
 from .force import MAX_TOLERANCE, MIN_TOLERANCE, Force, with_positional_params
 from .force_operations import ops_without_series
 from .predefined_forces import NAMED_FORCES, count_knots, expected_names_if_wrong, force_name, tabulated
+from .push import PREDEFINED_CONTACT_LAWS, Push, hertz, hunt_crossley
+from .scene_checks import NOT_NEGATIVE, POSITIVE, check_rule
 
 N_PROBES = 64  # states at which a force is evaluated
 PERIODIC_TOLERANCE = 1e-9  # largest relative difference of a force after one period
@@ -32,14 +34,13 @@ TRACE_ADVICE = {  # advice by the name of JAX's exception
 }
 
 
-def check_force(force, to_checked_array, dtype):
+def check_force(key, force, to_checked_array, dtype):
     """Return the force with checked parameters and solver; ``to_checked_array(key, value)`` converts a number.
 
     `check_force_values` checks the rules that depend on other parameters of the scene.
     """
-    if not isinstance(force, Force):
-        raise check.ArgumentError("force", "must be a Force or None: jv.Force(function, {name: number})", force)
-    function = check_callable("force", force, NAMED_FORCES, "t, x, v, numbers")
+    class_rule = "must be a Force or None: jv.Force(function, {name: number})"
+    function = check_callable("force", force, Force, class_rule, NAMED_FORCES, "t, x, v, numbers")
     expected_names_text = expected_names_if_wrong(function, force.numbers)
     if expected_names_text is not None:
         names_text = ", ".join(force.numbers) or "none"
@@ -67,9 +68,11 @@ def check_force(force, to_checked_array, dtype):
     return replace(force, function=function, numbers=params, solver=solver)
 
 
-def check_callable(key, force_or_contact_law, predefined_functions, signature_text):
-    """Check the function and the parameter names of a `Force` or a `Push` and return the function."""
-    function = force_or_contact_law.function
+def check_callable(key, argument, argument_class, class_rule, predefined_functions, signature_text):
+    """Check the class, the function and the parameter names of a `Force` or a `Push` and return the function."""
+    if not isinstance(argument, argument_class):
+        raise check.ArgumentError(key, class_rule, argument)
+    function = argument.function
     if isinstance(function, str):
         if function not in predefined_functions:
             choices_text = check.describe_choices(function, predefined_functions)
@@ -78,9 +81,9 @@ def check_callable(key, force_or_contact_law, predefined_functions, signature_te
         function = predefined_functions[function]
     if not callable(function):
         raise check.ArgumentError(f"{key}.function", f"must be a function of ({signature_text})", function)
-    if not isinstance(force_or_contact_law.numbers, Mapping):
-        raise check.ArgumentError(f"{key}.numbers", "must be a dict {name: number}", force_or_contact_law.numbers)
-    for name in force_or_contact_law.numbers:
+    if not isinstance(argument.numbers, Mapping):
+        raise check.ArgumentError(f"{key}.numbers", "must be a dict {name: number}", argument.numbers)
+    for name in argument.numbers:
         if not isinstance(name, str) or not name.isidentifier():
             raise check.ArgumentError(f"{key}.numbers", "must have names of letters, digits and _", name)
     return function
@@ -119,40 +122,21 @@ def _check_solver(solver):
 
 
 def diffrax_solver_name(solver):
-    """Return the class name of a diffrax solver with default options; None for any other solver."""
+    """Return the class name of a diffrax solver with default options; raise ArgumentError for any other solver."""
     name = type(solver).__name__
-    return name if getattr(import_module("diffrax"), name, None) is type(solver) and solver == type(solver)() else None
+    if getattr(import_module("diffrax"), name, None) is not type(solver) or solver != type(solver)():
+        rule = "must be a solver that diffrax makes from its name alone to be saved"
+        raise check.ArgumentError("force.solver", rule, solver)
+    return name
 
 
-def describe_flow(force, dtype):
-    """Return a sentence that states the integration method under a user-defined force, and the reason for it."""
-    accuracy_text = f"to {force.tolerance:g}"
-    ops_lacking_series = ops_without_series(force.function, tuple(force.numbers), np.dtype(dtype))
-    if force.solver is None:
-        return f"Taylor steps {accuracy_text}: each operation of the force has a Taylor series"
-    reason_text = (
-        f"no Taylor series is known for {', '.join(ops_lacking_series)}"
-        if ops_lacking_series
-        else "selected by the user"
-    )
-    return f"steps of diffrax's {type(force.solver).__name__} {accuracy_text}: {reason_text}"
-
-
-def check_force_values(scene):
+def check_force_values(scene, is_explicit):
     """Check that the force of a scene is finite between the walls, not too stiff, and periodic with the drive.
 
-    The force is evaluated at random states, in a batch only for the first scenes. A solver together with a soft wall is
-    refused.
+    The force is evaluated at random states, in a batch only for the first scenes. A force may be stiff unless the steps
+    are explicit.
     """
     force = scene.force
-    if force.solver is not None and scene.soft_sides:
-        ops_lacking_series = ops_without_series(force.function, tuple(force.numbers), np.dtype(scene.dtype))
-        reason_text = f", which do not exist for {', '.join(ops_lacking_series)}" if ops_lacking_series else ""
-        raise check.ArgumentError(
-            "force.solver",
-            f"must be None with a soft wall, where a force needs Taylor steps{reason_text}",
-            force.solver,
-        )
     parameter_names, dtype = tuple(force.numbers), np.dtype(scene.dtype)
     is_time_dependent = _check_traceable(force.function, parameter_names, dtype)
     params = (*force.numbers.values(), scene.frequency)
@@ -176,6 +160,7 @@ def check_force_values(scene):
                 float(scene_values[len(parameter_names)]),
                 list(scene_values[len(parameter_names) + 1 :]),
                 is_time_dependent,
+                is_explicit,
                 scene_index,
             )
 
@@ -208,8 +193,8 @@ def _is_rigid(wall):
     return wall is not None and not wall.soft
 
 
-def _probe_force(scene, params, frequency, wall_positions, is_time_dependent, scene_index):
-    """Check the force of one scene at random states: finite, not too stiff for the solver, periodic."""
+def _probe_force(scene, params, frequency, wall_positions, is_time_dependent, is_explicit, scene_index):
+    """Check the force of one scene at random states: finite, not too stiff for explicit steps, periodic."""
     force, rng = scene.force, np.random.default_rng(0)
     position_scale = max([1.0, *map(abs, wall_positions)])
     x_min = wall_positions[0] if _is_rigid(scene.left) else min([*wall_positions, 0.0]) - 2.0 * position_scale
@@ -230,7 +215,7 @@ def _probe_force(scene, params, frequency, wall_positions, is_time_dependent, sc
             invalid_state,
             scene_index,
         )
-    if force.solver is None or not isinstance(force.solver, import_module("diffrax").AbstractImplicitSolver):
+    if is_explicit:
         motion_rates = _compile_motion_rates(force.function, tuple(force.numbers))(
             *(coordinate.astype(scene.dtype) for coordinate in (t, x, v)), *params
         )
@@ -348,3 +333,51 @@ def _explain_trace_error(error, parameter_names):
     if isinstance(error, KeyError):
         return f"{reason}: its numbers are {', '.join(parameter_names) or 'none'}"
     return f"{reason}: it is called with (t, x, v, numbers)" if "positional argument" in reason else reason
+
+
+N_ARGUMENTS = 2  # depth and rate
+PARAMETER_RULES = {"stiffness": POSITIVE, "dissipation": NOT_NEGATIVE}
+LAW_PARAMETERS = {hertz: ("stiffness",), hunt_crossley: ("stiffness", "dissipation")}
+
+_check_law_traceable = lru_cache(256)(trace_user_function)
+
+
+def check_contact_law(key, contact_law, to_checked_array, dtype, scene_force):
+    """Return a contact law with checked parameters; ``to_checked_array(key, value)`` converts a number."""
+    rule = "must be a Push or None"
+    function = check_callable(key, contact_law, Push, rule, PREDEFINED_CONTACT_LAWS, "depth, rate, numbers")
+    if scene_force is None:
+        rule = "needs a scene with a force; the spring is jv.Force('polynomial', {'c1': 1.0, 'damping': ...})"
+        raise check.ArgumentError(key, rule, contact_law.function)
+    params = {name: to_checked_array(f"{key}.{name}", value) for name, value in contact_law.numbers.items()}
+    _check_predefined_params(key, function, params)
+    _check_law_traceable(key, function, tuple(params), np.dtype(dtype), N_ARGUMENTS, function)
+    if not check.is_traced(*params.values()):
+        _check_zero_at_surface(key, function, params, dtype)
+    return replace(contact_law, function=function, numbers=params)
+
+
+def _check_predefined_params(key, function, params):
+    """Check the names and the values of the parameters if the contact law is predefined."""
+    if function not in LAW_PARAMETERS:
+        return
+    if set(params) != set(LAW_PARAMETERS[function]):
+        raise check.ArgumentError(f"{key}.numbers", f"must be {', '.join(LAW_PARAMETERS[function])}", tuple(params))
+    for name, value in params.items():
+        check_rule(f"{key}.{name}", value, PARAMETER_RULES[name])
+
+
+def _check_zero_at_surface(key, function, params, dtype):
+    """Check that a contact law is 0 at depth 0 and rate 0."""
+    zero = np.zeros((), dtype)
+    with jax.ensure_compile_time_eval():
+        surface_acceleration = np.asarray(
+            _compile_positional_law(function, tuple(params))(zero, zero, *params.values())
+        )
+    check.require(key, "must be 0 where depth and rate are 0", surface_acceleration, surface_acceleration == 0)
+
+
+@lru_cache(256)
+def _compile_positional_law(function, parameter_names):
+    """Return the compiled contact law as a function of depth, rate and positional parameters."""
+    return jax.jit(with_positional_params(function, parameter_names, N_ARGUMENTS))
