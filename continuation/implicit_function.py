@@ -24,15 +24,15 @@ Parameters = Float[Array, " numbers"]
 Runner = Callable[..., Any]  # calls (function, *arrays), as `problem.Problem.runner`
 
 
-def root_derivatives(jacobian, n_unknowns, solve_system=np.linalg.solve):
+def root_derivatives(jacobian, parameter_jacobian, solve_system=np.linalg.solve):
     """Return du/dp of a root u of F(u, p) = 0.
 
     Parameters
     ----------
     jacobian : array
-        Derivatives of F by u and then by p, array of shape (unknowns, unknowns + numbers).
-    n_unknowns : int
-        Length of u.
+        Derivative of F with respect to u, array of shape (unknowns, unknowns).
+    parameter_jacobian : array
+        Derivative of F with respect to p, array of shape (unknowns, numbers).
     solve_system : callable, optional
         Function of (matrix, right sides). By default that of NumPy, which raises LinAlgError for a singular matrix.
 
@@ -41,7 +41,7 @@ def root_derivatives(jacobian, n_unknowns, solve_system=np.linalg.solve):
     array
         Derivatives, array of shape (unknowns, numbers).
     """
-    return -solve_system(jacobian[:, :n_unknowns], jacobian[:, n_unknowns:])
+    return -solve_system(jacobian, parameter_jacobian)
 
 
 def _solve_traced(matrix, right_sides):
@@ -131,7 +131,7 @@ def make_implicit_root(
         def root_jacobian(root_and_params, constants):
             n_unknowns = len(u)
             jacobian = jax.jacfwd(lambda z: function(z[:n_unknowns], z[n_unknowns:], constants))(root_and_params)
-            return root_derivatives(jacobian, n_unknowns, _solve_traced)
+            return root_derivatives(jacobian[:, :n_unknowns], jacobian[:, n_unknowns:], _solve_traced)
 
         tangent = force_forward_mode(root_jacobian, runner)(jnp.concatenate([u, p]), constants) @ tangent
         return (u, aux), (tangent, jax.tree.map(jnp.zeros_like, aux))

@@ -195,4 +195,4 @@ def sensitivity(special: Special, names: str | Sequence[str]) -> Float[np.ndarra
     problem = curve_problem(system, special.kind, all_param_names)
     _, jacobian = augmented_systems.evaluate_problem(problem, z, constants)
     n_unknowns = len(z) - len(other_param_names)
-    return root_derivatives(jacobian, n_unknowns)[-1]
+    return root_derivatives(jacobian[:, :n_unknowns], jacobian[:, n_unknowns:])[-1]

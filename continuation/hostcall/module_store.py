@@ -1,14 +1,10 @@
 """Store programs and lowered modules of traced functions, in files that no other user can have changed.
 
-Read and write executable files in the cache folder, only if no other user can have changed them. A person who can write
-to the cache folder can execute code as the user of the cache. The folder and its files must therefore belong to the
-user or to root, and no one else may have permission to write to them. A digest in the file detects damage. The digest
-includes the names of the file and its folder, so that a copy of another file is rejected.
-
 A file consists of a line that describes the tree of the results, and of a program or a lowered module (jax.export),
-which is called in place of the function. Programs and modules are executed. `module_store` therefore reads them
-only from a folder to which only the user can write, and only if their digest is correct. JAX trusts its own cache in
-the same folder.
+which is called in place of the function. A person who can write to the cache folder can therefore execute code as the
+user of the cache. The folder and its files must belong to the user or to root, and no one else may have permission to
+write to them. JAX trusts its own cache in the same folder. A digest in the file detects damage. It includes the names
+of the file and its folder, so that a copy of another file is rejected.
 """
 
 import hashlib

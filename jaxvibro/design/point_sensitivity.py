@@ -134,9 +134,9 @@ def _contact_derivatives(special):
         equations, unknowns = equations_at_point(special.kind, *problem_and_z)
         if special.name == "hardness":
             unknowns[equations.n_orbit_unknowns] = 0.0
-        jacobian = np.hstack(_point_jacobians(equations, unknowns, scene_vector, point_parameter_mask))
+        jacobians = _point_jacobians(equations, unknowns, scene_vector, point_parameter_mask)
         try:
-            value_derivatives = root_derivatives(jacobian, len(unknowns))[equations.n_orbit_unknowns]
+            value_derivatives = root_derivatives(*jacobians)[equations.n_orbit_unknowns]
         except np.linalg.LinAlgError:
             continue
         yield (SIDES[int(equations.sequence.sides[0] > 0)] if equations.is_grazing else None), value_derivatives

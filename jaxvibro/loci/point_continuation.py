@@ -125,8 +125,7 @@ def value_gradient(point):
     """
     jacobian, parameter_jacobian = _orbit_jacobian(point.problem, point.z), _parameter_jacobian(point)
     if len(point.zero_speed_indices):
-        jacobian = np.delete(jacobian, point.zero_speed_indices, 1)
-        return root_derivatives(np.hstack([jacobian, parameter_jacobian]), len(jacobian))[-1]
+        return root_derivatives(np.delete(jacobian, point.zero_speed_indices, 1), parameter_jacobian)[-1]
     left_null = augmented_systems.null_vector(jacobian[:, :-1].T)
     return -(left_null @ parameter_jacobian) / (left_null @ jacobian[:, -1])
 

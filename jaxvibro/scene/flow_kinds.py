@@ -49,10 +49,10 @@ class SpringFlow:
         return True
 
 
-class TaylorFlow(SpringFlow):
+class TaylorFlow:
     """Flow of a user-defined force that is integrated by Taylor steps; attributes as in `SpringFlow`."""
 
-    parameters = ()
+    parameters: tuple[str, ...] = ()
     is_linear = False
 
     def check_values(self, scene):

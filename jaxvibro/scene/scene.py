@@ -14,7 +14,7 @@ from numpy.typing import DTypeLike
 from continuation.array_type import Array
 
 from . import check
-from .flow_kinds import SOLVER, SPRING, TAYLOR, SpringFlow
+from .flow_kinds import SOLVER, SPRING, TAYLOR, SpringFlow, TaylorFlow
 from .force import Force
 from .force_operations import areas_never_grow
 from .push import Push
@@ -252,7 +252,7 @@ class Scene:
         return self.flow_kind.description(self)
 
     @property
-    def flow_kind(self) -> SpringFlow:
+    def flow_kind(self) -> SpringFlow | TaylorFlow:
         """Kind of the flow between the walls: spring and damper, or a force by Taylor steps or by a solver."""
         if self.force is None:
             return SPRING
